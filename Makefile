@@ -1,0 +1,44 @@
+# Every target makes its own virtual environment: Python and pip are all that a machine needs.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO := demo_calibration
+
+.PHONY: demo test check lint types layers logs slow bench docs clean
+
+$(VENV)/.run: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.dev: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@ $(VENV)/.run
+
+demo: $(VENV)/.run  ## install, then calibrate the paper's robot from its sample log
+	$(BIN)/mobilecal calibrate sample_logs/paper_robot.mcap --output $(DEMO) --force
+
+test: $(VENV)/.dev  ## install, then run every test
+	$(BIN)/python -m pytest -n 2 -m 'not slow'
+
+slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
+	$(BIN)/python -m pytest -n 2 -m slow
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+layers: $(VENV)/.dev
+	$(BIN)/lint-imports
+
+check: lint types layers test  ## what must be clean before a commit
+
+logs: $(VENV)/.run  ## rebuild sample_logs/ from their seeds
+	$(BIN)/python -m mobilecal_cli.simulate.samples sample_logs
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis $(DEMO)

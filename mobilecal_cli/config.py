@@ -1,0 +1,266 @@
+"""rig.yaml: the schema, its checks, and how flags lie over it. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    PositiveFloat,
+    ValidationError,
+    model_validator,
+)
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from mobilecal_cli.errors import ConfigError
+
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Text = Annotated[str, Field(min_length=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+
+
+class BoardConfig(_Section):
+    """The checkerboard, in inner corners."""
+
+    columns: int | None = Field(None, ge=3, le=100, description="inner corners along the longer count")
+    rows: int | None = Field(None, ge=3, le=100, description="inner corners along the other")
+    square_m: PositiveFloat | None = Field(None, description="side of a square, m; stereo gives it otherwise")
+
+    @model_validator(mode="after")
+    def _both_counts(self) -> BoardConfig:
+        if (self.columns is None) != (self.rows is None):
+            raise ValueError("columns and rows go together")
+        return self
+
+
+class CameraTopics(_Section):
+    """One camera's topics."""
+
+    image: Text | None = None
+    info: Text | None = None
+
+
+class CamerasConfig(_Section):
+    """The stereo pair."""
+
+    left: CameraTopics = CameraTopics()
+    right: CameraTopics = CameraTopics()
+    reference: Literal["left", "right"] = "left"
+    rectified: bool | None = None
+
+
+class JointsConfig(_Section):
+    """The pan-tilt joints."""
+
+    topic: Text | None = None
+    pan: Text | None = None
+    tilt: Text | None = None
+
+
+class WheelConfig(_Section):
+    """Where one wheel's rotation is."""
+
+    topic: Text | None = None
+    joint: Text | None = None
+    field: Text | None = None
+    ticks_per_revolution: PositiveFloat | None = None
+    bits: Literal[8, 16, 32, 64] | None = None
+    sign: Literal[1, -1] = 1
+
+    @model_validator(mode="after")
+    def _joint_or_field(self) -> WheelConfig:
+        if self.joint is not None and self.field is not None:
+            raise ValueError("give joint or field, not both")
+        if self.field is not None and self.topic is None:
+            raise ValueError("field needs a topic")
+        if self.bits is not None and self.ticks_per_revolution is None:
+            raise ValueError("bits needs ticks_per_revolution")
+        return self
+
+
+class WheelsConfig(_Section):
+    """Both wheels."""
+
+    left: WheelConfig = WheelConfig()
+    right: WheelConfig = WheelConfig()
+
+
+class ChainLink(_Section):
+    """One link: a fixed offset (xyz_m, rpy_rad) or a joint (joint, axis, kind)."""
+
+    xyz_m: Vector3 | None = None
+    rpy_rad: Vector3 | None = None
+    joint: Text | None = None
+    axis: Vector3 | None = None
+    kind: Literal["revolute", "prismatic"] = "revolute"
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> ChainLink:
+        moving = self.joint is not None or self.axis is not None
+        fixed = self.xyz_m is not None or self.rpy_rad is not None
+        if moving == fixed:
+            raise ValueError("a link is either {xyz_m, rpy_rad} or {joint, axis}")
+        if moving and (self.joint is None or self.axis is None):
+            raise ValueError("joint and axis go together")
+        if self.axis is not None and math.hypot(*self.axis) < 1e-6:
+            raise ValueError("axis has no length")
+        return self
+
+
+class HeadConfig(_Section):
+    """The chain from base to head."""
+
+    base_frame: Text | None = None
+    head_frame: Text | None = None
+    urdf: Path | None = None
+    chain: tuple[ChainLink, ...] | None = None
+
+    @model_validator(mode="after")
+    def _urdf_or_chain(self) -> HeadConfig:
+        if self.urdf is not None and self.chain is not None:
+            raise ValueError("give urdf or chain, not both")
+        return self
+
+
+class HeadEyeNominal(_Section):
+    """Prior head-eye transform."""
+
+    translation_m: Vector3
+    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _unit_quaternion(self) -> HeadEyeNominal:
+        norm = math.hypot(*self.quaternion_xyzw)
+        if abs(norm - 1) > 1e-3:
+            raise ValueError(f"quaternion_xyzw has norm {norm:.6g}, not 1")
+        return self
+
+
+class WheelsNominal(_Section):
+    """Prior wheels."""
+
+    radius_left_m: PositiveFloat
+    radius_right_m: PositiveFloat
+    separation_m: PositiveFloat
+
+
+class NominalConfig(_Section):
+    """Prior values, used only where the log shows nothing."""
+
+    head_eye: HeadEyeNominal | None = None
+    wheels: WheelsNominal | None = None
+
+
+class RigConfig(_Section):
+    """The whole of rig.yaml; every key may be left out when the log tells it."""
+
+    schema_version: Literal[1] = 1
+    board: BoardConfig = BoardConfig()
+    cameras: CamerasConfig = CamerasConfig()
+    joints: JointsConfig = JointsConfig()
+    wheels: WheelsConfig = WheelsConfig()
+    head: HeadConfig = HeadConfig()
+    nominal: NominalConfig = NominalConfig()
+
+
+def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
+    """Read rig.yaml and lay flags over it (flag > file).
+
+    Args:
+        path: the file, or None for none.
+        flags: dotted key → value, e.g. ``{"board.columns": 9}``; None values are left out.
+
+    Raises:
+        ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        data = _read_yaml(path)
+    for key, value in (flags or {}).items():
+        if value is not None:
+            _assign(data, key.split("."), value)
+    try:
+        rig = RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise _explained(error, data, path) from error
+    if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
+        head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
+        rig = rig.model_copy(update={"head": head})
+    return rig
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read: {error.strerror}", "check the path after --config"
+        ) from error
+    except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        where = " ".join(str(error).split())
+        raise ConfigError(
+            f"{path}: not valid YAML: {where}", "mobilecal init LOG writes a draft that is"
+        ) from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(
+            f"{path}: holds a {type(data).__name__} at the top, not keys", "mobilecal init LOG writes a draft"
+        )
+    return data
+
+
+def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
+    for key in keys[:-1]:
+        inner = data.setdefault(key, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(
+                f"{key}: is a value in the file, not a section", "compare with mobilecal init LOG"
+            )
+        data = inner
+    data[keys[-1]] = value
+
+
+def _known_keys(location: tuple[int | str, ...]) -> list[str]:
+    """The keys that the schema knows in the section at a location."""
+    section: type[BaseModel] = RigConfig
+    for part in location:
+        if isinstance(part, int):
+            section = ChainLink
+            continue
+        annotation = section.model_fields[part].annotation
+        arguments = [annotation, *getattr(annotation, "__args__", ())]
+        inner = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
+        if inner:
+            section = inner[0]
+    return list(section.model_fields)
+
+
+def _explained(error: ValidationError, data: Mapping[str, Any], path: Path | None) -> ConfigError:
+    problems, hints = [], []
+    for item in error.errors():
+        location = item["loc"]
+        key = ".".join(str(part) for part in location) or "the file"
+        if item["type"] == "extra_forbidden":
+            known = _known_keys(location[:-1])
+            near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+            problems.append(f"{key}: unknown key")
+            hints.append(f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
+        else:
+            got = "" if isinstance(item["input"], Mapping) else f" (got {item['input']!r})"
+            problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
+    where = f"{path}: " if path is not None else ""
+    return ConfigError(
+        where + "; ".join(problems), "; ".join(hints) or "docs/reference/rig-yaml.md lists every key"
+    )

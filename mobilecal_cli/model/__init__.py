@@ -1,0 +1,67 @@
+"""The values that flow between the stages: frozen, shapes checked once, arrays read-only."""
+
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.observations import (
+    Corners,
+    Extraction,
+    LogSource,
+    Observation,
+    Snapshot,
+    WheelTrack,
+)
+from mobilecal_cli.model.rig import (
+    Board,
+    Camera,
+    CameraInfo,
+    Distortion,
+    FixedLink,
+    HeadChain,
+    JointLink,
+    Nominal,
+    Rig,
+    Side,
+    Sources,
+    StereoRig,
+    WheelGeometry,
+    WheelSource,
+)
+from mobilecal_cli.model.signals import Rejection, Shot, Signals, Station, Track
+from mobilecal_cli.model.solution import LinearEstimate, Method, Parameters, Refinement, Residuals, Solution
+
+__all__ = [
+    "Board",
+    "BoolArray",
+    "Camera",
+    "CameraInfo",
+    "Corners",
+    "Distortion",
+    "Extraction",
+    "FixedLink",
+    "FloatArray",
+    "GrayImage",
+    "HeadChain",
+    "IntArray",
+    "JointLink",
+    "LinearEstimate",
+    "LogSource",
+    "Method",
+    "Nominal",
+    "Observation",
+    "Parameters",
+    "Refinement",
+    "Rejection",
+    "Residuals",
+    "Rig",
+    "Shot",
+    "Side",
+    "Signals",
+    "Snapshot",
+    "Solution",
+    "Sources",
+    "Station",
+    "StereoRig",
+    "Track",
+    "WheelGeometry",
+    "WheelSource",
+    "WheelTrack",
+]

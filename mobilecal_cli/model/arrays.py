@@ -1,0 +1,62 @@
+"""How a value takes its arrays: copied, read-only, float64, shape checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Shape = tuple[int | str, ...]
+BoolArray = NDArray[np.bool_]
+GrayImage = NDArray[np.uint8]
+
+
+def _checked(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]) -> None:
+    expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
+    fits = len(array.shape) == len(expected) and all(
+        isinstance(want, str) or want == have for want, have in zip(expected, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{name}: shape {array.shape}, expected {expected}")
+    sizes.update({n: size for n, size in zip(shape, array.shape, strict=True) if isinstance(n, str)})
+
+
+def freeze(
+    value: object, dtype: type[Any] = np.float64, /, **shapes: tuple[int | str, ...]
+) -> dict[str, int]:
+    """Replace the named attributes of a frozen dataclass by read-only copies of the given dtype.
+
+    Args:
+        value: the dataclass instance, inside its ``__post_init__``.
+        dtype: element type of the named attributes.
+        shapes: attribute name → shape; a string stands for a size that must be the same wherever it is named.
+
+    Returns:
+        The sizes that the strings stood for.
+
+    Raises:
+        ValueError: a shape does not fit, or a float is not finite (a programming error, never the user's).
+    """
+    sizes: dict[str, int] = {}
+    for name, shape in shapes.items():
+        array = np.array(getattr(value, name), dtype=dtype)
+        _checked(f"{type(value).__name__}.{name}", array, shape, sizes)
+        if np.issubdtype(array.dtype, np.floating) and not np.all(np.isfinite(array)):
+            raise ValueError(f"{type(value).__name__}.{name}: not finite")
+        array.setflags(write=False)
+        object.__setattr__(value, name, array)
+    return sizes
+
+
+def frozen_mapping(mapping: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
+    """A copy of a mapping to arrays, each read-only float64."""
+    result = {}
+    for key, value in mapping.items():
+        array = np.array(value, dtype=np.float64)
+        array.setflags(write=False)
+        result[key] = array
+    return result

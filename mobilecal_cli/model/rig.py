@@ -1,0 +1,267 @@
+"""What the robot is: cameras, head chain, board, and where the log keeps their data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mobilecal_cli.model.arrays import FloatArray, freeze
+
+Side = Literal["left", "right"]
+Distortion = Literal["none", "plumb_bob", "rational_polynomial", "equidistant"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraInfo:
+    """One camera's calibration as the log states it, for the pixels as they are in the images.
+
+    Binning and region of interest are already applied to K and P.
+
+    Attributes:
+        frame_id: the optical frame's name.
+        width, height: image size, px.
+        K: (3, 3) raw intrinsics, px.
+        D: (n,) distortion coefficients in OpenCV's order: n = 0 none, 5 plumb_bob, 8 (or 12, 14)
+            rational_polynomial, 4 equidistant.
+        distortion: which model D speaks of.
+        R: (3, 3) turns raw camera coordinates into rectified ones.
+        P: (3, 4) projection of rectified coordinates, px; P[0, 3] = -fx * baseline in the right camera.
+    """
+
+    frame_id: str
+    width: int
+    height: int
+    K: FloatArray
+    D: FloatArray
+    distortion: Distortion
+    R: FloatArray
+    P: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, K=(3, 3), D=("n",), R=(3, 3), P=(3, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole with distortion: what maps a point in the camera's optical frame to a pixel.
+
+    Attributes:
+        frame_id: the optical frame's name.
+        width, height: image size, px.
+        K: (3, 3) intrinsics, px.
+        D: (n,) distortion coefficients, see `CameraInfo`.
+        distortion: which model D speaks of.
+    """
+
+    frame_id: str
+    width: int
+    height: int
+    K: FloatArray
+    D: FloatArray
+    distortion: Distortion
+
+    def __post_init__(self) -> None:
+        freeze(self, K=(3, 3), D=("n",))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoRig:
+    """The stereo pair. Frame c is the left camera's optical frame, r the right one's.
+
+    Attributes:
+        left, right: the two cameras, for the images as they are in the log (raw or rectified).
+        T_c_r: (4, 4) right camera coordinates to left camera coordinates, m.
+        rectified: the images are rectified, so c and r are the rectified optical frames.
+        R_rect_c, R_rect_r: (3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
+        reference: the camera that the calibrated head-eye transform speaks of.
+    """
+
+    left: Camera
+    right: Camera
+    T_c_r: FloatArray
+    rectified: bool
+    R_rect_c: FloatArray
+    R_rect_r: FloatArray
+    reference: Side = "left"
+
+    def __post_init__(self) -> None:
+        freeze(self, T_c_r=(4, 4), R_rect_c=(3, 3), R_rect_r=(3, 3))
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the two optical centres, m."""
+        return float(np.linalg.norm(self.T_c_r[:3, 3]))
+
+    @property
+    def T_c_reference(self) -> FloatArray:
+        """(4, 4) reference camera coordinates to left camera coordinates."""
+        return np.eye(4) if self.reference == "left" else self.T_c_r
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedLink:
+    """A constant transform in the chain.
+
+    Attributes:
+        T_parent_child: (4, 4) child coordinates to parent coordinates, m.
+    """
+
+    T_parent_child: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, T_parent_child=(4, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLink:
+    """A moving joint in the chain: turns or slides along its axis by multiplier * reading + offset.
+
+    Attributes:
+        joint: the name in the joint states that is read.
+        axis: (3,) unit vector in the joint's own frame.
+        kind: revolute (rad) or prismatic (m).
+        multiplier, offset: from a URDF <mimic>; 1 and 0 otherwise. offset in rad or m.
+    """
+
+    joint: str
+    axis: FloatArray
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, axis=(3,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadChain:
+    """The known geometry from vehicle frame v to head frame h.
+
+    Attributes:
+        base_frame: name of v: x forward, y left, z up, origin midway between the wheels.
+        head_frame: name of h, the last link of the pan-tilt chain.
+        links: fixed and moving links, in order from v to h.
+        pan, tilt: joint names, for words and plots ("" where there is none).
+    """
+
+    base_frame: str
+    head_frame: str
+    links: tuple[FixedLink | JointLink, ...]
+    pan: str = ""
+    tilt: str = ""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that are read, each once, in order from the base."""
+        return tuple(dict.fromkeys(link.joint for link in self.links if isinstance(link, JointLink)))
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The checkerboard, counted in inner corners. Frame k: origin at corner 0, x along a row of corners,
+    y along a column, z = x cross y pointing away from a camera that sees the board's front.
+
+    Attributes:
+        columns, rows: inner corners along x and along y.
+        square_m: side of a square, m; None when the stereo baseline gives the scale.
+    """
+
+    columns: int
+    rows: int
+    square_m: float | None = None
+
+    @property
+    def corners(self) -> int:
+        """Number of inner corners; corner index = row * columns + column."""
+        return self.columns * self.rows
+
+    def grid(self) -> FloatArray:
+        """(corners, 3) corner positions in units of one square, z = 0."""
+        row, column = np.divmod(np.arange(self.corners), self.columns)
+        return np.stack([column, row, np.zeros(self.corners)], axis=1).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSource:
+    """Where the log keeps one wheel's rotation.
+
+    Attributes:
+        topic: the topic.
+        joint: a joint name in `sensor_msgs/JointState` messages of that topic, or None.
+        field: a path into any message ("data", "left.ticks", "values[0]"), or None.
+        ticks_per_revolution: counter steps per turn of the wheel; None: the field is an angle in rad.
+        bits: width of the counter, which wraps round; None: it never wraps.
+        sign: +1, or -1 for a counter that falls when the robot drives forward.
+    """
+
+    topic: str
+    joint: str | None = None
+    field: str | None = None
+    ticks_per_revolution: float | None = None
+    bits: Literal[8, 16, 32, 64] | None = None
+    sign: Literal[1, -1] = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The topics in use.
+
+    Attributes:
+        image: image topic of each side.
+        info: camera-info topic of each side, "" where the calibration comes from elsewhere.
+        joints: joint-state topics for the head's joints.
+        wheels: each wheel's source.
+    """
+
+    image: Mapping[Side, str]
+    info: Mapping[Side, str]
+    joints: tuple[str, ...]
+    wheels: Mapping[Side, WheelSource]
+
+
+@dataclass(frozen=True, slots=True)
+class WheelGeometry:
+    """Wheel radii and their separation, all in m."""
+
+    radius_right_m: float
+    radius_left_m: float
+    separation_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nominal:
+    """Prior values, used where the log shows nothing (and to unwrap large turns).
+
+    Attributes:
+        T_h_reference: (4, 4) reference camera coordinates to head coordinates, or None.
+        wheels: nominal wheels, or None.
+    """
+
+    T_h_reference: FloatArray | None = None
+    wheels: WheelGeometry | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_h_reference is not None:
+            freeze(self, T_h_reference=(4, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Everything that is known of the robot before the calibration.
+
+    Attributes:
+        cameras: the stereo pair.
+        chain: base to head.
+        nominal: prior values.
+        sources: topics in use.
+        settled_by: setting → what settled it ("flag", "file", "log", "default"), for the report.
+    """
+
+    cameras: StereoRig
+    chain: HeadChain
+    nominal: Nominal
+    sources: Sources
+    settled_by: Mapping[str, str]

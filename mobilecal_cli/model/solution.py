@@ -1,0 +1,146 @@
+"""What was solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
+from mobilecal_cli.model.rig import WheelGeometry
+
+Method = Literal["linear", "paper", "lm"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """The nine numbers.
+
+    Attributes:
+        T_h_c: (4, 4) head-eye transform: left camera coordinates to head coordinates, m.
+        wheels: radii and separation.
+    """
+
+    T_h_c: FloatArray
+    wheels: WheelGeometry
+
+    def __post_init__(self) -> None:
+        freeze(self, T_h_c=(4, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearEstimate:
+    """The iterative linear solution (paper, section 3).
+
+    Attributes:
+        parameters: the fixed point.
+        history: the parameters after each round, the last equal to `parameters`.
+        point_rms_m: square root of eq. 19 at `parameters`, m.
+        start_ratios: (2,) wheel ratios (aR, aL) of the start that was kept.
+        start_from: where that start came from: "nominal", "given" or "grid".
+        rival_point_rms_m: square root of eq. 19 of the best answer that differs from the kept one, m;
+            infinite (math.inf) when every start ended at the same answer.
+    """
+
+    parameters: Parameters
+    history: tuple[Parameters, ...]
+    point_rms_m: float
+    start_ratios: FloatArray
+    start_from: str
+    rival_point_rms_m: float
+
+    def __post_init__(self) -> None:
+        freeze(self, start_ratios=(2,))
+
+    @property
+    def rounds(self) -> int:
+        """How many rounds the iteration took."""
+        return len(self.history)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """A nonlinear refinement of the linear solution.
+
+    Attributes:
+        method: "paper" (eq. 19 by Powell) or "lm" (eq. 19 by Levenberg-Marquardt).
+        parameters: at the minimum.
+        point_rms_history_m: (n,) square root of eq. 19 after each iteration, from the start on, m.
+        point_rms_m: the last of them.
+        evaluations: how often the cost was evaluated.
+    """
+
+    method: Method
+    parameters: Parameters
+    point_rms_history_m: FloatArray
+    point_rms_m: float
+    evaluations: int
+
+    def __post_init__(self) -> None:
+        freeze(self, point_rms_history_m=("n",))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """How well the parameters explain each observation, in the order of `Extraction.observations`.
+
+    Each leg carries the corners of its second station into its first by the parameters alone (eq. 18).
+
+    Attributes:
+        legs: (L, 2) indices of the two observations of each leg.
+        leg_point_rms_m: (L,) square root of eq. 19 of that leg alone, m.
+        predicted_left_px, predicted_right_px: (L, M, 2) those carried corners projected into the first
+            station's pictures, px.
+        leg_reprojection_px: (L,) rms distance to the detected corners, both cameras, px.
+        T_w_v: (N, 4, 4) base in the world (the base at the log's first observation), by dead reckoning.
+        T_w_k: (N, 4, 4) board in the world as each observation sees it.
+    """
+
+    legs: IntArray
+    leg_point_rms_m: FloatArray
+    predicted_left_px: FloatArray
+    predicted_right_px: FloatArray
+    leg_reprojection_px: FloatArray
+    T_w_v: FloatArray
+    T_w_k: FloatArray
+
+    def __post_init__(self) -> None:
+        legs = freeze(self, np.int64, legs=("L", 2))["L"]
+        freeze(
+            self,
+            leg_point_rms_m=(legs,),
+            predicted_left_px=(legs, "M", 2),
+            predicted_right_px=(legs, "M", 2),
+            leg_reprojection_px=(legs,),
+            T_w_v=("N", 4, 4),
+            T_w_k=("N", 4, 4),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The answer.
+
+    Attributes:
+        method: what `parameters` come from.
+        parameters: the nine numbers.
+        linear: the linear estimate they started from.
+        refinement: None for the method "linear".
+        residuals: at `parameters`.
+        point_rms_m: square root of eq. 19 at `parameters`, m.
+        reprojection_rms_px: rms distance of carried to detected corners over all legs, px.
+        notes: whole sentences that a user should know ("the camera's Euler angles are near gimbal lock").
+        motion: what the log's motion was: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
+    """
+
+    method: Method
+    parameters: Parameters
+    linear: LinearEstimate
+    refinement: Refinement | None
+    residuals: Residuals
+    point_rms_m: float
+    reprojection_rms_px: float
+    notes: tuple[str, ...]
+    motion: Mapping[str, float]

@@ -1,0 +1,168 @@
+"""Rigid motions. Every function broadcasts over leading axes.
+
+Tangent order, stated here once: a twist is (rotation vector [rad], translation part [m]), six numbers
+``xi = (rho_x, rho_y, rho_z, tau_x, tau_y, tau_z)``; ``exp`` and ``log`` are the group's exponential and
+logarithm. Quaternions are ``xyzw``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray
+
+_SMALL_ANGLE_RAD = 1e-3  # below it the series' error (angle^6) is under one ulp
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """(..., 3) → (..., 3, 3) with skew(a) b = a x b."""
+    out = np.zeros((*vector.shape, 3))
+    x, y, z = np.moveaxis(vector, -1, 0)
+    out[..., 0, 1], out[..., 0, 2] = -z, y
+    out[..., 1, 0], out[..., 1, 2] = z, -x
+    out[..., 2, 0], out[..., 2, 1] = -y, x
+    return out
+
+
+def _coefficients(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """sin(a)/a, (1 - cos(a))/a^2, (a - sin(a))/a^3, with their series near zero."""
+    small = angle < _SMALL_ANGLE_RAD
+    safe = np.where(small, 1.0, angle)
+    square = angle**2
+    a = np.where(small, 1 - square / 6 * (1 - square / 20), np.sin(safe) / safe)
+    b = np.where(small, 0.5 - square / 24 * (1 - square / 30), 2 * (np.sin(safe / 2) / safe) ** 2)
+    c = np.where(small, 1 / 6 - square / 120 * (1 - square / 42), (safe - np.sin(safe)) / safe**3)
+    return a, b, c
+
+
+def exp_so3(rotvec_rad: FloatArray) -> FloatArray:
+    """Rotation matrix of a rotation vector (Rodrigues): (..., 3) → (..., 3, 3)."""
+    a, b, _ = _coefficients(np.linalg.norm(rotvec_rad, axis=-1))
+    hat = skew(rotvec_rad)
+    return np.eye(3) + a[..., None, None] * hat + b[..., None, None] * hat @ hat
+
+
+def quaternion_xyzw(rotation: FloatArray) -> FloatArray:
+    """Unit quaternion with w >= 0: (..., 3, 3) → (..., 4)."""
+    R = np.asarray(rotation)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    # Four times the squares of x, y, z, w; the largest is the safe pivot (Shepperd).
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    squares = np.concatenate([1 + 2 * diagonal - trace[..., None], (1 + trace)[..., None]], axis=-1)
+    products = np.empty((*R.shape[:-2], 4, 4))
+    for i in range(4):
+        products[..., i, i] = squares[..., i]
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        products[..., i, j] = products[..., j, i] = R[..., i, j] + R[..., j, i]
+        products[..., 3, k] = products[..., k, 3] = R[..., j, i] - R[..., i, j]
+    pivot = np.argmax(squares, axis=-1)
+    row = np.take_along_axis(products, pivot[..., None, None], axis=-2)[..., 0, :]
+    q: FloatArray = row / np.linalg.norm(row, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def from_quaternion_xyzw(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix of a quaternion of any norm but zero: (..., 4) → (..., 3, 3)."""
+    q = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    vector, w = q[..., :3], q[..., 3]
+    hat = skew(vector)
+    rotation: FloatArray = np.eye(3) + 2 * (w[..., None, None] * hat + hat @ hat)
+    return rotation
+
+
+def log_so3(rotation: FloatArray) -> FloatArray:
+    """Rotation vector with angle in [0, pi]: (..., 3, 3) → (..., 3), rad."""
+    q = quaternion_xyzw(rotation)
+    sine = np.linalg.norm(q[..., :3], axis=-1)
+    half = np.arctan2(sine, q[..., 3])
+    small = sine < _SMALL_ANGLE_RAD / 2
+    w = np.where(small, q[..., 3], 1.0)
+    series = 2 / w * (1 - (sine / w) ** 2 / 3)
+    scale = np.where(small, series, 2 * half / np.where(small, 1.0, sine))
+    rotvec: FloatArray = scale[..., None] * q[..., :3]
+    return rotvec
+
+
+def left_jacobian_so3(rotvec_rad: FloatArray) -> FloatArray:
+    """J with exp(v + d) = exp(J d) exp(v) to first order: (..., 3) → (..., 3, 3)."""
+    _, b, c = _coefficients(np.linalg.norm(rotvec_rad, axis=-1))
+    hat = skew(rotvec_rad)
+    return np.eye(3) + b[..., None, None] * hat + c[..., None, None] * hat @ hat
+
+
+def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
+    """(..., 3, 3) and (..., 3) → (..., 4, 4)."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation_m.shape[:-1])
+    T = np.zeros((*shape, 4, 4))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = translation_m
+    T[..., 3, 3] = 1
+    return T
+
+
+def exp(twist: FloatArray) -> FloatArray:
+    """(..., 6) → (..., 4, 4)."""
+    rotvec, tau = twist[..., :3], twist[..., 3:]
+    return transform(exp_so3(rotvec), (left_jacobian_so3(rotvec) @ tau[..., None])[..., 0])
+
+
+def log(T: FloatArray) -> FloatArray:
+    """(..., 4, 4) → (..., 6), rotation angle in [0, pi]."""
+    rotvec = log_so3(T[..., :3, :3])
+    tau = np.linalg.solve(left_jacobian_so3(rotvec), T[..., :3, 3:])[..., 0]
+    return np.concatenate([rotvec, tau], axis=-1)
+
+
+def inverse(T: FloatArray) -> FloatArray:
+    """(..., 4, 4) → (..., 4, 4)."""
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
+
+
+def adjoint(T: FloatArray) -> FloatArray:
+    """Ad with T exp(xi) = exp(Ad xi) T: (..., 4, 4) → (..., 6, 6)."""
+    R = T[..., :3, :3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = R
+    Ad[..., 3:, 3:] = R
+    Ad[..., 3:, :3] = skew(T[..., :3, 3]) @ R
+    return Ad
+
+
+def act(T: FloatArray, points: FloatArray) -> FloatArray:
+    """Points through a motion: (..., 4, 4) and (..., M, 3) → (..., M, 3)."""
+    return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def rotation_about(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Rotation by an angle about a unit axis: (3,) and (...) → (..., 3, 3)."""
+    return exp_so3(np.asarray(angle_rad)[..., None] * axis)
+
+
+def rotation_z(angle_rad: FloatArray) -> FloatArray:
+    """Rz(psi): (...) → (..., 3, 3)."""
+    return rotation_about(np.array([0.0, 0.0, 1.0]), angle_rad)
+
+
+def from_rpy(rpy_rad: FloatArray) -> FloatArray:
+    """URDF's fixed-axis roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll), (3,) → (3, 3)."""
+    roll, pitch, yaw = (np.asarray(a) for a in rpy_rad)
+    x, y, z = np.eye(3)
+    return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
+
+
+def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
+    """Angles (ax, ay, az) in degrees with R = Rz(az) Ry(ay) Rx(ax), as in the paper's Table 1.
+
+    For display only: near ay = +-90 degrees ax and az have no meaning one by one (see `gimbal_margin_deg`).
+    """
+    R = np.asarray(rotation)
+    ay = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    ax = np.arctan2(R[2, 1], R[2, 2])
+    az = np.arctan2(R[1, 0], R[0, 0])
+    return float(np.degrees(ax)), float(np.degrees(ay)), float(np.degrees(az))
+
+
+def gimbal_margin_deg(rotation: FloatArray) -> float:
+    """How far ay of `euler_zyx_deg` is from +-90 degrees."""
+    return 90.0 - abs(euler_zyx_deg(rotation)[1])
