@@ -9,6 +9,7 @@ from mobilecal_cli.model.observations import (
     Snapshot,
     WheelTrack,
 )
+from mobilecal_cli.model.prelude import Prelude, TopicInfo
 from mobilecal_cli.model.rig import (
     Board,
     Camera,
@@ -48,6 +49,7 @@ __all__ = [
     "Nominal",
     "Observation",
     "Parameters",
+    "Prelude",
     "Refinement",
     "Rejection",
     "Residuals",
@@ -60,6 +62,7 @@ __all__ = [
     "Sources",
     "Station",
     "StereoRig",
+    "TopicInfo",
     "Track",
     "WheelGeometry",
     "WheelSource",
