@@ -1,0 +1,24 @@
+"""Fixtures that every room shares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The read-only data that others made; it lies beside the repository, not in it."""
+    path = REPOSITORY.parent / "shared" / "data"
+    if not path.is_dir():
+        pytest.skip("the test data that others made (../shared/data) is not on this machine")
+    return path
+
+
+@pytest.fixture(scope="session")
+def sample_logs() -> Path:
+    """The recordings that the repository ships."""
+    return REPOSITORY / "sample_logs"
