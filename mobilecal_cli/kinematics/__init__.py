@@ -1,1 +1,22 @@
-"""TODO"""
+"""Known geometry in motion: the head's chain and the two wheels, with their Jacobians."""
+
+from mobilecal_cli.kinematics.head import head_jacobian, head_pose
+from mobilecal_cli.kinematics.wheels import (
+    Increments,
+    LegMotion,
+    cut_at,
+    integrate,
+    integrate_with_jacobian,
+    join,
+)
+
+__all__ = [
+    "Increments",
+    "LegMotion",
+    "cut_at",
+    "head_jacobian",
+    "head_pose",
+    "integrate",
+    "integrate_with_jacobian",
+    "join",
+]

@@ -1,0 +1,240 @@
+"""The head's chain out of a URDF: only joints matter, so only joints are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import ParseError, fromstring
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+
+_AXIS_DEFAULT = "1 0 0"  # the URDF specification's
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrdfJoint:
+    """One joint of a URDF.
+
+    Attributes:
+        name, kind, parent, child: as the file says; kind is "revolute", "continuous", "fixed", ...
+        T_parent_child: (4, 4) at the joint's zero, m.
+        axis: (3,) unit vector in the joint's frame.
+        mimic: (joint, multiplier, offset) or None.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent_child: FloatArray
+    axis: FloatArray
+    mimic: tuple[str, float, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Urdf:
+    """A robot's joints and its wheels' radii.
+
+    Attributes:
+        name: the robot's name.
+        joints: joint name → joint, in the file's order.
+        cylinder_radius_m: link name → radius of its cylinder (collision before visual), where it has one.
+    """
+
+    name: str
+    joints: Mapping[str, UrdfJoint]
+    cylinder_radius_m: Mapping[str, float]
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of all links that joints connect."""
+        return tuple(
+            dict.fromkeys(name for joint in self.joints.values() for name in (joint.parent, joint.child))
+        )
+
+    @property
+    def root(self) -> str:
+        """The link that is nobody's child."""
+        children = {joint.child for joint in self.joints.values()}
+        return next((link for link in self.links if link not in children), "")
+
+    def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
+        """The joints from one link down to another.
+
+        Raises:
+            ConfigError: a link is not in the URDF, or the tip does not hang on the base.
+        """
+        for link in (base, tip):
+            if link not in self.links:
+                raise ConfigError(
+                    f"URDF of {self.name!r}: no link {link!r}",
+                    f"its links: {', '.join(self.links) or 'none'}",
+                )
+        above = {joint.child: joint for joint in self.joints.values()}
+        path: list[UrdfJoint] = []
+        link = tip
+        while link != base:
+            if link not in above or len(path) > len(above):
+                raise ConfigError(
+                    f"URDF of {self.name!r}: {tip!r} does not hang on {base!r}",
+                    "set head.base_frame and head.head_frame",
+                )
+            path.append(above[link])
+            link = above[link].parent
+        return tuple(reversed(path))
+
+
+def _numbers(text: str, count: int, where: str) -> FloatArray:
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise ConfigError(f"URDF: {where}: {text!r} is not {count} numbers", "mend the URDF") from error
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        raise ConfigError(f"URDF: {where}: {text!r} is not {count} finite numbers", "mend the URDF")
+    return values
+
+
+def _joint(element: Element) -> UrdfJoint:
+    name = element.get("name", "")
+    where = f"joint {name!r}"
+    ends = {}
+    for end in ("parent", "child"):
+        found = element.find(end)
+        link = found.get("link") if found is not None else None
+        if not link:
+            raise ConfigError(f"URDF: {where}: no <{end} link=...>", "mend the URDF")
+        ends[end] = link
+    T = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        rpy = _numbers(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
+        T = se3.transform(se3.from_rpy(rpy), _numbers(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz"))
+    axis_element = element.find("axis")
+    axis_text = axis_element.get("xyz", _AXIS_DEFAULT) if axis_element is not None else _AXIS_DEFAULT
+    axis = _numbers(axis_text, 3, f"{where}, axis")
+    kind = element.get("type", "")
+    if kind not in ("fixed", "floating") and math.hypot(*axis) < 1e-9:
+        raise ConfigError(f"URDF: {where}: its axis has no length", "mend the URDF")
+    mimic = None
+    mimic_element = element.find("mimic")
+    if mimic_element is not None:
+        mimic = (
+            mimic_element.get("joint", ""),
+            float(_numbers(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
+            float(_numbers(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
+        )
+    length = math.hypot(*axis)
+    return UrdfJoint(name, kind, ends["parent"], ends["child"], T, axis / length if length else axis, mimic)
+
+
+def parse_urdf(text: str) -> Urdf:
+    """Read a URDF.
+
+    Args:
+        text: the XML. Entities and DTDs are refused.
+
+    Raises:
+        ConfigError: not XML, not a <robot>, or a joint that makes no sense.
+    """
+    try:
+        root = fromstring(text, forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise ConfigError(
+            f"URDF: not readable as XML: {error}", "give a URDF (xacro files must be expanded first)"
+        ) from error
+    if root.tag != "robot":
+        raise ConfigError(f"URDF: the top element is <{root.tag}>, not <robot>", "give a URDF file")
+    # Transmissions and ros2_control blocks also hold <joint> elements; only the robot's own count.
+    joints = [_joint(element) for element in root.findall("joint")]
+    names = [joint.name for joint in joints]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(f"URDF: two joints are named {twice[0]!r}", "mend the URDF")
+    radii = {}
+    for link in root.findall("link"):
+        for kind in ("collision", "visual"):
+            cylinder = link.find(f"{kind}/geometry/cylinder")
+            if cylinder is not None and link.get("name") not in radii:
+                where = f"link {link.get('name')!r}, cylinder radius"
+                radii[link.get("name", "")] = float(_numbers(cylinder.get("radius", ""), 1, where)[0])
+    return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
+
+
+def chain_links(
+    path: tuple[UrdfJoint, ...], joints: Mapping[str, UrdfJoint]
+) -> tuple[FixedLink | JointLink, ...]:
+    """The links of a `HeadChain` for a path of URDF joints.
+
+    Raises:
+        ConfigError: a joint of a kind that no joint state can tell (floating, planar), or a bad mimic.
+    """
+    links: list[FixedLink | JointLink] = []
+    for joint in path:
+        if not np.array_equal(joint.T_parent_child, np.eye(4)):
+            links.append(FixedLink(joint.T_parent_child))
+        if joint.kind == "fixed":
+            continue
+        if joint.kind not in ("revolute", "continuous", "prismatic"):
+            raise ConfigError(
+                f"URDF: joint {joint.name!r} is {joint.kind!r}: a head chain takes revolute, continuous, "
+                "prismatic and fixed joints",
+                "set head.base_frame to a link below it",
+            )
+        read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
+        if read not in joints:
+            raise ConfigError(
+                f"URDF: joint {joint.name!r} mimics {read!r}, which is not there", "mend the URDF"
+            )
+        kind = "prismatic" if joint.kind == "prismatic" else "revolute"
+        links.append(JointLink(read, joint.axis, kind, multiplier, offset))  # type: ignore[arg-type]
+    return tuple(links)
+
+
+def head_chain(
+    urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
+) -> HeadChain:
+    """The chain from v to a head link.
+
+    Args:
+        urdf: the robot.
+        base, head: link names.
+        pan, tilt: joint names.
+        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None where the two are the same.
+    """
+    links = chain_links(urdf.path(base, head), urdf.joints)
+    if T_base_v is not None:
+        links = (FixedLink(se3.inverse(T_base_v)), *links)
+    return HeadChain(base, head, links, pan, tilt)
+
+
+def wheel_centres(urdf: Urdf, base: str, left: str, right: str) -> tuple[FloatArray, FloatArray]:
+    """Centres of the two wheels in base coordinates, (3,) each, m, for wheel joint names.
+
+    Raises:
+        ConfigError: a wheel's link does not hang on the base.
+    """
+    centres = []
+    for name in (left, right):
+        T = np.eye(4)
+        for joint in urdf.path(base, urdf.joints[name].child):
+            T = T @ joint.T_parent_child
+        centres.append(T[:3, 3])
+    return centres[0], centres[1]
+
+
+def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
+    """T_base_v for wheel centres in base coordinates: origin midway, y from right to left, z up.
+
+    The heading follows the wheels' axle, because the wheels, not the drawing, decide where forward is.
+    """
+    axle = left_m - right_m
+    y = np.array([axle[0], axle[1], 0.0]) / math.hypot(axle[0], axle[1])
+    z = np.array([0.0, 0.0, 1.0])
+    return se3.transform(np.stack([np.cross(y, z), y, z], axis=1), (left_m + right_m) / 2)

@@ -1,0 +1,154 @@
+"""The differential drive: from wheel rotations to the base's motion (paper, eqs. 1, 10, 11, 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
+
+_SMALL = 1e-4  # below it the series' error (x^4) is under one ulp
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increments:
+    """Wheel rotations between stations, cut into steps in which both wheels turn at constant rates.
+
+    Attributes:
+        right_rad, left_rad: (n,) rotation in each step.
+        leg: (n,) the leg that each step belongs to, not decreasing.
+        legs: number of legs; a leg without motion has no steps.
+    """
+
+    right_rad: FloatArray
+    left_rad: FloatArray
+    leg: IntArray
+    legs: int
+
+    def total(self, per_step: FloatArray) -> FloatArray:
+        """Sum over the steps of each leg: (n,) → (legs,)."""
+        return np.bincount(self.leg, weights=per_step, minlength=self.legs).astype(np.float64)
+
+    @property
+    def totals_rad(self) -> FloatArray:
+        """(legs, 2) rotation of the right and left wheel over each leg: the matrix Phi of eq. 12."""
+        return np.stack([self.total(self.right_rad), self.total(self.left_rad)], axis=1)
+
+    def select(self, legs: IntArray) -> Increments:
+        """The steps of some legs (increasing indices), which are numbered anew."""
+        number = np.full(self.legs, -1)
+        number[legs] = np.arange(len(legs))
+        kept = number[self.leg] >= 0
+        return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs))
+
+
+def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
+    """Cut a wheel track at the stations' times.
+
+    Args:
+        track: both wheels of one log.
+        times_ns: (N,) increasing, inside the track's span.
+
+    Returns:
+        Steps of the N - 1 legs between consecutive stations. Steps without any rotation are left out.
+    """
+    start = track.time_ns[0]
+    moments = np.union1d(track.time_ns, times_ns)
+    moments = moments[(moments >= times_ns[0]) & (moments <= times_ns[-1])]
+    # Offsets from the start are small enough for float64 to hold every nanosecond.
+    at, samples = (moments - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
+    right = np.diff(np.interp(at, samples, track.right_rad))
+    left = np.diff(np.interp(at, samples, track.left_rad))
+    leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
+    moved = (right != 0) | (left != 0)
+    return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1)
+
+
+def join(parts: list[Increments]) -> Increments:
+    """The legs of several logs, one log's after the other's."""
+    offsets = np.cumsum([0, *(part.legs for part in parts)])
+    return Increments(
+        np.concatenate([part.right_rad for part in parts]),
+        np.concatenate([part.left_rad for part in parts]),
+        np.concatenate([part.leg + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
+        int(offsets[-1]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegMotion:
+    """The base's motion over each leg, T_vi_vj = (Rz(psi), t).
+
+    Attributes:
+        psi_rad: (L,) heading change, not wrapped.
+        t_m: (L, 2) x and y of the new base origin in the old base frame.
+    """
+
+    psi_rad: FloatArray
+    t_m: FloatArray
+
+
+def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """sin(h)/h, the chord of a unit arc that turns by 2h, and its derivative."""
+    small = np.abs(half_turn) < _SMALL
+    safe = np.where(small, 1.0, half_turn)
+    chord = np.where(small, 1 - half_turn**2 / 6, np.sin(safe) / safe)
+    slope = np.where(small, -half_turn / 3, (np.cos(safe) - chord) / safe)
+    return chord, slope
+
+
+def _headings(steps: Increments, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Heading before each step, relative to its leg's start, and each leg's sum, of turns (n,)."""
+    total = np.cumsum(turn)
+    before = total - turn
+    first = np.searchsorted(steps.leg, np.arange(steps.legs))
+    start = np.append(before, total[-1] if len(total) else 0.0)[first]
+    return before - start[steps.leg], steps.total(turn)
+
+
+def integrate(steps: Increments, wheels: WheelGeometry) -> LegMotion:
+    """Dead reckoning along circular arcs (eqs. 10 and 14; exact for constant rates within a step).
+
+    ``psi = (rR dphiR - rL dphiL) / b`` and each step moves the base by the chord
+    ``ds sin(h)/h`` in the direction ``theta + h``, with ``h = dpsi/2``.
+    """
+    r_right, r_left, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
+    turn = (r_right * steps.right_rad - r_left * steps.left_rad) / b
+    ds = (r_right * steps.right_rad + r_left * steps.left_rad) / 2
+    theta, psi = _headings(steps, turn)
+    chord, _ = _arc(turn / 2)
+    along = theta + turn / 2
+    t = np.stack([steps.total(ds * chord * np.cos(along)), steps.total(ds * chord * np.sin(along))], axis=1)
+    return LegMotion(psi, t)
+
+
+def integrate_with_jacobian(
+    steps: Increments, wheels: WheelGeometry
+) -> tuple[LegMotion, FloatArray, FloatArray]:
+    """`integrate`, with its derivatives by (rR, rL, b).
+
+    Returns:
+        The motion, d psi (L, 3) in rad/m and d t (L, 2, 3) in m/m.
+    """
+    r_right, r_left, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
+    turn = (r_right * steps.right_rad - r_left * steps.left_rad) / b
+    ds = (r_right * steps.right_rad + r_left * steps.left_rad) / 2
+    theta, psi = _headings(steps, turn)
+    chord, slope = _arc(turn / 2)
+    along = theta + turn / 2
+    direction = np.stack([np.cos(along), np.sin(along)])
+    normal = np.stack([-direction[1], direction[0]])
+    t = np.stack([steps.total(row) for row in ds * chord * direction], axis=1)
+
+    d_ds = (steps.right_rad / 2, steps.left_rad / 2, np.zeros_like(ds))
+    d_turn = (steps.right_rad / b, -steps.left_rad / b, -turn / b)
+    d_psi = np.empty((steps.legs, 3))
+    d_t = np.empty((steps.legs, 2, 3))
+    for k in range(3):
+        d_theta, d_psi[:, k] = _headings(steps, d_turn[k])
+        d_step = (d_ds[k] * chord + ds * slope * d_turn[k] / 2) * direction + (
+            ds * chord * (d_theta + d_turn[k] / 2)
+        ) * normal
+        d_t[:, :, k] = np.stack([steps.total(row) for row in d_step], axis=1)
+    return LegMotion(psi, t), d_psi, d_t

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.kinematics import head_jacobian, head_pose
+from mobilecal_cli.kinematics.urdf import head_chain, parse_urdf, vehicle_frame, wheel_centres
+from mobilecal_cli.model import FixedLink, HeadChain, JointLink
+
+PAN_TILT = HeadChain(
+    "base_link",
+    "head_link",
+    (
+        FixedLink(se3.transform(np.eye(3), np.array([0.1, 0.0, 0.9]))),
+        JointLink("pan", np.array([0.0, 0.0, 1.0])),
+        FixedLink(se3.transform(np.eye(3), np.array([0.2, 0.0, 0.0]))),
+        JointLink("tilt", np.array([0.0, 1.0, 0.0])),
+    ),
+)
+
+
+def test_pan_by_ninety_degrees_carries_the_head_to_the_left():
+    T = head_pose(PAN_TILT, np.array([np.pi / 2, 0.0]))
+    assert T[:3, 3] == pytest.approx([0.1, 0.2, 0.9])
+    assert T[:3, 0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)  # the head looks to the left
+
+
+def test_tilt_about_y_looks_down():
+    T = head_pose(PAN_TILT, np.array([0.0, np.pi / 2]))
+    assert T[:3, 0] == pytest.approx([0.0, 0.0, -1.0], abs=1e-15)
+
+
+def test_lift_and_mimic():
+    chain = HeadChain(
+        "b", "h", (JointLink("lift", np.array([0, 0, 1.0]), "prismatic", multiplier=2.0, offset=0.1),)
+    )
+    assert head_pose(chain, np.array([[0.3]]))[0, :3, 3] == pytest.approx([0, 0, 0.7])
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_jacobian_against_differences(seed):
+    random = np.random.default_rng(seed)
+    links = []
+    for i in range(4):
+        links.append(FixedLink(se3.exp(random.normal(size=6))))
+        axis = random.normal(size=3)
+        links.append(
+            JointLink(
+                f"j{i % 3}",  # one joint read twice, as a mimic is
+                axis / np.linalg.norm(axis),
+                "prismatic" if i == 2 else "revolute",
+                random.normal(),
+                random.normal(),
+            )
+        )
+    chain = HeadChain("b", "h", tuple(links))
+    q = random.normal(size=(2, 3))
+    J = head_jacobian(chain, q)
+    for k in range(3):
+        h = 1e-6 * np.eye(3)[k]
+        difference = se3.log(se3.inverse(head_pose(chain, q - h)) @ head_pose(chain, q + h)) / 2e-6
+        assert J[..., k] == pytest.approx(difference, abs=1e-7)
+
+
+URDF = """<?xml version="1.0"?>
+<robot name="r">
+  <link name="base_link"/><link name="head"/>
+  <link name="wheel_l"><collision><geometry><cylinder radius="0.21" length="0.05"/></geometry></collision></link>
+  <joint name="wl" type="continuous"><parent link="base_link"/><child link="wheel_l"/>
+    <origin xyz="-0.1 0.3 0"/><axis xyz="0 1 0"/></joint>
+  <joint name="wr" type="continuous"><parent link="base_link"/><child link="wheel_r"/>
+    <origin xyz="-0.1 -0.2 0"/><axis xyz="0 1 0"/></joint>
+  <joint name="neck" type="fixed"><parent link="base_link"/><child link="neck"/><origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/></joint>
+  <joint name="pan" type="revolute"><parent link="neck"/><child link="head"/><axis xyz="0 0 2"/></joint>
+  <transmission name="t"><joint name="pan"/></transmission>
+</robot>"""
+
+
+def test_urdf_chain():
+    urdf = parse_urdf(URDF)
+    chain = head_chain(urdf, "base_link", "head", "pan", "")
+    assert chain.joints == ("pan",)
+    T = head_pose(chain, np.array([0.0]))
+    assert T[:3, 3] == pytest.approx([0, 0, 1])
+    assert T[:3, 0] == pytest.approx([0, 1, 0], abs=1e-12)
+    assert urdf.root == "base_link"
+    assert urdf.cylinder_radius_m == {"wheel_l": 0.21}
+
+
+def test_vehicle_frame_is_midway_between_the_wheels():
+    urdf = parse_urdf(URDF)
+    T_base_v = vehicle_frame(*wheel_centres(urdf, "base_link", "wl", "wr"))
+    assert T_base_v[:3, 3] == pytest.approx([-0.1, 0.05, 0])
+    assert T_base_v[:3, :3] == pytest.approx(np.eye(3))
+    chain = head_chain(urdf, "base_link", "head", "pan", "", T_base_v)
+    assert head_pose(chain, np.array([0.0]))[:3, 3] == pytest.approx([0.1, -0.05, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("not xml", "not readable"),
+        ("<model/>", "not <robot>"),
+        ('<!DOCTYPE r [<!ENTITY x "y">]><robot name="r"/>', "not readable"),
+        ('<robot name="r"><joint name="a" type="fixed"/></robot>', "no <parent"),
+        (
+            '<robot><joint name="a" type="fixed"><parent link="p"/><child link="c"/><origin xyz="1 2"/></joint></robot>',
+            "3 finite numbers",
+        ),
+        (
+            '<robot><joint name="a" type="revolute"><parent link="p"/><child link="c"/><axis xyz="0 0 0"/></joint></robot>',
+            "no length",
+        ),
+    ],
+)
+def test_bad_urdf(text, words):
+    with pytest.raises(ConfigError, match=words):
+        parse_urdf(text)
+
+
+def test_missing_link_lists_those_that_are():
+    with pytest.raises(ConfigError) as caught:
+        parse_urdf(URDF).path("base_link", "camera")
+    assert "'camera'" in caught.value.message
+    assert "wheel_l" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("path", "base", "head", "joints"),
+    [
+        (
+            "urdf/stretch/stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf",
+            "base_link",
+            "link_head_tilt",
+            ("joint_head_pan", "joint_head_tilt"),
+        ),
+        ("urdf/hsr/robots/hsrb4s.urdf", "base_link", "head_tilt_link", None),
+    ],
+)
+def test_real_urdfs_give_their_heads(shared_data, path, base, head, joints):
+    urdf = parse_urdf((shared_data / path).read_text())
+    chain = head_chain(urdf, base, head, "", "")
+    if joints is not None:
+        assert chain.joints == joints
+    assert any("pan" in name for name in chain.joints)
+    assert np.isfinite(head_pose(chain, np.zeros(len(chain.joints)))).all()
+
+
+def test_stretch_wheels_are_as_far_apart_as_published(shared_data):
+    path = "urdf/stretch/stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf"
+    urdf = parse_urdf((shared_data / path).read_text())
+    left, right = wheel_centres(urdf, "base_link", "joint_left_wheel", "joint_right_wheel")
+    assert np.linalg.norm(left - right) == pytest.approx(0.3407, abs=1e-4)

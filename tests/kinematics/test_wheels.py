@@ -1,0 +1,114 @@
+"""Hand-computed motions first: they share no formula with the code under test."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mobilecal_cli.kinematics import Increments, cut_at, integrate, integrate_with_jacobian, join
+from mobilecal_cli.model import WheelGeometry, WheelTrack
+
+WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
+
+
+def one_leg(*steps: tuple[float, float]) -> Increments:
+    right, left = np.array(steps, dtype=float).T
+    return Increments(right, left, np.zeros(len(steps), dtype=np.int64), 1)
+
+
+def test_straight_ahead():
+    # Both wheels roll 1 m: right turns 1 / 0.2 = 5 rad, left 1 / 0.25 = 4 rad.
+    motion = integrate(one_leg((5.0, 4.0)), WHEELS)
+    assert motion.psi_rad[0] == pytest.approx(0.0, abs=1e-15)
+    assert motion.t_m[0] == pytest.approx([1.0, 0.0], abs=1e-15)
+
+
+def test_quarter_circle_to_the_left():
+    # Base on a circle of radius 1 m for 90 degrees: the right wheel runs on 1.25 m, the left on 0.75 m.
+    right, left = 1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25
+    motion = integrate(one_leg((right, left)), WHEELS)
+    assert motion.psi_rad[0] == pytest.approx(math.pi / 2)
+    assert motion.t_m[0] == pytest.approx([1.0, 1.0])
+
+
+def test_quarter_circle_in_many_steps_is_the_same_arc():
+    right, left = 1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25
+    shares = np.array([0.1, 0.25, 0.05, 0.6])
+    motion = integrate(one_leg(*[(right * s, left * s) for s in shares]), WHEELS)
+    assert motion.t_m[0] == pytest.approx([1.0, 1.0], abs=1e-14)
+
+
+def test_turn_on_the_spot_by_three_quarters_is_not_wrapped():
+    # Each wheel runs 0.25 m * 3 pi / 2, forward on the right, back on the left.
+    run = 0.25 * 1.5 * math.pi
+    motion = integrate(one_leg((run / 0.2, -run / 0.25)), WHEELS)
+    assert motion.psi_rad[0] == pytest.approx(1.5 * math.pi)
+    assert motion.t_m[0] == pytest.approx([0.0, 0.0], abs=1e-15)
+
+
+def test_turn_then_drive():
+    run = 0.25 * math.pi / 2
+    motion = integrate(one_leg((run / 0.2, -run / 0.25), (2 / 0.2, 2 / 0.25)), WHEELS)
+    assert motion.t_m[0] == pytest.approx([0.0, 2.0], abs=1e-14)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_arcs_agree_with_fine_euler_steps(seed):
+    random = np.random.default_rng(seed)
+    right, left = random.uniform(-2, 2, (2, 3))
+    motion = integrate(one_leg(*zip(right, left, strict=True)), WHEELS)
+    n = 20_000
+    x = y = theta = 0.0
+    for dr, dl in zip(right, left, strict=True):
+        ds, dth = (0.2 * dr + 0.25 * dl) / 2 / n, (0.2 * dr - 0.25 * dl) / 0.5 / n
+        angles = theta + dth * (np.arange(n) + 0.5)
+        x, y, theta = x + ds * np.cos(angles).sum(), y + ds * np.sin(angles).sum(), theta + n * dth
+    assert motion.t_m[0] == pytest.approx([x, y], abs=1e-8)
+    assert motion.psi_rad[0] == pytest.approx(theta)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_jacobian_against_differences(seed):
+    random = np.random.default_rng(seed)
+    n = 40
+    steps = Increments(*random.uniform(-0.5, 0.6, (2, n)), np.sort(random.integers(0, 4, n)), 5)
+    at = np.array([0.2, 0.25, 0.5])
+    motion, d_psi, d_t = integrate_with_jacobian(steps, WheelGeometry(*at))
+    assert motion.t_m == pytest.approx(integrate(steps, WheelGeometry(*at)).t_m)
+    for k in range(3):
+        h = 1e-6 * np.eye(3)[k]
+        plus, minus = integrate(steps, WheelGeometry(*(at + h))), integrate(steps, WheelGeometry(*(at - h)))
+        assert d_psi[:, k] == pytest.approx((plus.psi_rad - minus.psi_rad) / 2e-6, abs=1e-7)
+        assert d_t[:, :, k] == pytest.approx((plus.t_m - minus.t_m) / 2e-6, abs=1e-7)
+
+
+def test_cut_at_interpolates_and_keeps_nanoseconds():
+    start = 1_700_000_000_000_000_000
+    track = WheelTrack(start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0])
+    steps = cut_at(track, start + np.array([5, 15, 25]))
+    assert steps.legs == 2
+    assert steps.totals_rad == pytest.approx(np.array([[0.5, 1.0], [1.0, 0.0]]))
+    assert steps.right_rad == pytest.approx([0.5, 1.0])  # the standstill from 10 to 20 leaves no step
+
+
+def test_select_and_join_renumber_legs():
+    steps = Increments(np.arange(4.0), np.arange(4.0) + 1, np.array([0, 1, 1, 3]), 4)
+    chosen = steps.select(np.array([1, 3]))
+    assert chosen.legs == 2
+    assert chosen.totals_rad == pytest.approx(np.array([[3.0, 5.0], [3.0, 4.0]]))
+    both = join([steps, chosen])
+    assert both.legs == 6
+    assert both.totals_rad == pytest.approx(np.vstack([steps.totals_rad, chosen.totals_rad]))
+
+
+def test_a_leg_without_motion_stands_still():
+    steps = Increments(np.array([1.0]), np.array([1.0]), np.array([1]), 3)
+    motion = integrate(steps, WHEELS)
+    assert np.all(motion.t_m[[0, 2]] == 0)
+    assert np.all(motion.psi_rad[[0, 2]] == 0)
