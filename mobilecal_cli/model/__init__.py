@@ -27,7 +27,16 @@ from mobilecal_cli.model.rig import (
     WheelSource,
 )
 from mobilecal_cli.model.signals import Rejection, Shot, Signals, Station, Track
-from mobilecal_cli.model.solution import LinearEstimate, Method, Parameters, Refinement, Residuals, Solution
+from mobilecal_cli.model.solution import (
+    LinearEstimate,
+    Method,
+    Parameters,
+    Provenance,
+    Refinement,
+    Residuals,
+    Setting,
+    Solution,
+)
 
 __all__ = [
     "Board",
@@ -50,10 +59,12 @@ __all__ = [
     "Observation",
     "Parameters",
     "Prelude",
+    "Provenance",
     "Refinement",
     "Rejection",
     "Residuals",
     "Rig",
+    "Setting",
     "Shot",
     "Side",
     "Signals",

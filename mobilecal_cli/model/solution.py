@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
+from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import WheelGeometry
 
 Method = Literal["linear", "paper", "lm"]
+Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str, Setting] | None"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,3 +146,22 @@ class Solution:
     reprojection_rms_px: float
     notes: tuple[str, ...]
     motion: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where the outputs come from.
+
+    Attributes:
+        version: of mobilecal.
+        created: when, ISO 8601 in UTC ("2015-06-01T12:00:00Z").
+        method: what was asked for, see `Solution.method`.
+        logs: the recordings.
+        config: the settings in force, nested by section; beside each, what settled it.
+    """
+
+    version: str
+    created: str
+    method: str
+    logs: tuple[LogSource, ...]
+    config: Mapping[str, Setting]
