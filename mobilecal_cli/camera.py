@@ -1,1 +1,208 @@
-"""camera"""
+"""Camera models: from a point in a camera's optical frame to a pixel, and back to a ray.
+
+Pixel coordinates have (0, 0) at the centre of the first pixel. The models and the order of their
+coefficients are OpenCV's: `plumb_bob` (k1 k2 p1 p2 k3), `rational_polynomial` (+ k4 k5 k6, + thin prism
+s1 s2 s3 s4, + tilt tau_x tau_y) and `equidistant` (k1 k2 k3 k4, Kannala and Brandt 2006, eq. 6).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.model import BoolArray, Camera, FloatArray
+
+_NEWTON_STEPS = 60
+_CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
+_AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model takes its series
+
+
+def _tilt(tau_x: float, tau_y: float) -> FloatArray:
+    """(3, 3) homography of a sensor tilted by tau_x, tau_y (Scheimpflug), rad."""
+    cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
+    R = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    onto_plane = np.array([[R[2, 2], 0, -R[0, 2]], [0, R[2, 2], -R[1, 2]], [0, 0, 1]])
+    homography: FloatArray = onto_plane @ R
+    return homography
+
+
+def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """plumb_bob, rational_polynomial: z = 1 coordinates (..., 2) → distorted, Jacobian (..., 2, 2)."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = np.pad(D, (0, 14 - len(D)))
+    x, y = points[..., 0], points[..., 1]
+    q = x * x + y * y
+    numerator = 1 + q * (k1 + q * (k2 + q * k3))
+    denominator = 1 + q * (k4 + q * (k5 + q * k6))
+    radial = numerator / denominator
+    # Derivative of the radial factor by q = r^2.
+    slope = (k1 + q * (2 * k2 + 3 * q * k3) - radial * (k4 + q * (2 * k5 + 3 * q * k6))) / denominator
+    prism = np.stack([q * (s1 + q * s2), q * (s3 + q * s4)], axis=-1)
+    prism_slope = np.stack([s1 + 2 * q * s2, s3 + 2 * q * s4], axis=-1)
+    cross = 2 * x * y
+    tangential = np.stack([p1 * cross + p2 * (q + 2 * x * x), p1 * (q + 2 * y * y) + p2 * cross], axis=-1)
+    distorted = radial[..., None] * points + tangential + prism
+    J = radial[..., None, None] * np.eye(2)
+    J = J + 2 * (slope[..., None] * points + prism_slope)[..., :, None] * points[..., None, :]
+    J[..., 0, 0] += 2 * p1 * y + 6 * p2 * x
+    J[..., 0, 1] += 2 * p1 * x + 2 * p2 * y
+    J[..., 1, 0] += 2 * p1 * x + 2 * p2 * y
+    J[..., 1, 1] += 6 * p1 * y + 2 * p2 * x
+    if tau_x == 0 and tau_y == 0:
+        return distorted, J
+    H = _tilt(tau_x, tau_y)
+    image = distorted @ H[:, :2].T + H[:, 2]
+    tilted = image[..., :2] / image[..., 2:]
+    J_tilt = (H[:2, :2] - tilted[..., :, None] * H[2, :2]) / image[..., 2, None, None]
+    return tilted, J_tilt @ J
+
+
+def _theta_distorted(D: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Equidistant model: angle to the axis, rad → radius in the z = 1 image, and its derivative."""
+    k1, k2, k3, k4 = np.pad(D, (0, 4 - len(D)))
+    q = theta * theta
+    radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
+    return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))
+
+
+def _distorted(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points in the optical frame (..., 3) → distorted z = 1 coordinates (..., 2), Jacobian (..., 2, 3)."""
+    X, Y, Z = points[..., 0], points[..., 1], points[..., 2]
+    J = np.zeros((*points.shape[:-1], 2, 3))
+    if camera.distortion != "equidistant":
+        flat = points[..., :2] / Z[..., None]
+        J[..., 0, 0] = J[..., 1, 1] = 1 / Z
+        J[..., :, 2] = -flat / Z[..., None]
+        if camera.distortion == "none" or not np.any(camera.D):
+            return flat, J
+        distorted, J_flat = _distort_polynomial(camera.D, flat)
+        return distorted, J_flat @ J
+    r = np.hypot(X, Y)
+    square = r * r + Z * Z
+    theta = np.arctan2(r, Z)
+    radius, slope = _theta_distorted(camera.D, theta)
+    near_axis = (r < _AXIS * np.abs(Z)) & (Z > 0)
+    safe_r = np.where(near_axis, 1.0, r)
+    safe_Z = np.where(near_axis, Z, 1.0)
+    scale = np.where(near_axis, 1 / safe_Z, radius / safe_r)
+    k1 = camera.D[0] if len(camera.D) else 0.0
+    bend = np.where(near_axis, 2 * (k1 - 1 / 3) / safe_Z**3, (slope * Z / square - scale) / safe_r**2)
+    XY = points[..., :2]
+    J[..., :2] = (
+        scale[..., None, None] * np.eye(2) + bend[..., None, None] * XY[..., :, None] * XY[..., None, :]
+    )
+    J[..., 2] = -XY * (slope / square)[..., None]
+    return scale[..., None] * XY, J
+
+
+def project_with_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pixels of points in the camera's optical frame, and their derivatives.
+
+    Args:
+        camera: the camera.
+        points: (..., 3) in the camera's optical frame, m (any unit: only directions count), z > 0 (for
+            equidistant: anywhere but the origin and the negative z axis).
+
+    Returns:
+        (..., 2) pixels, px, and (..., 2, 3) their Jacobian by the points, px/m.
+    """
+    distorted, J = _distorted(camera, points)
+    A = camera.K[:2, :2]
+    return distorted @ A.T + camera.K[:2, 2], A @ J
+
+
+def project(camera: Camera, points: FloatArray) -> FloatArray:
+    """Pixels of points in the camera's optical frame: (..., 3) → (..., 2), px."""
+    return project_with_jacobian(camera, points)[0]
+
+
+def _undistort_equidistant(D: FloatArray, target: FloatArray) -> tuple[FloatArray, BoolArray]:
+    radius = np.linalg.norm(target, axis=-1)
+    theta = np.minimum(radius, np.pi / 2)
+    for _ in range(_NEWTON_STEPS):
+        value, slope = _theta_distorted(D, theta)
+        step = (radius - value) / np.where(slope > 0.05, slope, 1.0)
+        # A step never leaves the half space in front of the camera: the answer lies in there or nowhere.
+        theta = np.clip(theta + step, 0.0, np.pi / 2)
+    value, slope = _theta_distorted(D, theta)
+    good = (np.abs(value - radius) < _CONVERGED) & (slope > 0) & (theta < np.pi / 2 - 1e-6)
+    safe = np.where(radius > 0, radius, 1.0)
+    scale = np.where(radius > 0, np.tan(np.where(good, theta, 0.0)) / safe, 1.0)
+    return scale[..., None] * target, good
+
+
+def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray, BoolArray]:
+    points = target.copy()
+    value, J = _distort_polynomial(D, points)
+    error = np.linalg.norm(value - target, axis=-1)
+    for _ in range(_NEWTON_STEPS):
+        determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+        residual = target - value
+        step = (
+            np.stack(
+                [
+                    J[..., 1, 1] * residual[..., 0] - J[..., 0, 1] * residual[..., 1],
+                    J[..., 0, 0] * residual[..., 1] - J[..., 1, 0] * residual[..., 0],
+                ],
+                axis=-1,
+            )
+            / np.where(np.abs(determinant) > 1e-6, determinant, 1.0)[..., None]
+        )
+        factor = np.ones(error.shape)
+        for _ in range(12):  # shorten a step that makes things worse
+            trial, trial_J = _distort_polynomial(D, points + factor[..., None] * step)
+            trial_error = np.linalg.norm(trial - target, axis=-1)
+            worse = ~(trial_error <= error)
+            if not worse.any():
+                break
+            factor = np.where(worse, factor / 4, factor)
+        better = trial_error < error
+        if not better.any():
+            break
+        points = np.where(better[..., None], points + factor[..., None] * step, points)
+        value = np.where(better[..., None], trial, value)
+        J = np.where(better[..., None, None], trial_J, J)
+        error = np.where(better, trial_error, error)
+    # Beyond the radius where the polynomial folds back lie false roots: on the way out to them the Jacobian's
+    # determinant passes through zero.
+    way_out = np.linspace(0.1, 1.0, 10)[:, None] * points[..., None, :]
+    J = _distort_polynomial(D, way_out)[1]
+    determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+    close = error < _CONVERGED * (1 + np.linalg.norm(target, axis=-1))
+    return points, close & np.all(determinant > 0, axis=-1)
+
+
+def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Coordinates at z = 1 of pixels, and which of them the camera model can have produced.
+
+    Args:
+        camera: the camera.
+        pixels: (..., 2) px.
+
+    Returns:
+        (..., 2) z = 1 coordinates, finite everywhere, to machine precision where the second value is true;
+        (...) false where no point in front of the camera is imaged there: the distortion model does not reach
+        that far (its coefficients do not belong to this image, or the pixel is far outside of it).
+    """
+    A = camera.K[:2, :2]
+    target = (pixels - camera.K[:2, 2]) @ np.asarray(np.linalg.inv(A), dtype=np.float64).T
+    if camera.distortion == "equidistant":
+        return _undistort_equidistant(camera.D, target)
+    if camera.distortion == "none" or not np.any(camera.D):
+        return target, np.ones(target.shape[:-1], dtype=np.bool_)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a trial step may go anywhere
+        return _undistort_polynomial(camera.D, target)
+
+
+def normalized(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Coordinates at z = 1 of pixels: (..., 2) px → (..., 2).
+
+    Raises:
+        ArithmeticError: a pixel that the camera model cannot have produced; `undistorted` tells which.
+    """
+    points, good = undistorted(camera, pixels)
+    if not good.all():
+        bad = np.asarray(pixels)[~good]
+        raise ArithmeticError(
+            f"{camera.frame_id}: the {camera.distortion} model "
+            f"reaches {len(bad)} of {good.size} pixels nowhere, first ({bad[0, 0]:.1f}, {bad[0, 1]:.1f})"
+        )
+    return points

@@ -1,0 +1,141 @@
+"""The board's pose: absolute orientation of points, then least squares in the pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import FloatArray, StereoRig
+from mobilecal_cli.vision.stereo import depths, reproject
+from mobilecal_cli.vision.values import BoardPose, rms
+
+_STEPS = 50
+_FACTOR = 10.0
+
+
+def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
+    """The rigid motion that carries points in b nearest to the same points in a.
+
+    Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987: the rotation is the
+    eigenvector of the 4 x 4 matrix N (section 4A) with the largest eigenvalue.
+
+    Args:
+        points_a, points_b: (M, 3) the same points in frames a and b, not all on one line.
+
+    Returns:
+        T_a_b, (4, 4).
+    """
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    S = (points_b - mean_b).T @ (points_a - mean_a)
+    N = np.empty((4, 4))  # rows and columns in the order x, y, z, w
+    N[:3, :3] = S + S.T - np.trace(S) * np.eye(3)
+    N[:3, 3] = N[3, :3] = S[1, 2] - S[2, 1], S[2, 0] - S[0, 2], S[0, 1] - S[1, 0]
+    N[3, 3] = np.trace(S)
+    R = se3.from_quaternion_xyzw(np.linalg.eigh(N)[1][:, -1])
+    return se3.transform(R, mean_a - R @ mean_b)
+
+
+def square_from_points(points_c: FloatArray, columns: int, rows: int) -> float:
+    """Side of a square that triangulated corners show: least squares over all of them.
+
+    The scale of the similarity that carries the grid of unit squares nearest to the points (Umeyama 1991,
+    eq. 42, in its form without division by the points' own scatter, which noise would inflate).
+
+    Args:
+        points_c: (columns * rows, 3) corners in the board's order, m.
+        columns, rows: inner corners.
+
+    Returns:
+        The side, m.
+    """
+    row, column = np.divmod(np.arange(columns * rows), columns)
+    grid = np.stack([column, row, np.zeros(columns * rows)], axis=1).astype(np.float64)
+    T_c_k = absolute_orientation(points_c, grid)
+    centred = grid - grid.mean(axis=0)
+    along = np.sum((points_c - points_c.mean(axis=0)) * (centred @ T_c_k[:3, :3].T))
+    return float(along / np.sum(centred**2))
+
+
+def pose_residuals(
+    rig: StereoRig, T_c_k: FloatArray, points_k: FloatArray, measured: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals of the board's corners in both pictures.
+
+    With T = exp(delta) T_c_k a point moves by dx_c = -skew(x_c) rho + tau; the logarithm of a common factor
+    on `points_k` moves it by x_c - p_c_k.
+
+    Args:
+        rig: the stereo pair.
+        T_c_k: (4, 4) pose.
+        points_k: (M, 3) corners on the board, m.
+        measured: (M, 4) left u v, right u v, px.
+
+    Returns:
+        (M, 4) measured minus predicted, px, and (M, 4, 7) the derivative of the prediction by (rho, tau, log
+        scale).
+    """
+    points_c = points_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
+    predicted, J_point = reproject(rig, points_c)
+    moves = np.empty((len(points_c), 3, 7))
+    moves[:, :, :3] = -se3.skew(points_c)
+    moves[:, :, 3:6] = np.eye(3)
+    moves[:, :, 6] = points_c - T_c_k[:3, 3]
+    return measured - predicted, J_point @ moves
+
+
+def board_pose(
+    rig: StereoRig,
+    points_k: FloatArray,
+    pixels_left: FloatArray,
+    pixels_right: FloatArray,
+    sigma_px_left: float,
+    sigma_px_right: float,
+    start: FloatArray,
+    free_scale: bool = False,
+) -> BoardPose:
+    """The board's pose that explains both pictures best (Levenberg-Marquardt, analytic Jacobians).
+
+    Args:
+        rig: the stereo pair.
+        points_k: (M, 3) corners on the board, m.
+        pixels_left, pixels_right: (M, 2) corners in each picture, px.
+        sigma_px_left, sigma_px_right: noise of one coordinate in each, px.
+        start: (4, 4) T_c_k to start from, in front of both cameras.
+        free_scale: solve for one common factor on `points_k` too.
+
+    Returns:
+        The pose; its covariance is (J^T W J)^-1 at the given noise, the scale's uncertainty included where
+        it is free.
+    """
+    measured = np.hstack([pixels_left, pixels_right])
+    weight = np.repeat([sigma_px_left, sigma_px_right], 2) ** -2.0
+    unknowns = 7 if free_scale else 6
+    T_c_k, scale, damping = start, 1.0, 1e-6
+    residual, J = pose_residuals(rig, T_c_k, points_k, measured)
+    cost = float(np.sum(weight * residual**2))
+    for _ in range(_STEPS):
+        A = J[..., :unknowns].reshape(-1, unknowns) * np.tile(np.sqrt(weight), len(points_k))[:, None]
+        normal = A.T @ A
+        gradient = A.T @ (np.sqrt(weight) * residual).ravel()
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+        trial_T = se3.exp(step[:6]) @ T_c_k
+        trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
+        trial_points = trial_scale * points_k
+        ahead = np.all(depths(rig, trial_points @ trial_T[:3, :3].T + trial_T[:3, 3]) > 0)
+        trial_cost = np.inf
+        if ahead:
+            trial_residual, trial_J = pose_residuals(rig, trial_T, trial_points, measured)
+            trial_cost = float(np.sum(weight * trial_residual**2))
+        if trial_cost <= cost:
+            T_c_k, scale, residual, J = trial_T, trial_scale, trial_residual, trial_J
+            done = cost - trial_cost <= 1e-10 * cost or cost < 1e-20
+            cost, damping = trial_cost, max(damping / _FACTOR, 1e-12)
+            if done:
+                break
+        elif damping > 1e6:
+            break
+        else:
+            damping *= _FACTOR
+    A = J[..., :unknowns].reshape(-1, unknowns) * np.tile(np.sqrt(weight), len(points_k))[:, None]
+    covariance = np.linalg.inv(A.T @ A)[:6, :6]
+    return BoardPose(T_c_k, covariance, scale, rms(residual))

@@ -1,0 +1,97 @@
+"""Stereo geometry: reprojection into both cameras, and points from pairs of pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli import camera, se3
+from mobilecal_cli.model import FloatArray, StereoRig
+from mobilecal_cli.vision.values import Miss, StereoPoints, rms
+
+_STEPS = 12
+_MAX_RMS_PX = 20.0  # beyond it the two pixels are not of one point, and linearised noise means nothing
+
+
+def reproject(rig: StereoRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Both pictures of points: (..., 3) → pixels (..., 4) as left u v, right u v; Jacobian (..., 4, 3)."""
+    T_r_c = se3.inverse(rig.T_c_r)
+    left, J_left = camera.project_with_jacobian(rig.left, points_c)
+    right, J_right = camera.project_with_jacobian(rig.right, points_c @ T_r_c[:3, :3].T + T_r_c[:3, 3])
+    return np.concatenate([left, right], axis=-1), np.concatenate([J_left, J_right @ T_r_c[:3, :3]], axis=-2)
+
+
+def depths(rig: StereoRig, points_c: FloatArray) -> FloatArray:
+    """Depths of points in the left and in the right camera's frame: (..., 3) → (..., 2), m."""
+    T_r_c = se3.inverse(rig.T_c_r)
+    return np.stack([points_c[..., 2], points_c @ T_r_c[2, :3] + T_r_c[2, 3]], axis=-1)
+
+
+def _nearest_on_left_rays(rig: StereoRig, flat_left: FloatArray, flat_right: FloatArray) -> FloatArray:
+    """Midpoint of the shortest line between two rays: (M, 2) and (M, 2) z = 1 coordinates → (M, 3), m."""
+    ones = np.ones((len(flat_left), 1))
+    ray_left = np.hstack([flat_left, ones])
+    ray_right = np.hstack([flat_right, ones]) @ rig.T_c_r[:3, :3].T
+    origin = rig.T_c_r[:3, 3]
+    ll = np.sum(ray_left * ray_left, axis=1)
+    rr = np.sum(ray_right * ray_right, axis=1)
+    lr = np.sum(ray_left * ray_right, axis=1)
+    # Parallel rays meet at infinity; a tiny determinant keeps them finite, far away, on either side.
+    determinant = ll * rr - lr * lr
+    determinant = np.where(np.abs(determinant) < 1e-14, 1e-14, determinant)
+    along_left = (rr * (ray_left @ origin) - lr * (ray_right @ origin)) / determinant
+    along_right = (lr * (ray_left @ origin) - ll * (ray_right @ origin)) / determinant
+    midpoint: FloatArray = 0.5 * (along_left[:, None] * ray_left + origin + along_right[:, None] * ray_right)
+    return midpoint
+
+
+def triangulate(
+    rig: StereoRig,
+    pixels_left: FloatArray,
+    pixels_right: FloatArray,
+    sigma_px_left: float,
+    sigma_px_right: float,
+) -> StereoPoints | Miss:
+    """The points that explain pairs of pixels best: least squares of the reprojection residuals.
+
+    Starts from the midpoint of the rays and takes Gauss-Newton steps on the four residuals of each point,
+    weighted by the cameras' noise (Hartley and Sturm 1997 treat the same cost; here the cameras may have
+    distortion, and any geometry). The covariance of a point is (J^T W J)^-1.
+
+    Args:
+        rig: the stereo pair, raw or rectified.
+        pixels_left, pixels_right: (M, 2) the same points in each picture, px.
+        sigma_px_left, sigma_px_right: noise of one coordinate in each, px.
+
+    Returns:
+        The points, or a Miss where they lie behind a camera or the pairs do not fit at all.
+    """
+    flat_left, good_left = camera.undistorted(rig.left, pixels_left)
+    flat_right, good_right = camera.undistorted(rig.right, pixels_right)
+    if not (good_left.all() and good_right.all()):
+        count = int(np.sum(~good_left) + np.sum(~good_right))
+        return Miss(
+            "left and right do not fit together",
+            f"{count} corners lie where the cameras' distortion models do not reach",
+        )
+    points = _nearest_on_left_rays(rig, flat_left, flat_right)
+    behind = Miss("left and right do not fit together", "corners lie behind a camera when triangulated")
+    measured = np.hstack([pixels_left, pixels_right])
+    weight = np.repeat([sigma_px_left, sigma_px_right], 2) ** -2.0
+    for _ in range(_STEPS):
+        if np.any(depths(rig, points) <= 0):
+            return behind
+        predicted, J = reproject(rig, points)
+        residual = measured - predicted
+        normal = np.swapaxes(J, 1, 2) @ (weight[:, None] * J)
+        step = np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ (weight * residual)[..., None])[..., 0]
+        points = points + step
+        if np.all(np.abs(step) <= 1e-14 * np.abs(points[:, 2:])):
+            break
+    if np.any(depths(rig, points) <= 0):
+        return behind
+    predicted, J = reproject(rig, points)
+    residual_px = rms(measured - predicted)
+    if residual_px > _MAX_RMS_PX:
+        return Miss("left and right do not fit together", f"rms {residual_px:.1f} px off the epipolar lines")
+    covariance = np.linalg.inv(np.swapaxes(J, 1, 2) @ (weight[:, None] * J)).astype(np.float64)
+    return StereoPoints(points, covariance, residual_px)

@@ -1,0 +1,96 @@
+"""What the stages inside vision hand to one another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import freeze
+
+Reason = Literal[
+    "no board",
+    "board partly hidden or cut off by the border",
+    "squares too small",
+    "blurred",
+    "board continues beyond the grid",
+    "board polarity does not alternate",
+    "corners off the board's grid",
+    "left and right do not fit together",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """The board in one picture.
+
+    Attributes:
+        pixels: (M, 2) corner centres, px, corner index = row * columns + column, numbered right-handed as
+            seen from the board's front; square colours fix the origin as far as they can (see `grid.turns`).
+        sigma_px: noise of one coordinate, px, from how far the corners scatter about a smooth grid.
+    """
+
+    pixels: FloatArray
+    sigma_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, pixels=("M", 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """Why a picture, or a pair of them, gives nothing.
+
+    Attributes:
+        reason: one of a few fixed phrases.
+        detail: the numbers of this one.
+    """
+
+    reason: Reason
+    detail: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoPoints:
+    """Corners seen by both cameras.
+
+    Attributes:
+        points_c: (M, 3) in the left camera's frame, m.
+        points_cov: (M, 3, 3) their covariances, m^2.
+        rms_px: root mean square of the reprojection residuals (four numbers a point), px; one of the four is
+            the distance from the epipolar line, the other three are fitted.
+    """
+
+    points_c: FloatArray
+    points_cov: FloatArray
+    rms_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, points_c=("M", 3), points_cov=("M", 3, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardPose:
+    """Where the board is.
+
+    Attributes:
+        T_c_k: (4, 4) board coordinates to left camera coordinates, m.
+        T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
+        scale: factor on the board's points that fits best; 1 where it was held.
+        rms_px: root mean square of the reprojection residuals per coordinate, px.
+    """
+
+    T_c_k: FloatArray
+    T_c_k_cov: FloatArray
+    scale: float
+    rms_px: float
+
+    def __post_init__(self) -> None:
+        freeze(self, T_c_k=(4, 4), T_c_k_cov=(6, 6))
+
+
+def rms(residuals: FloatArray) -> float:
+    """Root mean square of all elements."""
+    return float(np.sqrt(np.mean(np.square(residuals))))

@@ -1,0 +1,67 @@
+"""Cameras and boards of known truth, and a renderer that owes nothing to the code under test."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board, Camera, StereoRig
+
+K = np.array([[550.0, 0.0, 322.0], [0.0, 548.0, 241.0], [0.0, 0.0, 1.0]])
+K_RIGHT = np.array([[552.0, 0.0, 317.0], [0.0, 551.0, 245.0], [0.0, 0.0, 1.0]])
+PLUMB_BOB = [-0.28, 0.09, 0.0007, -0.0004, 0.0]
+EQUIDISTANT = [-0.02, 0.004, -0.003, 0.0007]
+
+
+def stereo_rig(kind: str = "raw") -> StereoRig:
+    """A pair with a baseline of 0.12 m: raw (distorted, turned a little), fisheye, or rectified."""
+    distortion, D = {
+        "raw": ("plumb_bob", PLUMB_BOB),
+        "fisheye": ("equidistant", EQUIDISTANT),
+        "rectified": ("none", []),
+    }[kind]
+    turn = np.zeros(3) if kind == "rectified" else np.array([0.007, -0.012, 0.004])
+    T_c_r = se3.transform(se3.exp_so3(turn), np.array([0.12, 0.001 * any(turn), -0.002 * any(turn)]))
+    left = Camera("left_optical", 640, 480, K, np.array(D), distortion)
+    right = Camera("right_optical", 640, 480, K_RIGHT, np.array(D), distortion)
+    return StereoRig(left, right, T_c_r, kind == "rectified", np.eye(3), np.eye(3))
+
+
+def pose(
+    x: float, y: float, z: float, tilt: tuple[float, float, float], board: Board, square_m: float
+) -> np.ndarray:
+    """T_c_k with the board's middle at (x, y, z) m, turned from facing the camera by a rotation vector, rad."""
+    R = se3.exp_so3(np.array(tilt))
+    middle = square_m * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
+    return se3.transform(R, np.array([x, y, z]) - R @ middle)
+
+
+def random_pose(rng: np.random.Generator, board: Board, square_m: float) -> np.ndarray:
+    z = rng.uniform(0.9, 1.6)
+    tilt = rng.uniform(-0.5, 0.5, 3)
+    return pose(
+        0.06 + 0.1 * z * rng.uniform(-1, 1), 0.1 * z * rng.uniform(-1, 1), z, tuple(tilt), board, square_m
+    )
+
+
+def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """(M, 3) points in the camera's frame → (M, 2) px, by OpenCV."""
+    zero = np.zeros(3)
+    if camera.distortion == "equidistant":
+        pixels = cv2.fisheye.projectPoints(
+            np.ascontiguousarray(points)[:, None], zero, zero, camera.K, camera.D
+        )[0]
+    else:
+        D = camera.D if len(camera.D) else np.zeros(5)
+        pixels = cv2.projectPoints(np.ascontiguousarray(points), zero, zero, camera.K, D)[0]
+    return pixels.reshape(-1, 2)
+
+
+def seen(
+    rig: StereoRig, T_c_k: np.ndarray, board: Board, square_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners in c (M, 3), and their true pixels in both pictures."""
+    points_c = se3.act(T_c_k, square_m * board.grid())
+    T_r_c = np.linalg.inv(rig.T_c_r)
+    return points_c, opencv_pixels(rig.left, points_c), opencv_pixels(rig.right, se3.act(T_r_c, points_c))

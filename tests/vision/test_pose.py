@@ -1,0 +1,111 @@
+"""The board's pose: exact data, Jacobians, spread."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board
+from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_residuals, square_from_points
+from tests.vision.scenes import random_pose, seen, stereo_rig
+
+BOARD = Board(9, 6)
+SQUARE_M = 0.06
+POINTS_K = SQUARE_M * BOARD.grid()
+
+twists = st.tuples(*[st.floats(-3, 3)] * 6).map(np.array)
+
+
+@given(twist=twists, seed=st.integers(0, 1000))
+def test_absolute_orientation_is_exact(twist: np.ndarray, seed: int) -> None:
+    points_b = np.random.default_rng(seed).standard_normal((7, 3))
+    T_a_b = se3.exp(twist)
+    np.testing.assert_allclose(absolute_orientation(se3.act(T_a_b, points_b), points_b), T_a_b, atol=1e-12)
+
+
+@given(twist=twists)
+def test_absolute_orientation_of_a_plane(twist: np.ndarray) -> None:
+    T_a_b = se3.exp(twist)
+    np.testing.assert_allclose(absolute_orientation(se3.act(T_a_b, POINTS_K), POINTS_K), T_a_b, atol=1e-12)
+
+
+def test_absolute_orientation_is_a_least_squares_minimum() -> None:
+    rng = np.random.default_rng(3)
+    points_b = rng.standard_normal((20, 3))
+    points_a = se3.act(se3.exp(rng.standard_normal(6)), points_b) + 0.1 * rng.standard_normal((20, 3))
+    T_a_b = absolute_orientation(points_a, points_b)
+    assert np.linalg.det(T_a_b[:3, :3]) == pytest.approx(1)
+
+    def cost(twist: np.ndarray) -> float:
+        return float(np.sum((se3.act(se3.exp(twist) @ T_a_b, points_b) - points_a) ** 2))
+
+    for direction in np.vstack([np.eye(6), -np.eye(6)]):
+        assert cost(1e-3 * direction) > cost(np.zeros(6))
+
+
+def test_square_from_points() -> None:
+    rng = np.random.default_rng(0)
+    points_c = se3.act(random_pose(rng, BOARD, SQUARE_M), POINTS_K)
+    assert square_from_points(points_c, 9, 6) == pytest.approx(SQUARE_M, rel=1e-12)
+    noisy = [
+        square_from_points(points_c + 0.004 * rng.standard_normal(points_c.shape), 9, 6) for _ in range(400)
+    ]
+    assert np.mean(noisy) == pytest.approx(SQUARE_M, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["raw", "fisheye", "rectified"])
+def test_pose_jacobian_against_differences(kind: str) -> None:
+    rig = stereo_rig(kind)
+    T_c_k = random_pose(np.random.default_rng(2), BOARD, SQUARE_M)
+    measured = np.zeros((BOARD.corners, 4))
+    J = pose_residuals(rig, T_c_k, POINTS_K, measured)[1]
+    h = 1e-6
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = h
+        sides = [
+            pose_residuals(
+                rig, se3.exp(sign * step[:6]) @ T_c_k, np.exp(sign * step[6]) * POINTS_K, measured
+            )[0]
+            for sign in (1, -1)
+        ]
+        np.testing.assert_allclose(J[..., i], -(sides[0] - sides[1]) / (2 * h), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["raw", "fisheye", "rectified"])
+@pytest.mark.parametrize("free_scale", [False, True])
+def test_exact_pixels_give_the_exact_pose(kind: str, free_scale: bool) -> None:
+    rig = stereo_rig(kind)
+    rng = np.random.default_rng(4)
+    T_c_k = random_pose(rng, BOARD, SQUARE_M)
+    _, left, right = seen(rig, T_c_k, BOARD, SQUARE_M)
+    start = se3.exp(0.05 * rng.standard_normal(6)) @ T_c_k
+    points_k = POINTS_K * (1.07 if free_scale else 1.0)
+    found = board_pose(rig, points_k, left, right, 0.1, 0.1, start, free_scale)
+    np.testing.assert_allclose(found.T_c_k, T_c_k, atol=1e-10)
+    assert found.scale == pytest.approx(1 / 1.07 if free_scale else 1.0, rel=1e-10)
+    assert found.rms_px < 1e-9
+
+
+@pytest.mark.parametrize("free_scale", [False, True])
+def test_pose_covariance_is_the_spread(free_scale: bool) -> None:
+    rig = stereo_rig("raw")
+    rng = np.random.default_rng(7)
+    T_c_k = random_pose(rng, BOARD, SQUARE_M)
+    _, left, right = seen(rig, T_c_k, BOARD, SQUARE_M)
+    sigma_left, sigma_right, runs = 0.1, 0.2, 500
+    deltas, fits = [], []
+    for _ in range(runs):
+        noisy_left = left + sigma_left * rng.standard_normal(left.shape)
+        noisy_right = right + sigma_right * rng.standard_normal(right.shape)
+        found = board_pose(rig, POINTS_K, noisy_left, noisy_right, sigma_left, sigma_right, T_c_k, free_scale)
+        deltas.append(se3.log(found.T_c_k @ se3.inverse(T_c_k)))
+        fits.append(found.rms_px)
+    delta = np.array(deltas)
+    distance = np.einsum("ri,ij,rj->r", delta, np.linalg.inv(found.T_c_k_cov), delta)
+    assert abs(distance.mean() - 6) < 4 * np.sqrt(12 / runs)
+    np.testing.assert_allclose(delta.std(axis=0), np.sqrt(np.diag(found.T_c_k_cov)), rtol=0.15)
+    assert np.mean(fits) == pytest.approx(np.sqrt((sigma_left**2 + sigma_right**2) / 2), rel=0.05)
