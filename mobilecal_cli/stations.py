@@ -1,1 +1,259 @@
-"""stations"""
+"""Which moments are worth a look: rests of base and head, or keyframes of a log that never rests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Rejection,
+    Shot,
+    Signals,
+    Station,
+    Track,
+    WheelTrack,
+)
+
+PAIR_AT_REST_S = 0.1  # nothing moves, so the two pictures need not be simultaneous
+PAIR_MOVING_S = 0.005
+REST_WINDOW_S = 0.3
+STILL_REVOLUTE_RAD = 0.006  # range over the window: six times a joint noise of 0.05 degrees
+STILL_PRISMATIC_M = 0.002
+STILL_WHEEL_RAD = 0.004  # or one step of a coarse encoder
+LARGEST_GAP_S = 0.5
+SHOTS_PER_REST = 10
+RESTS_ENOUGH = 6
+KEYFRAMES = 80
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What to look at in one log.
+
+    Attributes:
+        stations: in order of time.
+        wheels: both wheels on common times.
+        rejections: pictures that cannot be used, and why.
+        notes: whole sentences for the report.
+    """
+
+    stations: tuple[Station, ...]
+    wheels: WheelTrack
+    rejections: tuple[Rejection, ...]
+    notes: tuple[str, ...]
+
+
+def at_times(track: Track, times_ns: IntArray) -> FloatArray:
+    """A track's values at some times, by linear interpolation."""
+    start = track.time_ns[0]
+    # Offsets from the start are small enough for float64 to hold every nanosecond.
+    offsets, samples = (times_ns - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
+    return np.interp(offsets, samples, track.value)
+
+
+def wheel_track(right: Track, left: Track) -> WheelTrack:
+    """Both wheels on the union of their times, over the time that both cover.
+
+    Raises:
+        RecordingError: the two never overlap.
+    """
+    first = max(right.time_ns[0], left.time_ns[0])
+    last = min(right.time_ns[-1], left.time_ns[-1])
+    times = np.union1d(right.time_ns, left.time_ns)
+    times = times[(times >= first) & (times <= last)]
+    if len(times) < 2:
+        raise RecordingError(
+            "the left and the right wheel's readings never overlap in time",
+            "record both wheels throughout; check that both topics use the same clock",
+        )
+    return WheelTrack(times, at_times(right, times), at_times(left, times))
+
+
+def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[Shot, ...]:
+    """Stereo pairs: each left picture with the right one nearest in time, each picture in one pair only.
+
+    Raises:
+        RecordingError: no two are within the tolerance.
+    """
+    after = np.clip(np.searchsorted(right_ns, left_ns), 1, len(right_ns) - 1) if len(right_ns) > 1 else None
+    if after is None:
+        nearest = np.zeros(len(left_ns), dtype=np.int64)
+    else:
+        nearer_before = np.abs(left_ns - right_ns[after - 1]) <= np.abs(left_ns - right_ns[after])
+        nearest = np.where(nearer_before, after - 1, after)
+    apart = np.abs(left_ns - right_ns[nearest])
+    best: dict[int, int] = {}
+    for i in np.argsort(apart, kind="stable"):
+        if apart[i] <= tolerance_s * _NS:
+            best.setdefault(int(nearest[i]), int(i))
+    if not best:
+        raise RecordingError(
+            f"left and right pictures are never together: of {len(left_ns)} left and {len(right_ns)} right ones "
+            f"the nearest two are {apart.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
+            "check that both cameras run on one clock and are triggered together",
+        )
+    return tuple(
+        Shot(int(left_ns[i]), int(right_ns[r])) for r, i in sorted(best.items(), key=lambda item: item[1])
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Channel:
+    """A track and how far it may wander during a rest."""
+
+    name: str
+    track: Track
+    tolerance: float
+
+    def covers(self, times_ns: IntArray) -> BoolArray:
+        """Whether readings lie close enough around each time, or the reading is the same on both sides."""
+        stamps = self.track.time_ns
+        after = np.searchsorted(stamps, times_ns)
+        inside = (after > 0) & (after < len(stamps)) | np.isin(times_ns, stamps)
+        right = np.clip(after, 0, len(stamps) - 1)
+        left = np.clip(after - 1, 0, len(stamps) - 1)
+        close = stamps[right] - stamps[left] <= LARGEST_GAP_S * _NS
+        same = np.abs(self.track.value[right] - self.track.value[left]) <= self.tolerance
+        return inside & (close | same)
+
+    def wander(self, begin_ns: int, end_ns: int) -> float:
+        """Range of the values over a stretch of time."""
+        lo, hi = np.searchsorted(self.track.time_ns, [begin_ns, end_ns])
+        ends = at_times(self.track, np.array([begin_ns, end_ns]))
+        return float(np.ptp(np.concatenate([ends, self.track.value[lo:hi]])))
+
+
+def _encoder_step(track: Track) -> float:
+    steps = np.abs(np.diff(track.value))
+    moved = steps[steps > 1e-9]
+    return float(moved.min()) if len(moved) else 0.0
+
+
+def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
+    joints = [
+        _Channel(name, track, STILL_PRISMATIC_M if name in prismatic else STILL_REVOLUTE_RAD)
+        for name, track in signals.joints.items()
+    ]
+    wheels = [
+        _Channel(f"{side} wheel", track, max(STILL_WHEEL_RAD, 1.1 * _encoder_step(track)))
+        for side, track in signals.wheels.items()
+    ]
+    return joints + wheels
+
+
+def _rests(shots: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
+    """Runs of shots over which nothing moves, each shot still for a window around itself."""
+    half = int(REST_WINDOW_S / 2 * _NS)
+    runs: list[list[Shot]] = []
+    for shot in shots:
+        if any(c.wander(shot.time_ns - half, shot.time_ns + half) > c.tolerance for c in channels):
+            continue
+        run = runs[-1] if runs else None
+        if run and all(c.wander(run[0].time_ns, shot.time_ns) <= c.tolerance for c in channels):
+            run.append(shot)
+        else:
+            runs.append([shot])
+    return runs
+
+
+def _spread(features: FloatArray, count: int) -> IntArray:
+    """Indices of rows far from one another: each next one is the farthest from those taken."""
+    chosen = [0]
+    distance = np.linalg.norm(features - features[0], axis=1)
+    while len(chosen) < min(count, len(features)) and distance.max() > 0:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return np.sort(chosen)
+
+
+def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
+    """Sharp moments of a moving log, spread over head angles, heading and distance driven."""
+    times = np.array([shot.time_ns for shot in shots])
+    values = np.stack([at_times(c.track, times) for c in channels], axis=1)
+    half = int(0.05 * _NS)
+    rates = np.stack(
+        [at_times(c.track, times + half) - at_times(c.track, times - half) for c in channels], axis=1
+    )
+    speed = np.linalg.norm(rates, axis=1)
+    # The slower half of every two seconds: sharp pictures, without leaving out a part of the log.
+    bins = (times - times[0]) // (2 * _NS)
+    slow = np.array([s <= np.median(speed[bins == b]) for s, b in zip(speed, bins, strict=True)])
+    spans = np.ptp(values, axis=0)
+    features = values[slow] / np.where(spans > 0, spans, 1.0)
+    picked = np.flatnonzero(slow)[_spread(features, count)]
+    return [shots[i] for i in picked]
+
+
+def _station(
+    index: int, shots: list[Shot], joints: tuple[str, ...], signals: Signals, at_rest: bool
+) -> Station:
+    if len(shots) > SHOTS_PER_REST:
+        shots = [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
+    times = np.array([shot.time_ns for shot in shots])
+    mean, scatter = [], []
+    for name in joints:
+        track = signals.joints[name]
+        within = track.value[(track.time_ns >= times[0]) & (track.time_ns <= times[-1])]
+        readings = within if len(within) >= 3 else at_times(track, times)
+        mean.append(float(readings.mean()))
+        scatter.append(float(readings.std(ddof=1)) if len(readings) > 1 else 0.0)
+    time_ns = int(times[0] + np.mean(times - times[0]))
+    return Station(index, at_rest, tuple(shots), time_ns, np.array(mean), np.array(scatter))
+
+
+def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozenset[str] = frozenset()) -> Plan:
+    """Find the moments at which the board may be looked at.
+
+    Rests are used where the log has at least six; otherwise single sharp pictures, at most 80, spread over
+    head angles and base motion, join those rests that there are.
+
+    Args:
+        signals: one log's joints, wheels and picture stamps.
+        joints: head joints in the order of `HeadChain.joints`.
+        prismatic: those of them that slide.
+
+    Raises:
+        RecordingError: left and right pictures never together, or joints and wheels missing around all.
+    """
+    channels = _channels(signals, prismatic)
+    shots = list(pair_shots(signals.image_ns["left"], signals.image_ns["right"], PAIR_AT_REST_S))
+    wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
+
+    times = np.array([shot.time_ns for shot in shots])
+    rejections, covered = [], np.ones(len(shots), dtype=bool)
+    for channel in channels:
+        missing = ~channel.covers(times)
+        for i in np.flatnonzero(missing & covered):
+            rejections.append(
+                Rejection("stations", "readings missing around the picture", channel.name, int(times[i]))
+            )
+        covered &= ~missing
+    if not covered.any():
+        names = ", ".join(dict.fromkeys(r.detail for r in rejections))
+        raise RecordingError(
+            f"no picture has readings of joints and wheels around it: missing for {len(shots)} pairs: {names}",
+            "check that cameras, joints and wheels use the same clock and were recorded together",
+        )
+    shots = [shot for shot, ok in zip(shots, covered, strict=True) if ok]
+
+    rests = _rests(shots, channels)
+    moments = [(run, True) for run in rests]
+    notes = []
+    if len(rests) < RESTS_ENOUGH:
+        resting = {shot for run in rests for shot in run}
+        moving = [s for s in shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
+        picked = _keyframes(moving, channels, KEYFRAMES) if moving else []
+        moments += [([shot], False) for shot in picked]
+        notes.append(
+            f"The robot rests only {len(rests)} times with pictures: {len(picked)} of {len(moving)} pictures taken "
+            "in motion are used as well, whose stamps must fit the joints' and wheels' clocks."
+        )
+    moments.sort(key=lambda moment: moment[0][0].time_ns)
+    stations = tuple(_station(i, run, joints, signals, at_rest) for i, (run, at_rest) in enumerate(moments))
+    return Plan(stations, wheels, tuple(rejections), tuple(notes))

@@ -38,7 +38,10 @@ class LinearEstimate:
 
     Attributes:
         parameters: the fixed point.
-        history: the parameters after each round, the last equal to `parameters`.
+        history: the parameters after each round, the last equal to `parameters`; the rounds go on to the
+            fixed point.
+        rounds_to_tolerance: the round after which no parameter had moved by more than 0.1 %, the paper's
+            own end.
         point_rms_m: square root of eq. 19 at `parameters`, m.
         start_ratios: (2,) wheel ratios (aR, aL) of the start that was kept.
         start_from: where that start came from: "nominal", "given" or "grid".
@@ -48,6 +51,7 @@ class LinearEstimate:
 
     parameters: Parameters
     history: tuple[Parameters, ...]
+    rounds_to_tolerance: int
     point_rms_m: float
     start_ratios: FloatArray
     start_from: str

@@ -1,1 +1,5 @@
-"""TODO"""
+"""From observations to the nine numbers: the iterative linear method and its refinements."""
+
+from mobilecal_cli.solvers.solve import solve
+
+__all__ = ["solve"]

@@ -1,0 +1,107 @@
+"""Eq. 19 minimised: by Levenberg-Marquardt with analytic derivatives, and as the paper does, by Powell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import minimize
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.model import FloatArray, Parameters, Refinement
+from mobilecal_cli.solvers.carry import (
+    moved,
+    point_rms_m,
+    residuals_with_jacobian,
+    rms_m,
+)
+from mobilecal_cli.solvers.loops import Loops
+
+_MAX_STEPS = 100
+_SMALLEST_GAIN = 1e-15
+_FIRST_DAMPING = 1e-6
+_LARGEST_DAMPING = 1e8
+
+
+def _normal_equations(loops: Loops, parameters: Parameters) -> tuple[FloatArray, FloatArray, float]:
+    residuals, J = residuals_with_jacobian(loops, parameters)
+    flat = J.reshape(-1, 9)
+    return flat.T @ flat, flat.T @ residuals.reshape(-1), rms_m(residuals)
+
+
+def refine_lm(loops: Loops, start: Parameters) -> Refinement:
+    """Minimise eq. 19 by Levenberg-Marquardt.
+
+    Raises:
+        SolveError: no minimum within 100 steps.
+    """
+    parameters, damping = start, _FIRST_DAMPING
+    H, gradient, rms = _normal_equations(loops, parameters)
+    history, evaluations = [rms], 1
+    while len(history) <= _MAX_STEPS:
+        scale = np.sqrt(np.diag(H))
+        step = -np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(9), gradient / scale) / scale
+        trial = moved(parameters, step)
+        H_trial, gradient_trial, rms_trial = _normal_equations(loops, trial)
+        evaluations += 1
+        if rms_trial <= rms:
+            gain = rms - rms_trial
+            parameters, H, gradient, rms = trial, H_trial, gradient_trial, rms_trial
+            history.append(rms)
+            damping = max(damping / 10, 1e-15)
+            if gain <= _SMALLEST_GAIN + 1e-12 * rms:
+                break
+        else:
+            damping *= 10
+            if damping > _LARGEST_DAMPING:
+                break  # no step helps any more: the minimum, to rounding
+    else:
+        raise SolveError(
+            f"the refinement did not converge in {_MAX_STEPS} steps: point rms {rms * 1e3:.3f} mm",
+            "the linear estimate may be too far off: see its residuals with --method linear",
+        )
+    return Refinement("lm", parameters, np.array(history), rms, evaluations)
+
+
+def refine_powell(loops: Loops, start: Parameters) -> Refinement:
+    """Minimise eq. 19 by Powell's direction-set method (section 3.6), the paper's own choice.
+
+    The parameters are taken along the eigenvectors of the normal matrix at the start, scaled to equal effect:
+    directions that are conjugate from the first line search on, so few sweeps are needed.
+
+    Raises:
+        SolveError: no minimum within scipy's limits.
+    """
+    H, _, rms = _normal_equations(loops, start)
+    scale = np.sqrt(np.diag(H))
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    count = H.shape[0]
+    equal_effect = vectors / np.sqrt(np.maximum(values, values[-1] * 1e-12)) / scale[:, None]
+    unit = max(rms, 1e-6) * math.sqrt(loops.points_c.shape[1] * len(loops.legs))
+    evaluations = 0
+
+    def at(x: FloatArray) -> Parameters:
+        return moved(start, equal_effect @ x * unit)
+
+    def cost(x: FloatArray) -> float:
+        nonlocal evaluations
+        evaluations += 1
+        return (point_rms_m(loops, at(x)) * 1e3) ** 2  # mm^2, a number of sensible size
+
+    history = [rms]
+    result = minimize(
+        cost,
+        np.zeros(count),
+        method="Powell",
+        callback=lambda x: history.append(point_rms_m(loops, at(x))),
+        options={"xtol": 1e-9, "ftol": 1e-13, "maxiter": 200, "maxfev": 40_000},
+    )
+    if not result.success:
+        raise SolveError(
+            f"Powell's method did not converge: {result.message} after {evaluations} evaluations",
+            "use --method lm, which minimises the same cost",
+        )
+    parameters = at(result.x)
+    rms = point_rms_m(loops, parameters)
+    history[-1] = rms
+    return Refinement("paper", parameters, np.array(history), rms, evaluations)
