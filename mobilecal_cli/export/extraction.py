@@ -1,0 +1,181 @@
+"""extraction.npz: everything that the numbers need, without pictures and without pickle."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.export.plain import from_plain, to_plain
+from mobilecal_cli.model import (
+    Board,
+    Corners,
+    Extraction,
+    LogSource,
+    Observation,
+    Rejection,
+    Rig,
+    WheelTrack,
+)
+
+SCHEMA_VERSION = 1
+_FORMAT = "mobilecal extraction"
+_OBSERVATION_ARRAYS: dict[str, type] = {
+    "log": np.int64,
+    "station": np.int64,
+    "time_ns": np.int64,
+    "at_rest": np.bool_,
+    "joints": np.float64,
+    "joints_std": np.float64,
+    "points_c": np.float64,
+    "points_cov": np.float64,
+    "T_c_k": np.float64,
+    "T_c_k_cov": np.float64,
+    "square_m": np.float64,
+    "reprojection_px": np.float64,
+}
+_CORNER_ARRAYS: dict[str, type] = {"pixels": np.float64, "sigma_px": np.float64, "pictures": np.int64}
+_EPOCH = (
+    1980,
+    1,
+    1,
+    0,
+    0,
+    0,
+)  # the earliest time that a zip file can state; a real one would change the bytes
+_HINT = "give an extraction.npz that this version of mobilecal wrote, or calibrate from the recording"
+
+
+def extraction_to_npz(extraction: Extraction) -> bytes:
+    """The extraction as a compressed .npz; the same bytes for the same values.
+
+    Arrays of one shape per observation are stacked over the N observations, so numpy alone reads them:
+    ``observations.points_c`` is (N, M, 3). The rest is JSON in the uint8 array ``header``.
+
+    Raises:
+        ValueError: the observations differ in their number of corners or joints.
+    """
+    seen = extraction.observations
+    header = {
+        "format": _FORMAT,
+        "schema_version": SCHEMA_VERSION,
+        "rig": to_plain(extraction.rig),
+        "board": to_plain(extraction.board),
+        "rejections": to_plain(extraction.rejections),
+        "notes": to_plain(extraction.notes),
+        "logs": to_plain(extraction.logs),
+        "counts": to_plain(extraction.counts),
+        "observations": len(seen),
+        "wheels": len(extraction.wheels),
+    }
+    text = json.dumps(header, allow_nan=False, separators=(",", ":"))
+    arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
+    if seen:
+        for name, dtype in _OBSERVATION_ARRAYS.items():
+            arrays[f"observations.{name}"] = np.stack([np.asarray(getattr(o, name), dtype) for o in seen])
+        for side in ("left", "right"):
+            for name, dtype in _CORNER_ARRAYS.items():
+                arrays[f"observations.{side}.{name}"] = np.stack(
+                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in seen]
+                )
+    for i, track in enumerate(extraction.wheels):
+        arrays[f"wheels.{i}.time_ns"] = track.time_ns
+        arrays[f"wheels.{i}.right_rad"] = track.right_rad
+        arrays[f"wheels.{i}.left_rad"] = track.left_rad
+    return _zipped(arrays)
+
+
+def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
+    """`numpy.savez` states the time of writing; this does not."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, array in arrays.items():
+            member = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
+            member.compress_type = zipfile.ZIP_DEFLATED
+            member.create_system = 3  # Unix, wherever it is written
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.ascontiguousarray(array), (1, 0), allow_pickle=False)
+            archive.writestr(member, content.getvalue())
+    return stream.getvalue()
+
+
+def extraction_from_npz(source: bytes | Path) -> Extraction:
+    """Read what `extraction_to_npz` wrote.
+
+    Args:
+        source: the file, or its bytes.
+
+    Raises:
+        RecordingError: the file cannot be read, is damaged, is something else, or has another schema version.
+    """
+    name = "the extraction" if isinstance(source, bytes) else str(source)
+    try:
+        data = source if isinstance(source, bytes) else source.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{name}: cannot be read: {error.strerror}", "check the path") from error
+    if not data.startswith(b"PK"):
+        raise RecordingError(f"{name}: not an extraction ({len(data)} bytes, no .npz)", _HINT)
+    try:
+        arrays = _arrays(data)
+        header = _header(arrays)
+    except Exception as error:  # a damaged zip or array raises almost anything
+        raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
+    if header.get("format") != _FORMAT:
+        raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
+    if header.get("schema_version") != SCHEMA_VERSION:
+        found = header.get("schema_version")
+        raise RecordingError(
+            f"{name}: schema version {found!r}, and this mobilecal reads {SCHEMA_VERSION}", _HINT
+        )
+    try:
+        return _extraction(header, arrays)
+    except Exception as error:
+        raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
+
+
+def _said(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    if "header" not in arrays:
+        return {}
+    header = json.loads(arrays["header"].tobytes())
+    return header if isinstance(header, dict) else {}
+
+
+def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extraction:
+    return Extraction(
+        rig=from_plain(Rig, header["rig"]),
+        board=from_plain(Board, header["board"]),
+        observations=tuple(_observation(arrays, i) for i in range(header["observations"])),
+        wheels=tuple(
+            WheelTrack(*(arrays[f"wheels.{i}.{name}"] for name in ("time_ns", "right_rad", "left_rad")))
+            for i in range(header["wheels"])
+        ),
+        rejections=tuple(from_plain(Rejection, item) for item in header["rejections"]),
+        notes=tuple(str(note) for note in header["notes"]),
+        logs=tuple(from_plain(LogSource, item) for item in header["logs"]),
+        counts={str(key): int(value) for key, value in header["counts"].items()},
+    )
+
+
+def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:
+    def corners(side: str) -> Corners:
+        pixels, sigma_px, pictures = (arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS)
+        return Corners(pixels, float(sigma_px), int(pictures))
+
+    values = {name: arrays[f"observations.{name}"][index] for name in _OBSERVATION_ARRAYS}
+    scalars = {name: value.item() for name, value in values.items() if value.ndim == 0}
+    return Observation(**(values | scalars), left=corners("left"), right=corners("right"))

@@ -1,0 +1,88 @@
+"""Numbers and strings as text that every YAML loader, of version 1.1 or 1.2, reads as what they are."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.model import Setting
+
+_DIGITS = 13  # half a unit of the 13th digit is a relative error of at most 5e-13
+_NOTHING = 1e-15  # m, degrees or a unit quaternion's component: below what double precision gives them
+_PLAIN_KEY = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
+_WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])  # YAML 1.1: values
+
+
+def decimal(value: float) -> str:
+    """A plain decimal: no exponent (YAML 1.1 reads 1e-05 as a string), no -0, at most 13 digits.
+
+    Values under 1e-15 are written as 0.0.
+
+    Raises:
+        ValueError: the value is not finite.
+    """
+    if not np.isfinite(value):
+        raise ValueError(f"{value} cannot be written as a decimal")
+    if abs(value) < _NOTHING:
+        return "0.0"
+    return np.format_float_positional(value, precision=_DIGITS, fractional=False, trim="0")
+
+
+def decimals(values: Iterable[float]) -> str:
+    """A flow sequence of plain decimals."""
+    return "[" + ", ".join(decimal(float(value)) for value in values) + "]"
+
+
+def quoted(text: str) -> str:
+    """A double-quoted scalar on one line, whatever the text holds."""
+    return dump(text).removesuffix("\n")
+
+
+def dump(value: Setting) -> str:
+    """Block YAML of plain values; every string is quoted, so none is taken for a number or a date."""
+    stream = io.StringIO()
+    _emitter().dump(value, stream)
+    return stream.getvalue()
+
+
+def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any itself)
+    from ruamel.yaml import YAML
+    from ruamel.yaml.representer import SafeRepresenter
+
+    class Plain(SafeRepresenter):
+        """Quoted strings, decimals, and no anchors for values that occur twice."""
+
+        def ignore_aliases(self, data: object) -> bool:
+            return True
+
+    def text(representer: SafeRepresenter, data: str) -> Any:  # noqa: ANN401
+        return representer.represent_scalar("tag:yaml.org,2002:str", data, style='"')
+
+    def number(representer: SafeRepresenter, data: float) -> Any:  # noqa: ANN401
+        return representer.represent_scalar("tag:yaml.org,2002:float", decimal(data))
+
+    def mapping(representer: SafeRepresenter, data: Mapping[str, Setting]) -> Any:  # noqa: ANN401
+        node = representer.represent_mapping("tag:yaml.org,2002:map", dict(data))
+        for key, _ in node.value:
+            if _PLAIN_KEY.fullmatch(key.value) and key.value.lower() not in _WORDS:
+                key.style = None
+        return node
+
+    def sequence(representer: SafeRepresenter, data: Sequence[Setting]) -> Any:  # noqa: ANN401
+        return representer.represent_sequence("tag:yaml.org,2002:seq", list(data))
+
+    Plain.add_representer(str, text)
+    Plain.add_representer(float, number)
+    Plain.add_representer(dict, mapping)
+    Plain.add_multi_representer(Mapping, mapping)
+    Plain.add_multi_representer(tuple, sequence)
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Representer = Plain
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 1 << 30  # never fold: a folded string is hard to read and to search for
+    return yaml

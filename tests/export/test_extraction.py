@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.model import (
+    Board,
+    Camera,
+    Corners,
+    Extraction,
+    FixedLink,
+    HeadChain,
+    JointLink,
+    LogSource,
+    Nominal,
+    Observation,
+    Rejection,
+    Rig,
+    Sources,
+    StereoRig,
+    WheelGeometry,
+    WheelSource,
+    WheelTrack,
+)
+from tests.report.example import make_extraction, make_hostile
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+names = st.text(st.characters(), max_size=8)
+int64 = st.integers(-(2**63), 2**63 - 1)
+
+
+def arrays(*shape, elements=finite):
+    return hnp.arrays(np.float64, shape, elements=elements)
+
+
+cameras = st.builds(
+    Camera,
+    frame_id=names,
+    width=st.integers(1, 9999),
+    height=st.integers(1, 9999),
+    K=arrays(3, 3),
+    D=st.sampled_from([0, 4, 5, 8]).flatmap(arrays),
+    distortion=st.sampled_from(["none", "plumb_bob", "rational_polynomial", "equidistant"]),
+)
+links = st.one_of(
+    st.builds(FixedLink, arrays(4, 4)),
+    st.builds(JointLink, names, arrays(3), st.sampled_from(["revolute", "prismatic"]), finite, finite),
+)
+wheel_sources = st.builds(
+    WheelSource,
+    topic=names,
+    joint=st.none() | names,
+    field=st.none() | names,
+    ticks_per_revolution=st.none() | finite,
+    bits=st.sampled_from([None, 8, 16, 32, 64]),
+    sign=st.sampled_from([1, -1]),
+)
+sides = ("left", "right")
+rigs = st.builds(
+    Rig,
+    cameras=st.builds(
+        StereoRig,
+        left=cameras,
+        right=cameras,
+        T_c_r=arrays(4, 4),
+        rectified=st.booleans(),
+        R_rect_c=arrays(3, 3),
+        R_rect_r=arrays(3, 3),
+        reference=st.sampled_from(sides),
+    ),
+    chain=st.builds(HeadChain, names, names, st.lists(links, max_size=4).map(tuple), names, names),
+    nominal=st.builds(
+        Nominal, st.none() | arrays(4, 4), st.none() | st.builds(WheelGeometry, finite, finite, finite)
+    ),
+    sources=st.builds(
+        Sources,
+        image=st.fixed_dictionaries(dict.fromkeys(sides, names)),
+        info=st.fixed_dictionaries(dict.fromkeys(sides, names)),
+        joints=st.lists(names, max_size=2).map(tuple),
+        wheels=st.fixed_dictionaries(dict.fromkeys(sides, wheel_sources)),
+    ),
+    settled_by=st.dictionaries(names, names, max_size=3),
+)
+
+
+def corner_sets(m):
+    return st.builds(Corners, arrays(m, 2), finite, st.integers(0, 99))
+
+
+def observations(m, j):
+    return st.builds(
+        Observation,
+        log=st.integers(0, 9),
+        station=st.integers(0, 999),
+        time_ns=int64,
+        at_rest=st.booleans(),
+        joints=arrays(j),
+        joints_std=arrays(j),
+        left=corner_sets(m),
+        right=corner_sets(m),
+        points_c=arrays(m, 3),
+        points_cov=arrays(m, 3, 3),
+        T_c_k=arrays(4, 4),
+        T_c_k_cov=arrays(6, 6),
+        square_m=finite,
+        reprojection_px=finite,
+    )
+
+
+tracks = st.integers(0, 5).flatmap(
+    lambda n: st.builds(WheelTrack, hnp.arrays(np.int64, n, elements=int64), arrays(n), arrays(n))
+)
+extractions = st.builds(
+    Extraction,
+    rig=rigs,
+    board=st.builds(Board, st.integers(2, 5), st.integers(2, 5), st.none() | finite),
+    observations=st.tuples(st.integers(1, 6), st.integers(0, 3)).flatmap(
+        lambda size: st.lists(observations(*size), max_size=3).map(tuple)
+    ),
+    wheels=st.lists(tracks, max_size=2).map(tuple),
+    rejections=st.lists(st.builds(Rejection, names, names, names, int64, int64), max_size=3).map(tuple),
+    notes=st.lists(names, max_size=3).map(tuple),
+    logs=st.lists(st.builds(LogSource, names, names), max_size=2).map(tuple),
+    counts=st.dictionaries(names, int64, max_size=3),
+)
+
+
+def assert_same(a, b, where="extraction"):
+    """Equal in every field, of the same types, to the last bit."""
+    assert type(a) is type(b), where
+    if dataclasses.is_dataclass(a):
+        for field in dataclasses.fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, np.ndarray):
+        assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), where
+        assert not b.flags.writeable, where
+    elif isinstance(a, tuple):
+        assert len(a) == len(b), where
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same(x, y, f"{where}[{i}]")
+    elif isinstance(a, dict):
+        assert list(a) == list(b), where
+        for key, value in a.items():
+            assert_same(value, b[key], f"{where}.{key}")
+    else:
+        assert repr(a) == repr(b), where  # repr tells -0.0 from 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(extractions)
+def test_every_field_comes_back(extraction):
+    data = extraction_to_npz(extraction)
+    assert_same(extraction, extraction_from_npz(data))
+    assert extraction_to_npz(extraction) == data
+
+
+def test_a_usual_one_comes_back_from_a_file(tmp_path):
+    extraction = make_hostile(make_extraction(n=3, logs=2))
+    (tmp_path / "extraction.npz").write_bytes(extraction_to_npz(extraction))
+    assert_same(extraction, extraction_from_npz(tmp_path / "extraction.npz"))
+
+
+def test_numpy_alone_can_read_it():
+    extraction = make_extraction(n=3)
+    with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
+        assert archive["observations.points_c"].shape == (3, 54, 3)
+        assert archive["wheels.0.time_ns"].dtype == np.int64
+        assert json.loads(archive["header"].tobytes())["schema_version"] == 1
+
+
+def test_the_bytes_hold_no_time():
+    with zipfile.ZipFile(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as archive:
+        assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def with_header(change):
+    """A sound file whose header was changed."""
+    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as archive:
+        content = {name: archive[name] for name in archive.files}
+    header = json.loads(content["header"].tobytes())
+    change(header)
+    content["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda h: h.update(schema_version=2), "schema version 2"),
+        (lambda h: h.pop("schema_version"), "schema version None"),
+        (lambda h: h.update(format="something"), "not an extraction"),
+        (lambda h: h.pop("rig"), "damaged"),
+        (lambda h: h["rig"].update(extra=1), "Rig: keys ['extra']"),
+        (lambda h: h["rig"]["chain"].update(pan=3), "Rig.chain.pan: a int"),
+        (lambda h: h["rig"]["cameras"].update(reference="up"), "'up' is none of"),
+        (lambda h: h["rig"]["cameras"]["left"].update(K=[[1]]), "Camera.K: shape"),
+        (lambda h: h["rig"]["chain"]["links"][0].clear(), "fit none of"),
+        (lambda h: h.update(observations=3), "out of bounds"),
+        (lambda h: h.update(wheels=2), "wheels.1.time_ns"),
+    ],
+)
+def test_a_changed_header_is_said(change, said):
+    with pytest.raises(RecordingError) as caught:
+        extraction_from_npz(with_header(change))
+    assert said in caught.value.message
+    assert caught.value.hint
+
+
+def test_foreign_files(tmp_path):
+    stream = io.BytesIO()
+    np.savez(stream, a=np.zeros(3))
+    with pytest.raises(RecordingError, match="not an extraction"):
+        extraction_from_npz(stream.getvalue())
+    for content in (b"", b"PK", b"\x89MCAP0\r\n", b"\x80\x04pickle"):
+        with pytest.raises(RecordingError):
+            extraction_from_npz(content)
+    with pytest.raises(RecordingError, match=r"missing\.npz: cannot be read: No such file"):
+        extraction_from_npz(tmp_path / "missing.npz")
+
+
+def test_pickled_objects_are_refused():
+    stream = io.BytesIO()
+    np.savez(stream, header=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(RecordingError, match="damaged"):
+        extraction_from_npz(stream.getvalue())
+
+
+def test_cut_and_flipped_files_only_raise_recording_errors():
+    data = extraction_to_npz(make_extraction(n=2))
+    rng = np.random.default_rng(3)
+    refused = 0
+    for trial in range(300):
+        if trial % 3 == 0:
+            damaged = data[: rng.integers(len(data))]
+        else:
+            changed = bytearray(data)
+            changed[rng.integers(len(data))] ^= int(rng.integers(1, 256))
+            damaged = bytes(changed)
+        try:
+            extraction_from_npz(damaged)
+        except RecordingError:
+            refused += 1
+    assert refused > 250  # what is left are bytes of the zip's own bookkeeping that nothing reads

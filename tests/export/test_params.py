@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.yaml_text import decimal, dump, quoted
+from mobilecal_cli.model import LogSource, Parameters
+from tests.report.example import (
+    HOSTILE,
+    make_extraction,
+    make_hostile,
+    make_provenance,
+    make_rig,
+    make_solution,
+)
+
+GOLDEN = Path(__file__).parent / "golden"
+# What PyYAML takes for a float (its resolver's pattern, YAML 1.1): the exponent needs a point and a sign.
+PYYAML_FLOAT = re.compile(
+    r"[-+]?([0-9][0-9_]*)\.[0-9_]*([eE][-+][0-9]+)?|\.[0-9][0-9_]*([eE][-+][0-9]+)?|[-+]?\.(inf|nan)"
+)
+
+
+def load(text: str, version: str = "1.2"):
+    yaml = YAML(typ="safe", pure=True)
+    yaml.version = version
+    return yaml.load(text)
+
+
+def both_versions(text: str):
+    old, new = load(text, "1.1"), load(text)
+    assert old == new
+    return new
+
+
+@pytest.fixture(scope="module")
+def extraction():
+    return make_extraction()
+
+
+@pytest.fixture(scope="module")
+def solution(extraction):
+    return make_solution(extraction)
+
+
+def test_the_whole_file_against_its_golden_copy(extraction, solution):
+    text = params_yaml(solution, extraction, make_provenance(extraction))
+    assert text == (GOLDEN / "params.yaml").read_text(encoding="utf-8")
+
+
+def test_the_contract_of_keys(extraction, solution):
+    data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
+    assert list(data) == ["schema_version", "head_eye", "wheels", "quality", "provenance"]
+    assert data["schema_version"] == 1
+    assert list(data["head_eye"]) == [
+        "parent_frame", "child_frame", "translation_m", "quaternion_xyzw", "euler_zyx_deg",
+    ]  # fmt: skip
+    assert list(data["head_eye"]["euler_zyx_deg"]) == ["x", "y", "z"]
+    assert set(data["wheels"]) == {"radius_left_m", "radius_right_m", "separation_m"}
+    assert data["quality"] == {
+        "stations": 12,
+        "point_rms_mm": pytest.approx(solution.point_rms_m * 1000, rel=1e-12),
+        "reprojection_rms_px": pytest.approx(solution.reprojection_rms_px, rel=1e-12),
+    }
+    assert list(data["provenance"]) == ["tool", "version", "created", "method", "logs", "config"]
+    assert data["provenance"]["logs"] == [{"path": "robot_0.mcap", "sha256": "0" * 64}]
+    assert data["provenance"]["config"]["board"]["columns"] == {"value": 9, "settled_by": "log"}
+
+
+def test_every_number_is_a_float_for_pyyaml_too(extraction, solution):
+    tiny = dataclasses.replace(
+        solution,
+        parameters=Parameters(
+            se3.transform(np.eye(3), np.array([1e-5, -2e-9, -0.0])), solution.parameters.wheels
+        ),
+    )
+    text = params_yaml(tiny, extraction, make_provenance(extraction))
+    lists = re.findall(r"(?:translation_m|quaternion_xyzw): \[(.*)\]", text)
+    numbers = [number for group in lists for number in group.split(", ")]
+    assert len(numbers) == 7
+    assert all(PYYAML_FLOAT.fullmatch(number) for number in numbers)
+    assert numbers[:3] == ["0.00001", "-0.000000002", "0.0"]
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_decimals_come_back(value):
+    text = decimal(value)
+    assert PYYAML_FLOAT.fullmatch(text)
+    assert "e" not in text.lower()
+    assert not text.startswith("-0.0") or float(text) < 0
+    assert float(text) == pytest.approx(value, rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_decimal_is_finite(value):
+    with pytest.raises(ValueError, match="cannot be written"):
+        decimal(value)
+
+
+@given(st.text(st.characters()))
+def test_any_string_comes_back_from_one_quoted_line(text):
+    line = quoted(text)
+    assert len(line.splitlines()) == 1
+    assert both_versions(f"key: {line}  # comment\n") == {"key": text}
+
+
+@pytest.mark.parametrize(
+    "word", ["yes", "No", "null", "~", "1e-5", "2024-01-01", "12:30:45", "0o7", "=", "<<"]
+)
+def test_strings_and_keys_that_look_like_values_stay_strings(word):
+    assert both_versions(dump({word: word, "in": [word, {"x": word}]})) == {
+        word: word,
+        "in": [word, {"x": word}],
+    }
+
+
+def test_head_eye_speaks_of_the_reference_camera(extraction, solution):
+    stereo = dataclasses.replace(extraction.rig.cameras, reference="right")
+    right = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=stereo))
+    robot = parameters_from_yaml(params_yaml(solution, right, make_provenance(right)))
+    assert robot.child_frame == "stereo_right_optical"
+    expected = solution.parameters.T_h_c @ stereo.T_c_r
+    np.testing.assert_allclose(robot.T_parent_child, expected, rtol=0, atol=1e-12)
+
+
+def test_rectified_pictures_name_both_frames(solution):
+    extraction = make_extraction(rig=make_rig(rectified=True))
+    data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
+    assert data["head_eye"]["child_frame"] == "stereo_left_optical"
+    raw = data["head_eye_raw"]
+    assert raw["child_frame"] == "stereo_left_optical_raw"
+    assert raw["translation_m"] == data["head_eye"]["translation_m"]
+    R_h_rect = se3.from_quaternion_xyzw(np.array(data["head_eye"]["quaternion_xyzw"]))
+    R_h_raw = se3.from_quaternion_xyzw(np.array(raw["quaternion_xyzw"]))
+    ray_raw = np.array([0.1, -0.2, 1.0])  # the same ray in both frames is the same ray in the head
+    ray_rect = extraction.rig.cameras.R_rect_c @ ray_raw
+    np.testing.assert_allclose(R_h_raw @ ray_raw, R_h_rect @ ray_rect, atol=1e-11)
+
+
+def test_a_note_near_gimbal_lock_only(extraction, solution):
+    text = params_yaml(solution, extraction, make_provenance(extraction))
+    assert "gimbal" not in text
+    locked = Parameters(
+        se3.transform(se3.from_rpy(np.radians([-164.22, 89.38, -166.4])), np.zeros(3)),
+        solution.parameters.wheels,
+    )
+    text = params_yaml(
+        dataclasses.replace(solution, parameters=locked), extraction, make_provenance(extraction)
+    )
+    assert "# y is 0.6 degrees from gimbal lock" in text
+    assert both_versions(text)["head_eye"]["euler_zyx_deg"] == pytest.approx(
+        {"x": -164.22, "y": 89.38, "z": -166.4}
+    )
+
+
+def test_strings_from_the_log_cannot_break_the_file(extraction, solution):
+    hostile = make_hostile(extraction)
+    provenance = dataclasses.replace(
+        make_provenance(hostile), logs=(LogSource(HOSTILE, "0" * 64),), config={HOSTILE: [HOSTILE]}
+    )
+    data = both_versions(params_yaml(solution, hostile, provenance))
+    assert data["head_eye"]["parent_frame"] == HOSTILE
+    assert data["provenance"]["logs"][0]["path"] == HOSTILE
+    assert data["provenance"]["config"] == {HOSTILE: [HOSTILE]}
+
+
+def test_read_back(extraction, solution):
+    robot = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    assert (robot.parent_frame, robot.child_frame) == ("head_link", "stereo_left_optical")
+    np.testing.assert_allclose(robot.T_parent_child, solution.parameters.T_h_c, rtol=0, atol=1e-12)
+    have, want = robot.wheels, solution.parameters.wheels
+    for name in ("radius_left_m", "radius_right_m", "separation_m"):
+        assert getattr(have, name) == pytest.approx(getattr(want, name), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("schema_version: 1", "schema_version: 2"), "schema_version: is 2"),
+        (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
+        (("  separation_m: 0", "  separation_m: -0"), "wheels.separation_m: Input should be greater than 0"),
+        (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
+        (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "has norm 2.64"),
+        (("head_eye:", "head_eye: ["), "not valid YAML"),
+        (("head_eye:", "head_ey:"), "head_eye: Field required"),
+    ],
+)
+def test_a_bad_file_is_a_config_error(extraction, solution, change, said):
+    text = params_yaml(solution, extraction, make_provenance(extraction))
+    assert change[0] in text
+    with pytest.raises(ConfigError, match=r"^calib\.yaml: ") as caught:
+        parameters_from_yaml(text.replace(*change), "calib.yaml")
+    assert said in caught.value.message
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize("text", ["", "3", "- a\n- b", "\x00", "a: &a [*a]"])
+def test_a_foreign_file_is_a_config_error(text):
+    with pytest.raises(ConfigError):
+        parameters_from_yaml(text)
