@@ -54,7 +54,7 @@ def at_times(track: Track, times_ns: IntArray) -> FloatArray:
     start = track.time_ns[0]
     # Offsets from the start are small enough for float64 to hold every nanosecond.
     offsets, samples = (times_ns - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
-    return np.interp(offsets, samples, track.value)
+    return np.asarray(np.interp(offsets, samples, track.value), dtype=np.float64)
 
 
 def wheel_track(right: Track, left: Track) -> WheelTrack:
@@ -226,13 +226,14 @@ def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozense
     wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
 
     times = np.array([shot.time_ns for shot in shots])
-    rejections, covered = [], np.ones(len(shots), dtype=bool)
+    rejections: list[Rejection] = []
+    covered = np.ones(len(shots), dtype=bool)
     for channel in channels:
         missing = ~channel.covers(times)
-        for i in np.flatnonzero(missing & covered):
-            rejections.append(
-                Rejection("stations", "readings missing around the picture", channel.name, int(times[i]))
-            )
+        rejections += [
+            Rejection("stations", "readings missing around the picture", channel.name, int(time_ns))
+            for time_ns in times[missing & covered]
+        ]
         covered &= ~missing
     if not covered.any():
         names = ", ".join(dict.fromkeys(r.detail for r in rejections))

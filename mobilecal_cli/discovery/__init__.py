@@ -1,0 +1,5 @@
+"""What the robot is, found by message type and name where the configuration does not say."""
+
+from mobilecal_cli.discovery.settle import Settled, settle_rig
+
+__all__ = ["Settled", "settle_rig"]

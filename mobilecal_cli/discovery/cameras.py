@@ -1,0 +1,152 @@
+"""Which topics are the stereo pair, and what their calibrations say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.config import RigConfig
+from mobilecal_cli.discovery.names import pairs, side_of, words
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.model import Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig
+
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_SIDES: tuple[Side, Side] = ("left", "right")
+_LEAST_BASELINE_M = 1e-4
+
+
+def _present(prelude: Prelude) -> str:
+    return ", ".join(f"{topic.name} ({topic.type})" for topic in prelude.topics) or "none"
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether an image topic's name says that its images are rectified."""
+    return any(word.startswith("rect") for word in words(topic))
+
+
+def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
+    """The two image topics: as configured, or the pair whose names differ in the side only.
+
+    Raw images come before rectified ones (the reprojection error is then measured in raw pixels), and full
+    messages before compressed ones.
+
+    Raises:
+        RecordingError: no such pair; the topics that are there are listed.
+    """
+    present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGE_TYPES}
+    configured: dict[Side, str | None] = {
+        "left": config.cameras.left.image,
+        "right": config.cameras.right.image,
+    }
+    for side, name in configured.items():
+        if name is not None and name not in present:
+            raise RecordingError(
+                f"the {side} camera's topic {name} holds no images in this recording",
+                f"image topics present: {', '.join(sorted(present)) or 'none'}; all topics: {_present(prelude)}",
+            )
+    candidates = [
+        pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in _SIDES)
+    ]
+    if configured["left"] and configured["right"]:
+        return {"left": configured["left"], "right": configured["right"]}
+    if config.cameras.rectified is not None:
+        fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
+        candidates = fitting or candidates
+    if not candidates:
+        raise RecordingError(
+            "no stereo pair: no two image topics whose names differ only in left and right",
+            f"set cameras.left.image and cameras.right.image; topics present: {_present(prelude)}",
+        )
+
+    def preference(pair: dict[Side, str]) -> tuple[bool, bool, str]:
+        return is_rectified(pair["left"]), "CompressedImage" in present[pair["left"]].type, pair["left"]
+
+    return min(candidates, key=preference)
+
+
+def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:
+    """The camera-info topic of an image topic: as configured, beside it, or of the same frame.
+
+    Raises:
+        RecordingError: none fits.
+    """
+    configured = (config.cameras.left if side == "left" else config.cameras.right).info
+    if configured is not None:
+        if configured not in prelude.infos:
+            raise RecordingError(
+                f"the {side} camera's topic {configured} holds no camera info in this recording",
+                f"camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
+            )
+        return configured
+    namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
+    beside = f"{namespace}/camera_info"
+    if beside in prelude.infos:
+        return beside
+    frame = prelude.image_frames.get(image, "")
+    same_frame = sorted(name for name, info in prelude.infos.items() if frame and info.frame_id == frame)
+    same_side = sorted(name for name in prelude.infos if side_of(name) == side)
+    for found in (same_frame, same_side):
+        if len(found) == 1:
+            return found[0]
+    raise RecordingError(
+        f"no camera info for the {side} images of {image}: looked for {beside}",
+        f"set cameras.{side}.info; camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
+    )
+
+
+def _camera(info: CameraInfo, rectified: bool) -> Camera:
+    if rectified:
+        return Camera(info.frame_id, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
+    return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
+
+
+def _rectified_origin(info: CameraInfo) -> FloatArray:
+    """Origin of the pair's rectified frame in this camera's rectified coordinates, (3,), m."""
+    return np.asarray(np.linalg.solve(info.P[:, :3], info.P[:, 3]), dtype=np.float64)
+
+
+def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: Side = "left") -> StereoRig:
+    """The pair's geometry out of its two camera infos, by ROS's convention.
+
+    Raw coordinates x of either camera become rectified ones R x; the rectified frames are parallel, and
+    P = (K', K' t) says where the pair's origin is in each. So T_c_r = (R_c^T R_r, R_c^T (t_r' - t_c')).
+
+    Args:
+        left, right: calibrations.
+        rectified: the images are rectified, so c and r are the rectified frames.
+        reference: the camera that head_eye speaks of.
+
+    Raises:
+        RecordingError: no baseline, or the cameras are the wrong way round.
+    """
+    offset = _rectified_origin(left) - _rectified_origin(right)
+    if abs(offset[0]) < _LEAST_BASELINE_M and np.linalg.norm(offset) < _LEAST_BASELINE_M:
+        raise RecordingError(
+            f"the stereo pair has no baseline: P[0, 3] is {left.P[0, 3]:g} in {left.frame_id or 'left'} and "
+            f"{right.P[0, 3]:g} in {right.frame_id or 'right'}",
+            "calibrate the stereo pair; the right camera's P[0, 3] must be -fx * baseline",
+        )
+    if offset[0] < 0:
+        raise RecordingError(
+            f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left one by its camera info",
+            "exchange cameras.left and cameras.right",
+        )
+    R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
+    T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
+    return StereoRig(
+        _camera(left, rectified), _camera(right, rectified), T_c_r, rectified, left.R, right.R, reference
+    )
+
+
+def check_sizes(infos: dict[Side, CameraInfo]) -> None:
+    """Refuse camera infos that carry no image size.
+
+    Raises:
+        ConfigError: a size of zero.
+    """
+    for side, info in infos.items():
+        if info.width <= 0 or info.height <= 0:
+            raise ConfigError(
+                f"the {side} camera's info says its images are {info.width} x {info.height} pixels",
+                "calibrate the camera",
+            )

@@ -1,0 +1,161 @@
+"""Flag > file > log > default: the rig, settled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mobilecal_cli.config import RigConfig
+from mobilecal_cli.discovery.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
+from mobilecal_cli.discovery.joints import (
+    chain_from_urdf,
+    explicit_chain,
+    frames,
+    joint_topics,
+    nominal_head_eye,
+    nominal_wheels,
+    pan_and_tilt,
+    wheel_sources,
+)
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.model import (
+    CameraInfo,
+    HeadChain,
+    JointLink,
+    Nominal,
+    Prelude,
+    Rig,
+    Side,
+    Sources,
+    WheelGeometry,
+    WheelSource,
+)
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A rig and what its settling is worth telling.
+
+    Attributes:
+        rig: complete.
+        notes: whole sentences for the report.
+    """
+
+    rig: Rig
+    notes: tuple[str, ...]
+
+
+def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
+    """What gave a dotted key: "flag" or "file" for it or a key below it, None for neither."""
+    if any(flag == key or flag.startswith(f"{key}.") for flag in flags):
+        return "flag"
+    value: object = config
+    for part in key.split("."):
+        if part not in getattr(value, "model_fields_set", ()):
+            return None
+        value = getattr(value, part)
+    return "file"
+
+
+def _head(
+    config: RigConfig, prelude: Prelude, urdf_text: str | None, wheels: dict[Side, WheelSource]
+) -> tuple[HeadChain, WheelGeometry | None, list[str], str]:
+    if config.head.chain is not None:
+        moving = [link.joint for link in config.head.chain if link.joint]
+        pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
+        base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
+        return explicit_chain(config, base, head, pan, tilt), None, [], "chain of the configuration"
+    origin = "URDF of the configuration"
+    notes = []
+    if urdf_text is None:
+        if not prelude.urdfs:
+            raise RecordingError(
+                "nothing says how the head is mounted: no robot_description in the recording, no head.urdf and "
+                "no head.chain in the configuration",
+                "set head.urdf or head.chain in rig.yaml (mobilecal init LOG writes a draft)",
+            )
+        topic, urdf_text = next(iter(sorted(prelude.urdfs.items())))
+        origin = f"URDF in the log's {topic}"
+        if len(set(prelude.urdfs.values())) > 1:
+            notes.append(f"The log holds several URDFs; the one of {topic} was used.")
+    urdf = parse_urdf(urdf_text)
+    in_states = {name for names in prelude.joint_names.values() for name in names}
+    pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
+    if not tilt and config.head.head_frame is None:
+        # Joint states may be short of the head's joints; the URDF still tells which they should be.
+        pan, tilt = pan_and_tilt(config, prelude, list(urdf.joints))
+    chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
+    base, _ = frames(config, urdf, tilt)
+    return chain, nominal_wheels(urdf, wheels, base), notes + chain_notes, origin
+
+
+def settle_rig(
+    config: RigConfig,
+    prelude: Prelude,
+    urdf_text: str | None = None,
+    flags: frozenset[str] = frozenset(),
+) -> Settled:
+    """Complete a configuration by what the recording tells.
+
+    Args:
+        config: flags already laid over the file.
+        prelude: the recording's topics and first messages.
+        urdf_text: contents of `head.urdf`, when the configuration names one.
+        flags: dotted keys that came from flags, for the report.
+
+    Raises:
+        RecordingError: the recording lacks something that the configuration does not give either.
+        ConfigError: the two do not fit together, or leave several possibilities.
+    """
+    images = image_topics(config, prelude)
+    info_topics = {side: info_topic(side, images[side], config, prelude) for side in _SIDES}
+    infos: dict[Side, CameraInfo] = {side: prelude.infos[topic] for side, topic in info_topics.items()}
+    check_sizes(infos)
+    rectified = config.cameras.rectified
+    if rectified is None:
+        rectified = is_rectified(images["left"])
+    cameras = stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference)
+    wheels = wheel_sources(config, prelude)
+    chain, drawn_wheels, notes, chain_origin = _head(config, prelude, urdf_text, wheels)
+    if not any(isinstance(link, JointLink) for link in chain.links):
+        raise ConfigError(
+            f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
+            "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
+        )
+    topics = joint_topics(config, prelude, chain)
+    given = config.nominal.wheels
+    nominal = Nominal(
+        nominal_head_eye(config),
+        WheelGeometry(given.radius_right_m, given.radius_left_m, given.separation_m)
+        if given
+        else drawn_wheels,
+    )
+
+    def settled(key: str, otherwise: str = "log") -> str:
+        return _given(config, flags, key) or otherwise
+
+    settled_by = {
+        "board size": settled("board.columns", "pictures"),
+        "board square_m": settled("board.square_m", "stereo"),
+        f"left images {images['left']}": settled("cameras.left.image"),
+        f"right images {images['right']}": settled("cameras.right.image"),
+        f"left camera info {info_topics['left']}": settled("cameras.left.info"),
+        f"right camera info {info_topics['right']}": settled("cameras.right.info"),
+        f"images are {'rectified' if rectified else 'raw'}": settled("cameras.rectified", "topic name"),
+        f"reference camera {config.cameras.reference}": settled("cameras.reference", "default"),
+        f"joint states {', '.join(topics)}": settled("joints.topic"),
+        f"pan joint {chain.pan or 'none'}": settled("joints.pan", "its name"),
+        f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "its name"),
+        f"head chain {chain.base_frame} to {chain.head_frame}": chain_origin,
+        **{
+            f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
+            for side, source in wheels.items()
+        },
+        "nominal wheels": settled("nominal.wheels", "URDF" if drawn_wheels else "none"),
+        "nominal head_eye": settled("nominal.head_eye", "none"),
+    }
+    return Settled(
+        Rig(cameras, chain, nominal, Sources(images, info_topics, topics, wheels), settled_by), tuple(notes)
+    )
