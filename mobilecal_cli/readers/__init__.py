@@ -1,1 +1,24 @@
-"""TODO"""
+"""Readers: one module a container, and what the other stages need out of a recording.
+
+`open_recording` looks at the content, never at the suffix. `read_prelude` tells what there is, `read_signals` reads
+everything but the pictures' contents in one pass, `read_images` streams the pictures that are asked for.
+"""
+
+from mobilecal_cli.readers.hashing import sha256_of
+from mobilecal_cli.readers.images import decode_image, read_images
+from mobilecal_cli.readers.opening import join_parts, open_recording
+from mobilecal_cli.readers.prelude import read_prelude
+from mobilecal_cli.readers.recording import Message, Recording
+from mobilecal_cli.readers.signals import read_signals
+
+__all__ = [
+    "Message",
+    "Recording",
+    "decode_image",
+    "join_parts",
+    "open_recording",
+    "read_images",
+    "read_prelude",
+    "read_signals",
+    "sha256_of",
+]

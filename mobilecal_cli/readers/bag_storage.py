@@ -1,0 +1,229 @@
+"""ROS 1 bags (format 2.0): indexed, unindexed and cut short.
+
+rosbags reads healthy bags only and keeps an entry per message in memory; recorders that were killed leave bags
+without an index. So the few record kinds of the format are read here, as blocks, the same way for all bags;
+the tests hold rosbags beside it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers.channels import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.compression import decompress
+from mobilecal_cli.readers.storage import Block, BlockStorage
+from mobilecal_cli.readers.walk import Walk
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
+_TIME = struct.Struct("<II")
+
+Fields = dict[bytes, bytes]
+
+
+def _u32(fields: Fields, name: bytes) -> int:
+    return int(_U32.unpack(fields[name])[0])
+
+
+def _time_ns(fields: Fields, name: bytes) -> int:
+    seconds, nanoseconds = _TIME.unpack(fields[name])
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+def _fields(header: memoryview) -> Fields:
+    """The name=value fields of a record header.
+
+    Raises:
+        ValueError: a field without "=".
+        EOFError: a field goes on beyond the header.
+    """
+    fields: Fields = {}
+    at = 0
+    while at < len(header):
+        (size,) = _U32.unpack_from(header, at)
+        at += _U32.size
+        if at + size > len(header):
+            raise EOFError("a header field goes on beyond its header")
+        name, separator, value = bytes(header[at : at + size]).partition(b"=")
+        if not separator:
+            raise ValueError("a header field without a value")
+        fields[name] = value
+        at += size
+    return fields
+
+
+def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
+    """Header fields of the record at `at`, and where its data begins and ends."""
+    (header_size,) = _U32.unpack_from(data, at)
+    header = at + _U32.size
+    body = header + header_size + _U32.size
+    if body > len(data):
+        raise EOFError("a record goes on beyond its end")
+    (size,) = _U32.unpack_from(data, header + header_size)
+    if body + size > len(data):
+        raise EOFError("a record goes on beyond its end")
+    return _fields(data[header : header + header_size]), body, body + size
+
+
+class BagStorage(BlockStorage):
+    """One ROS 1 bag."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        fields, _, self.first = self.head(len(MAGIC))
+        if fields.get(b"encryptor"):
+            raise RecordingError(
+                f"{path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
+                "decrypt it with rosbag decrypt first",
+            )
+        if not self._read_index(fields):
+            self.channels.clear()
+            self.blocks.clear()
+            self.counts = None
+            _Walk(self).run()
+        self.settle()
+
+    def head(self, at: int) -> tuple[Fields, int, int]:
+        """Header fields of the record at byte `at` of the file, and where its data begins and ends."""
+        (header_size,) = _U32.unpack(self.read_at(at, _U32.size))
+        header = self.read_at(at + _U32.size, header_size)
+        body = at + _U32.size + header_size + _U32.size
+        (size,) = _U32.unpack(self.read_at(body - _U32.size, _U32.size))
+        return _fields(memoryview(header)), body, body + size
+
+    def _read_index(self, bag: Fields) -> bool:
+        """Use the index at the end of the bag; False when there is none, or any of it is wrong."""
+        try:
+            at = int(_U64.unpack(bag[b"index_pos"])[0])
+            if at == 0:
+                return False
+            for _ in range(_u32(bag, b"conn_count")):
+                fields, body, end = self.head(at)
+                self.define(fields, self.read_at(body, end - body))
+                at = end
+            counts = dict.fromkeys(self.channels, 0)
+            for _ in range(_u32(bag, b"chunk_count")):
+                fields, body, end = self.head(at)
+                self._index_chunk(fields, self.read_at(body, end - body), counts)
+                at = end
+        except Exception:  # a damaged index: any exception at all; the walk does without
+            return False
+        self.counts = counts
+        return True
+
+    def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> None:
+        position = int(_U64.unpack(fields[b"chunk_pos"])[0])
+        chunk, _, end = self.head(position)
+        if chunk[b"op"] != bytes([_CHUNK]) or end > self.size:
+            raise ValueError("the index points beside a chunk")
+        numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))
+        if not numbers <= self.channels.keys():
+            raise ValueError("the index names an unknown connection")
+        for number, messages in struct.iter_unpack("<II", data):
+            counts[number] += messages
+        start_ns, end_ns = _time_ns(fields, b"start_time"), _time_ns(fields, b"end_time")
+        if numbers:
+            self.blocks.append(Block(position, end - position, True, start_ns, end_ns, numbers))
+
+    def load(self, block: Block) -> bytes:
+        """The block's records, decompressed."""
+        data = self.read_at(block.offset, block.size)
+        if not block.is_chunk:
+            return data
+        fields, body, end = _split(memoryview(data), 0)
+        return decompress(data[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
+
+    def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
+        """Connection id, log time and payload of every message; connections on the way are registered."""
+        view = memoryview(data)
+        at = 0
+        while at < len(view):
+            fields, body, end = _split(view, at)
+            kind = fields[b"op"][0]
+            if kind == _MESSAGE:
+                yield _u32(fields, b"conn"), _time_ns(fields, b"time"), view[body:end]
+            elif kind == _CONNECTION:
+                self.define(fields, data[body:end])
+            at = end
+
+    def define(self, fields: Fields, data: bytes) -> None:
+        """Take in a connection record."""
+        number = _u32(fields, b"conn")
+        if number in self.channels:
+            return
+        inner = _fields(memoryview(data))
+        self.channels[number] = Channel(
+            number,
+            fields[b"topic"].decode(),
+            ros2_spelling(inner[b"type"].decode()),
+            "ros1",
+            inner.get(b"message_definition", b"").decode(errors="replace"),
+            "msg",
+        )
+
+
+class _Walk(Walk):
+    """Finds the blocks of a bag without a usable index, reading record headers only."""
+
+    def __init__(self, storage: BagStorage) -> None:
+        super().__init__(storage)
+        self._storage = storage
+
+    def run(self) -> None:
+        """Fill the storage's blocks, channels and counts; note that the index is missing, where it is cut."""
+        storage = self._storage
+        at = storage.first
+        trouble = ""
+        while at < storage.size:
+            try:
+                fields, body, end = storage.head(at)
+                if end > storage.size:
+                    self._rest_of_chunk(fields, body)
+                    raise EOFError("its data goes on beyond the end")
+                done = self._visit(fields, at, body, end)
+            except Exception as error:  # without a whole head the next record cannot be found
+                trouble = f"the bag breaks off in the record at byte {at} of {storage.size} ({error})"
+                break
+            if done:
+                break
+            at = end
+        self.finish(trouble)
+        if not trouble:
+            storage.note(
+                f"the bag has no usable index (the recorder was not stopped properly?); a scan found "
+                f"{sum((storage.counts or {}).values())} messages"
+            )
+
+    def _rest_of_chunk(self, fields: Fields, body: int) -> None:
+        """The whole messages of an uncompressed chunk that the end of the file cuts."""
+        if fields[b"op"][0] == _CHUNK and fields.get(b"compression") == b"none":
+            rest = self._storage.size - body
+            self.chunk(Block(body, rest, False, 2**63 - 1, 0, None))
+
+    def _visit(self, fields: Fields, at: int, body: int, end: int) -> bool:
+        storage = self._storage
+        kind = fields[b"op"][0]
+        if kind == _CHUNK:
+            # The index records tell the channels; the times stand only inside, or in their entries.
+            self.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
+        elif kind == _INDEX:
+            self.index(_u32(fields, b"conn"), _u32(fields, b"count"))
+            data = storage.read_at(body, end - body)
+            for seconds, nanoseconds, _ in struct.iter_unpack("<III", data):
+                self.stretch(seconds * 10**9 + nanoseconds)
+        elif kind == _MESSAGE:
+            self.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
+        elif kind == _CONNECTION:
+            self.other()
+            storage.define(fields, storage.read_at(body, end - body))
+        elif kind == _CHUNK_INFO:
+            return True
+        else:
+            raise ValueError(f"unknown record kind {kind}")
+        return False

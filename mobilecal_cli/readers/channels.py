@@ -1,0 +1,120 @@
+"""Channels: what a container says of one stream of messages, and how its payloads become values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from mobilecal_cli.errors import RecordingError
+
+DefinitionFormat = Literal["msg", "idl", ""]
+Payload = bytes | memoryview
+
+#: Two lines of this precede each file in concatenated IDL definitions.
+_IDL_SEPARATOR = "=" * 80 + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One stream of messages in one container.
+
+    Attributes:
+        id: the container's own number for it.
+        topic: the topic.
+        type: message type in ROS 2 spelling.
+        encoding: "cdr" (ROS 2), "ros1", or whatever else the container says.
+        definition: text of the message definition with its dependencies, "" where the container has none.
+        definition_format: its language.
+    """
+
+    id: int
+    topic: str
+    type: str
+    encoding: str
+    definition: str = ""
+    definition_format: DefinitionFormat = ""
+
+    def check(self) -> None:
+        """Make sure that payloads can be decoded at all.
+
+        Raises:
+            RecordingError: unknown encoding, or no definition of the message type.
+        """
+        if self.encoding not in ("cdr", "ros1"):
+            raise RecordingError(
+                f"{self.topic}: messages of type {self.type or '(none)'} are encoded as "
+                f"{self.encoding or '(nothing stated)'!r}; only cdr (ROS 2) and ros1 are read",
+                "record the topic through ROS, or name another topic in rig.yaml",
+            )
+        _decoder(self.encoding, self.type, self.definition, self.definition_format)
+
+    def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+        """The message as an object with the definition's fields; arrays are views of the payload.
+
+        Raises:
+            RecordingError: the payload does not fit the definition.
+        """
+        decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
+        try:
+            return decoder(payload)
+        except Exception as error:  # damaged payloads raise almost anything
+            raise RecordingError(
+                f"{self.topic}: a message does not fit its type {self.type}: {error}",
+                "the recording is damaged there, or its message definition belongs to another version",
+            ) from error
+
+
+def ros2_spelling(name: str) -> str:
+    """A message type in ROS 2 spelling: "sensor_msgs/Image" becomes "sensor_msgs/msg/Image"."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+@lru_cache(maxsize=256)
+def _decoder(
+    encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
+) -> Callable[[Payload], object]:
+    store = _embedded_types(type_name, definition, definition_format)
+    if store is None:
+        store = _default_types(encoding)
+    if type_name not in store.fielddefs:
+        raise RecordingError(
+            f"the recording holds no definition of the message type {type_name}, "
+            "and it is not one of the common types",
+            "record with a storage that keeps definitions (MCAP, or rosbag2 from Iron on)",
+        )
+    if encoding == "ros1":
+        return lambda payload: store.deserialize_ros1(payload, type_name)
+    return lambda payload: store.deserialize_cdr(payload, type_name)
+
+
+def _embedded_types(type_name: str, definition: str, definition_format: DefinitionFormat) -> Typestore | None:
+    """The types that the definition text declares; None where there is none that can be used."""
+    if not definition.strip() or not definition_format:
+        return None
+    try:
+        if definition_format == "msg":
+            types = get_types_from_msg(definition, type_name)
+        elif definition.startswith(f"{_IDL_SEPARATOR}IDL: "):
+            types = {}
+            for part in definition.split(_IDL_SEPARATOR)[1:]:
+                types.update(get_types_from_idl(part.partition("\n")[2]))
+        else:
+            types = get_types_from_idl(definition)
+        store = get_typestore(Stores.EMPTY)
+        store.register(types)
+        store.get_msgdef(type_name)
+    except Exception:  # a damaged definition: the common types may still do
+        return None
+    return store
+
+
+@lru_cache(maxsize=2)
+def _default_types(encoding: str) -> Typestore:
+    """The common types; rosbag2 keeps definitions from Iron on, so files without them are older."""
+    return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)

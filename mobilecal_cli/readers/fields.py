@@ -1,0 +1,91 @@
+"""Numbers in messages of any type, by a path such as "data", "left.ticks" or "values[0]"."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)")
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPath:
+    """A parsed path.
+
+    Attributes:
+        text: as the user wrote it.
+        steps: attribute names and list indices, in order.
+    """
+
+    text: str
+    steps: tuple[str | int, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> FieldPath:
+        """Read a path.
+
+        Raises:
+            RecordingError: it is not a path.
+        """
+        steps: list[str | int] = []
+        for part in text.split("."):
+            match = _STEP.fullmatch(part.strip())
+            if match is None:
+                raise RecordingError(
+                    f"{text!r} is not a path to a field", 'write it like "data", "left.ticks" or "values[0]"'
+                )
+            steps.append(match[1])
+            steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
+        return cls(text, tuple(steps))
+
+    def number(self, message: Any, topic: str) -> int | float:  # noqa: ANN401 - the type is the recording's
+        """The number at the path.
+
+        Raises:
+            RecordingError: a step is missing (what is there is listed) or it leads to no number.
+        """
+        value = message
+        for step in self.steps:
+            try:
+                value = value[step] if isinstance(step, int) else getattr(value, step)
+            except (AttributeError, IndexError, TypeError, KeyError) as error:
+                raise RecordingError(
+                    f"{topic}: no field {self.text} ({step!r} is missing); fields present: {listing(message)}",
+                    "correct the wheel's field in rig.yaml",
+                ) from error
+        if isinstance(value, (bool, int, np.integer)):
+            return int(value)
+        if isinstance(value, (float, np.floating)):
+            return float(value)
+        raise RecordingError(
+            f"{topic}: field {self.text} is a {type(value).__name__}, not a number; "
+            f"fields present: {listing(message)}",
+            "correct the wheel's field in rig.yaml",
+        )
+
+
+def listing(message: Any, prefix: str = "") -> str:  # noqa: ANN401
+    """The paths to numbers and lists in a message, for people."""
+    return ", ".join(_paths(message, prefix)[:40])
+
+
+def _paths(value: Any, prefix: str) -> list[str]:  # noqa: ANN401
+    found: list[str] = []
+    if not is_dataclass(value) or isinstance(value, type):
+        return found
+    for item in fields(value):
+        if item.name.startswith("__"):
+            continue
+        inner, name = getattr(value, item.name), f"{prefix}{item.name}"
+        if is_dataclass(inner):
+            found += _paths(inner, f"{name}.")
+        elif isinstance(inner, (list, np.ndarray)):
+            found.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
+        elif not isinstance(inner, str):
+            found.append(name)
+    return found

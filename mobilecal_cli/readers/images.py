@@ -1,0 +1,166 @@
+"""Pictures: sensor_msgs Image and CompressedImage to gray, 8 bit."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import GrayImage, Rejection, Side
+from mobilecal_cli.readers.recording import Recording
+from mobilecal_cli.readers.stamps import stamp_of
+
+#: No picture may claim more pixels than this (the largest sensors sold have a quarter of it).
+LARGEST_PIXELS = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class _Encoding:
+    """How pixels are stored: bytes of one channel's value, channels, and OpenCV's way to gray."""
+
+    depth: int
+    channels: int
+    to_gray: int | None = None
+
+
+# OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+_ENCODINGS: dict[str, _Encoding] = {
+    "mono8": _Encoding(1, 1),
+    "8uc1": _Encoding(1, 1),
+    "mono16": _Encoding(2, 1),
+    "16uc1": _Encoding(2, 1),
+    "rgb8": _Encoding(1, 3, cv2.COLOR_RGB2GRAY),
+    "bgr8": _Encoding(1, 3, cv2.COLOR_BGR2GRAY),
+    "8uc3": _Encoding(1, 3, cv2.COLOR_BGR2GRAY),
+    "rgba8": _Encoding(1, 4, cv2.COLOR_RGBA2GRAY),
+    "bgra8": _Encoding(1, 4, cv2.COLOR_BGRA2GRAY),
+    "bayer_rggb8": _Encoding(1, 1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": _Encoding(1, 1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": _Encoding(1, 1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": _Encoding(1, 1, cv2.COLOR_BayerGB2GRAY),
+    "bayer_rggb16": _Encoding(2, 1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr16": _Encoding(2, 1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg16": _Encoding(2, 1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg16": _Encoding(2, 1, cv2.COLOR_BayerGB2GRAY),
+}
+
+
+def read_images(
+    recording: Recording, image_topics: Mapping[Side, str], wanted: Mapping[Side, Collection[int]]
+) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
+    """The wanted pictures, one at a time, in the order of the recording.
+
+    Args:
+        recording: the open recording.
+        image_topics: image topic of each side.
+        wanted: stamps of each side, ns, as `read_signals` gave them. Of several pictures with one stamp the
+            first is given.
+
+    Yields:
+        Side, stamp, and the picture as (height, width) uint8; or, in its place, why it cannot be decoded.
+
+    Raises:
+        RecordingError: see `Recording.messages`.
+    """
+    missing = {side: set(stamps) for side, stamps in wanted.items() if stamps}
+    sides = {image_topics[side]: side for side in missing}
+    for message in recording.messages(sides) if sides else ():
+        side = sides[message.topic]
+        try:
+            decoded = message.decode()
+        except RecordingError:
+            continue  # it has no stamp that could have been asked for
+        stamp_ns = stamp_of(decoded, message.log_time_ns)
+        if stamp_ns not in missing[side]:
+            continue
+        missing[side].remove(stamp_ns)
+        try:
+            yield side, stamp_ns, decode_image(decoded)
+        except RecordingError as error:
+            detail = f"{message.topic}: {error.message}"
+            yield side, stamp_ns, Rejection("readers", "picture cannot be decoded", detail, stamp_ns)
+        if not any(missing.values()):
+            return
+
+
+def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
+    """A decoded Image or CompressedImage message as a gray picture.
+
+    16-bit pictures keep their upper byte, except those that do not use it: the picture is then scaled by the
+    smallest power of two that holds its largest value (10 or 12 bit sensors in 16-bit words).
+
+    Args:
+        message: fields as sensor_msgs defines them, of ROS 1 or ROS 2.
+
+    Returns:
+        (height, width) uint8; a view of the message's bytes where nothing had to be converted.
+
+    Raises:
+        RecordingError: unknown encoding, sizes that do not fit the data, or a damaged JPEG or PNG.
+    """
+    try:
+        if hasattr(message, "format"):
+            return _decompressed(message)
+        return _raw(message)
+    except cv2.error as error:
+        raise RecordingError(f"picture damaged: {error.err}", "") from error
+
+
+def _decompressed(message: Any) -> GrayImage:  # noqa: ANN401
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if not data.size:
+        raise RecordingError("picture empty: 0 bytes", "")
+    gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    if gray is None:
+        raise RecordingError(
+            f"picture damaged: {data.size} bytes of {message.format!r} are neither JPEG nor PNG that opens",
+            "",
+        )
+    return np.asarray(gray, dtype=np.uint8)
+
+
+def _raw(message: Any) -> GrayImage:  # noqa: ANN401
+    encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
+    if encoding is None:
+        raise RecordingError(
+            f"picture encoding {message.encoding!r} not known; known: {', '.join(sorted(_ENCODINGS))}", ""
+        )
+    pixels = _pixels(message, encoding)
+    if encoding.depth == 2:
+        pixels = _to_8_bit(pixels)
+    if encoding.to_gray is None:
+        return np.asarray(pixels, dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), encoding.to_gray), dtype=np.uint8)
+
+
+def _pixels(message: Any, encoding: _Encoding) -> NDArray[Any]:  # noqa: ANN401
+    """(height, width) or (height, width, channels) view of the data, honouring step and byte order."""
+    height, width = int(message.height), int(message.width)
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    row = width * encoding.channels * encoding.depth
+    step = int(message.step) or row
+    if not height or not width or height * width > LARGEST_PIXELS:
+        raise RecordingError(f"picture size {width}x{height} makes no sense", "")
+    # The last row needs no padding behind it.
+    if step < row or data.size < step * (height - 1) + row:
+        raise RecordingError(
+            f"picture size {width}x{height} {message.encoding} with {step} bytes a row does not fit "
+            f"its {data.size} bytes",
+            "",
+        )
+    dtype = np.dtype(np.uint8 if encoding.depth == 1 else (">u2" if message.is_bigendian else "<u2"))
+    shape: tuple[int, ...] = (height, width)
+    strides: tuple[int, ...] = (step, encoding.channels * encoding.depth)
+    if encoding.channels > 1:
+        shape, strides = (*shape, encoding.channels), (*strides, encoding.depth)
+    return np.ndarray(shape, dtype, data, 0, strides)
+
+
+def _to_8_bit(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    bits = max(int(pixels.max()).bit_length(), 8)
+    return (pixels >> (bits - 8)).astype(np.uint8)

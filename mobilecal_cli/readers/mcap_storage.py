@@ -1,0 +1,213 @@
+"""MCAP files: with an index, with half of one, without, and cut short."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.summary import Summary
+
+from mobilecal_cli.readers.channels import Channel, DefinitionFormat, Payload, ros2_spelling
+from mobilecal_cli.readers.compression import decompress, message_payload
+from mobilecal_cli.readers.storage import SIZE_LIMIT, Block, BlockStorage
+from mobilecal_cli.readers.walk import Walk
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQI")
+_FORMATS: dict[str, DefinitionFormat] = {
+    "ros1msg": "msg",
+    "ros2msg": "msg",
+    "ros2idl": "idl",
+    "omgidl": "idl",
+}
+
+
+class McapStorage(BlockStorage):
+    """One MCAP file.
+
+    A complete summary is used as the index. Where it is missing or incomplete, the file's record heads are
+    walked once, skipping payloads; the message indexes behind the chunks tell channels and counts, and only
+    chunks that have none, or name a channel not met before, are decompressed for it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._schemas: dict[int, records.Schema] = {}
+        self._profile = self._read_profile()
+        summary = self._complete_summary()
+        if summary is not None:
+            self._use(summary)
+        else:
+            _Walk(self).run()
+        self.settle()
+
+    def _read_profile(self) -> str:
+        opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))
+        if opcode != Opcode.HEADER:
+            return ""
+        header = records.Header.read(_stream(self.read_at(len(MAGIC) + _HEAD.size, length)))
+        return str(header.profile)
+
+    def _complete_summary(self) -> Summary | None:
+        """The summary, if the index in it is whole: every chunk is where it says, every channel is known."""
+        try:
+            summary = SeekingReader(self._stream, record_size_limit=SIZE_LIMIT).get_summary()
+        except Exception:  # cut short or damaged: any exception at all; the walk does not need a summary
+            return None
+        if summary is None or not summary.chunk_indexes:
+            return None
+        statistics = summary.statistics
+        if statistics is not None and statistics.chunk_count != len(summary.chunk_indexes):
+            return None
+        named = {number for index in summary.chunk_indexes for number in index.message_index_offsets}
+        if not named or not named <= summary.channels.keys():
+            return None
+        schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
+        if not schemas <= summary.schemas.keys():
+            return None
+        for index in summary.chunk_indexes:
+            try:
+                head = _HEAD.unpack(self.read_at(index.chunk_start_offset, _HEAD.size))
+            except (EOFError, ValueError):
+                return None
+            if head != (Opcode.CHUNK, index.chunk_length - _HEAD.size):
+                return None
+        return summary
+
+    def _use(self, summary: Summary) -> None:
+        self._schemas.update(summary.schemas)
+        for channel in summary.channels.values():
+            self._register(channel)
+        if summary.statistics is not None:
+            self.counts = dict(summary.statistics.channel_message_counts)
+        for index in summary.chunk_indexes:
+            ids = frozenset(index.message_index_offsets)
+            if not ids and index.message_end_time == 0:
+                continue
+            self.blocks.append(
+                Block(
+                    index.chunk_start_offset,
+                    index.chunk_length,
+                    True,
+                    index.message_start_time,
+                    index.message_end_time,
+                    ids or None,
+                )
+            )
+
+    def load(self, block: Block) -> bytes:
+        """The block's records, decompressed, its checksum verified."""
+        data = self.read_at(block.offset, block.size)
+        if not block.is_chunk:
+            return data
+        at = _HEAD.size
+        _, _, full_size, checksum = _CHUNK.unpack_from(data, at)
+        at += _CHUNK.size
+        (length,) = struct.unpack_from("<I", data, at)
+        method = data[at + 4 : at + 4 + length].decode()
+        at += 4 + length
+        (stored,) = struct.unpack_from("<Q", data, at)
+        whole = decompress(data[at + 8 : at + 8 + stored], method, full_size)
+        if checksum and zlib.crc32(whole) != checksum:
+            raise ValueError("its checksum is wrong")
+        return whole
+
+    def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
+        """Channel id, log time and payload of every message; channels met on the way are registered."""
+        view = memoryview(data)
+        at = 0
+        while at < len(view):
+            opcode, length = _HEAD.unpack_from(view, at)
+            at += _HEAD.size
+            if at + length > len(view):
+                raise EOFError("a record goes on beyond its end")
+            if opcode == Opcode.MESSAGE:
+                number, _, time_ns, _ = _MESSAGE.unpack_from(view, at)
+                payload: Payload = view[at + _MESSAGE.size : at + length]
+                if number in self.channels and self.channels[number].encoding == "cdr":
+                    payload = message_payload(payload)
+                yield number, time_ns, payload
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.define(opcode, bytes(view[at : at + length]))
+            at += length
+
+    def define(self, opcode: int, body: bytes) -> None:
+        """Take in a schema or channel record."""
+        if opcode == Opcode.SCHEMA:
+            schema = records.Schema.read(_stream(body))
+            self._schemas.setdefault(schema.id, schema)
+        else:
+            self._register(records.Channel.read(_stream(body)))
+
+    def _register(self, channel: records.Channel) -> None:
+        if channel.id in self.channels:
+            return
+        schema = self._schemas.get(channel.schema_id)
+        encoding = channel.message_encoding or {"ros2": "cdr", "ros1": "ros1"}.get(self._profile, "")
+        self.channels[channel.id] = Channel(
+            channel.id,
+            channel.topic,
+            ros2_spelling(schema.name) if schema else "",
+            encoding,
+            schema.data.decode(errors="replace") if schema else "",
+            _FORMATS.get(schema.encoding, "") if schema else "",
+        )
+
+
+class _Walk(Walk):
+    """Finds the blocks of a file whose index is missing, reading heads only."""
+
+    def __init__(self, storage: McapStorage) -> None:
+        super().__init__(storage)
+        self._storage = storage
+
+    def run(self) -> None:
+        """Fill the storage's blocks, channels and counts; note where the file is cut."""
+        storage = self._storage
+        at, trouble = len(MAGIC), "the file ends without a footer, the recorder was not stopped properly"
+        while at + _HEAD.size <= storage.size:
+            opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
+            end = at + _HEAD.size + length
+            if opcode == 0 or end > storage.size:
+                what = "chunk" if opcode == Opcode.CHUNK else "record"
+                trouble = f"the file ends inside a {what} that begins at byte {at} of {storage.size}"
+                break
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                trouble = ""
+                break
+            try:
+                self._visit(opcode, at, length)
+            except Exception as error:  # one damaged record: the next one has its own head
+                storage.note(f"the record at byte {at} of {storage.size} is damaged: {error}")
+            at = end
+        self.finish(trouble)
+
+    def _visit(self, opcode: int, at: int, length: int) -> None:
+        storage, body = self._storage, at + _HEAD.size
+        if opcode == Opcode.MESSAGE_INDEX:
+            index = records.MessageIndex.read(_stream(storage.read_at(body, length)))
+            self.index(index.channel_id, len(index.records))
+        elif opcode == Opcode.MESSAGE:
+            number, _, time_ns, _ = _MESSAGE.unpack(storage.read_at(body, _MESSAGE.size))
+            self.message(at, body + length, number, time_ns)
+        elif opcode == Opcode.CHUNK:
+            start_ns, end_ns, _, _ = _CHUNK.unpack(storage.read_at(body, _CHUNK.size))
+            self.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
+        else:
+            self.other()
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                storage.define(opcode, storage.read_at(body, length))
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))

@@ -1,0 +1,202 @@
+"""Opening what the user names: recognised by content, never by suffix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+
+from ruamel.yaml import YAML
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers import bag_storage, compression, mcap_storage, sqlite_storage
+from mobilecal_cli.readers.channels import Channel
+from mobilecal_cli.readers.parts import group_parts
+from mobilecal_cli.readers.recording import Recording, boundary
+from mobilecal_cli.readers.storage import Storage
+
+#: First bytes of a file → what reads it.
+CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
+    mcap_storage.MAGIC: mcap_storage.McapStorage,
+    bag_storage.MAGIC: bag_storage.BagStorage,
+    sqlite_storage.MAGIC: sqlite_storage.SqliteStorage,
+}
+METADATA = "metadata.yaml"
+KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
+
+
+def open_recording(paths: Sequence[Path]) -> Recording:
+    """Open files or directories as one recording.
+
+    Args:
+        paths: MCAP files, ROS 1 bags, .db3 files (each also compressed as a whole by zstd), or rosbag2
+            directories with or without metadata.yaml. Several are parts of one recording, in any order.
+
+    Raises:
+        RecordingError: nothing usable is there: missing, empty, not a recording, damaged beyond use.
+    """
+    if not paths:
+        raise RecordingError("no recording was named", "name one: mobilecal calibrate LOG")
+    with ExitStack() as stack:
+        opened = _Opened(stack)
+        for path in paths:
+            with boundary(path):
+                opened.add(path)
+        if not opened.parts:
+            raise RecordingError("; ".join(opened.notes), KNOWN)
+        recording = Recording(paths, opened.parts, opened.stated, opened.notes, stack.pop_all())
+    if recording.damage and not any(info.count is None or info.count for info in recording.topics):
+        recording.close()
+        raise RecordingError(
+            f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
+            "copy the recording again, or record anew",
+        )
+    return recording
+
+
+@dataclass
+class _Opened:
+    """What has been opened so far."""
+
+    stack: ExitStack
+    parts: list[Storage] = field(default_factory=list)
+    stated: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, path: Path) -> None:
+        """Open a file or a directory."""
+        if not path.exists():
+            raise RecordingError(f"{path}: no such file or directory", "check the path")
+        if path.is_dir():
+            self._directory(path)
+        elif path.name == METADATA:
+            self._directory(path.parent)
+        else:
+            self.parts.append(self._file(path))
+
+    def _file(self, path: Path) -> Storage:
+        magic = _magic(path)
+        trouble = ""
+        source = path
+        if magic == compression.ZSTD_MAGIC:
+            folder = Path(self.stack.enter_context(TemporaryDirectory(prefix="mobilecal-")))
+            source = folder / path.stem
+            with path.open("rb") as packed:
+                trouble = compression.expand(packed, source)
+            magic = _magic(source, path)
+        if magic not in CONTAINERS:
+            raise RecordingError(f"{path}: not a recording", KNOWN)
+        storage = CONTAINERS[magic](source)
+        self.stack.callback(storage.close)
+        if trouble:
+            storage.note(f"the compressed file is cut or damaged ({trouble}); what could be unpacked is used")
+        return storage
+
+    def _directory(self, folder: Path) -> None:
+        files = self._listed(folder) if (folder / METADATA).is_file() else None
+        if files:
+            for path in files:
+                try:
+                    with boundary(path):
+                        self.parts.append(self._file(path))
+                except RecordingError as error:  # the other parts may do
+                    self.notes.append(f"{error.message}; this part is left out")
+            return
+        files = [path for path in sorted(folder.iterdir()) if path.is_file() and recognised(path)]
+        if not files:
+            raise RecordingError(f"{folder}: a directory without a recording in it", KNOWN)
+        storages = [self._file(path) for path in files]
+        groups = group_parts(storages)
+        if len(groups) > 1:
+            names = "; ".join(", ".join(storages[i].path.name for i in group) for group in groups)
+            raise RecordingError(
+                f"{folder}: holds {len(groups)} recordings and no {METADATA} that joins them: {names}",
+                "name the files of one recording",
+            )
+        self.parts.extend(storages)
+
+    def _listed(self, folder: Path) -> list[Path]:
+        """The files that metadata.yaml names, and its message counts; empty when it cannot be used."""
+        try:
+            text = (folder / METADATA).read_text(encoding="utf-8")
+            information = YAML(typ="safe", pure=True).load(text)["rosbag2_bagfile_information"]
+            names = [PurePath(name).name for name in information["relative_file_paths"]]
+            stated = {
+                str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+                for entry in information.get("topics_with_message_count") or ()
+            }
+        except Exception as error:  # a damaged YAML file raises almost anything
+            self.notes.append(
+                f"{folder / METADATA}: cannot be used ({type(error).__name__}: {error}); "
+                "the files in the directory are read instead"
+            )
+            return []
+        for topic, count in stated.items():
+            self.stated[topic] = self.stated.get(topic, 0) + count
+        return [folder / name for name in names]
+
+
+def _magic(path: Path, name: Path | None = None) -> bytes:
+    """Which of the known beginnings a file has, b"" for none.
+
+    Raises:
+        RecordingError: the file is missing or empty.
+    """
+    name = name or path
+    if not path.is_file():
+        raise RecordingError(f"{name}: no such file", "check the path")
+    with path.open("rb") as stream:
+        head = stream.read(16)
+    if not head:
+        raise RecordingError(
+            f"{name}: the file is empty (0 bytes)", "copy the recording again, or record anew"
+        )
+    if head.startswith(b"#ROSBAG V") and not head.startswith(bag_storage.MAGIC):
+        raise RecordingError(
+            f"{name}: a ROS 1 bag of format {head[9:12].decode(errors='replace')}; only 2.0 is read",
+            "convert it with rosbag fix or rosbag filter",
+        )
+    known = (*CONTAINERS, compression.ZSTD_MAGIC)
+    return next((magic for magic in known if head.startswith(magic)), b"")
+
+
+def recognised(path: Path) -> bool:
+    """Whether a file begins like a recording."""
+    try:
+        return _magic(path) != b""
+    except (RecordingError, OSError):
+        return False
+
+
+def join_parts(paths: Sequence[Path]) -> list[list[Path]]:
+    """Which of the user's paths are parts of one recording.
+
+    See `parts.group_parts` for the rule: times and topics decide, not names. A directory is one recording's
+    part like a file is.
+
+    Returns:
+        Groups of paths, in order of their first path; each in order of time.
+
+    Raises:
+        RecordingError: a path cannot be opened.
+    """
+    if len(paths) < 2:
+        return [list(paths)] if paths else []
+    ranges = []
+    for path in paths:
+        with open_recording([path]) as recording:
+            ranges.append(_Range(recording))
+    return [[paths[i] for i in group] for group in group_parts(ranges)]
+
+
+class _Range:
+    """The range and channels of a recording that is closed again."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.start_ns = recording.start_ns
+        self.end_ns = recording.end_ns
+        self.channels: dict[int, Channel] = dict(
+            enumerate(channel for part in recording.parts for channel in part.channels.values())
+        )

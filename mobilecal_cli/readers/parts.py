@@ -1,0 +1,53 @@
+"""Which files are parts of one recording: told by their contents, not by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from mobilecal_cli.readers.channels import Channel
+
+#: A recorder that splits goes on at once; a longer pause means that somebody started a new recording.
+LARGEST_GAP_NS = 5 * 10**9
+#: Messages wait in the recorder's queue while it changes files, so neighbouring parts may overlap a little.
+LARGEST_OVERLAP_NS = 10**9
+
+
+class Ranged(Protocol):
+    """What has channels and a range of log times: an open file."""
+
+    channels: dict[int, Channel]
+    start_ns: int | None
+    end_ns: int | None
+
+
+def group_parts(files: Sequence[Ranged]) -> list[list[int]]:
+    """Indices of the files, grouped to recordings.
+
+    Two files belong together when the later one begins within 5 s after the earlier one's end (or up to 1 s
+    before it) and they share a topic, as a recorder that splits makes them; or when they overlap in time and
+    share no topic, as two recorders make them that run side by side. Empty files stand alone.
+
+    Returns:
+        Groups in order of their first file; each in order of time.
+    """
+    groups: list[list[int]] = []
+    for index in sorted(range(len(files)), key=lambda i: (files[i].start_ns or 0, i)):
+        home = next((g for g in reversed(groups) if _continues([files[i] for i in g], files[index])), None)
+        if home is None:
+            groups.append([index])
+        else:
+            home.append(index)
+    return sorted(groups, key=min)
+
+
+def _continues(group: Sequence[Ranged], file: Ranged) -> bool:
+    ends = [member.end_ns for member in group if member.end_ns is not None]
+    if file.start_ns is None or not ends:
+        return False
+    gap_ns = file.start_ns - max(ends)
+    topics = {channel.topic for channel in file.channels.values()}
+    shared = any(topics & {channel.topic for channel in member.channels.values()} for member in group)
+    if shared:
+        return -LARGEST_OVERLAP_NS <= gap_ns < LARGEST_GAP_NS
+    return gap_ns < 0

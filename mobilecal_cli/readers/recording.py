@@ -1,0 +1,210 @@
+"""A recording: one or more files that are read as one stream of messages."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mobilecal_cli.errors import MobilecalError, RecordingError
+from mobilecal_cli.model import TopicInfo
+from mobilecal_cli.readers.channels import Channel, Payload
+from mobilecal_cli.readers.storage import RawMessage, Storage
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message, not yet decoded.
+
+    Attributes:
+        log_time_ns: when the recorder wrote it.
+        channel: its channel.
+        payload: its bytes.
+    """
+
+    log_time_ns: int
+    channel: Channel
+    payload: Payload
+
+    @property
+    def topic(self) -> str:
+        """The topic."""
+        return self.channel.topic
+
+    @property
+    def type(self) -> str:
+        """Message type in ROS 2 spelling."""
+        return self.channel.type
+
+    def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+        """The message as an object with its definition's fields; arrays are views of the payload.
+
+        Raises:
+            RecordingError: the payload does not fit the definition.
+        """
+        return self.channel.decode(self.payload)
+
+
+@contextmanager
+def boundary(path: Path) -> Iterator[None]:
+    """The one place where what third-party readers raise on damaged files becomes a `RecordingError`."""
+    try:
+        yield
+    except MobilecalError:
+        raise
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read: {error.strerror or error}", "check the path and its permissions"
+        ) from error
+    except Exception as error:
+        raise RecordingError(
+            f"{path}: damaged beyond use ({type(error).__name__}: {error})",
+            "copy the recording again, or repair it (mcap recover, rosbag reindex, ros2 bag reindex)",
+        ) from error
+
+
+class Recording:
+    """An open recording. Use it as a context manager.
+
+    Args:
+        paths: as the user gave them.
+        parts: the open files.
+        stated: topic → messages that a metadata.yaml promises, if there is one.
+        notes: what was odd while opening.
+        resources: closed together with the recording.
+    """
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        parts: Sequence[Storage],
+        stated: Mapping[str, int],
+        notes: Sequence[str],
+        resources: ExitStack,
+    ) -> None:
+        self.paths = tuple(paths)
+        self.parts = tuple(sorted(parts, key=lambda part: part.start_ns if part.start_ns is not None else -1))
+        self._stated = dict(stated)
+        self._notes = dict.fromkeys(notes)
+        self._resources = resources
+        self.topics = self._list_topics()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the files."""
+        self._resources.close()
+
+    @property
+    def name(self) -> str:
+        """The recording in messages for people."""
+        more = f" and {len(self.paths) - 1} more" if len(self.paths) > 1 else ""
+        return f"{self.paths[0]}{more}"
+
+    @property
+    def start_ns(self) -> int | None:
+        """Log time of the first message, None where unknown."""
+        return min((part.start_ns for part in self.parts if part.start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Log time of the last message, None where unknown."""
+        return max((part.end_ns for part in self.parts if part.end_ns is not None), default=None)
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What was lost, whole sentences with numbers; complete after a full pass."""
+        return tuple(dict.fromkeys([*self._notes, *(note for part in self.parts for note in part.damage)]))
+
+    def note(self, sentence: str) -> None:
+        """Add to what was odd, once however often a pass is repeated."""
+        self._notes[sentence] = None
+
+    def _list_topics(self) -> tuple[TopicInfo, ...]:
+        types: dict[str, str] = {}
+        counts: defaultdict[str, int] = defaultdict(int)
+        unknown = set()
+        for part in self.parts:
+            for number, channel in part.channels.items():
+                types.setdefault(channel.topic, channel.type)
+                if part.counts is None:
+                    unknown.add(channel.topic)
+                else:
+                    counts[channel.topic] += part.counts.get(number, 0)
+        return tuple(
+            TopicInfo(topic, types[topic], None if topic in unknown else counts[topic])
+            for topic in sorted(types)
+        )
+
+    def topic(self, name: str) -> TopicInfo:
+        """One topic.
+
+        Raises:
+            RecordingError: it is not in the recording; those that are are listed.
+        """
+        for info in self.topics:
+            if info.name == name:
+                return info
+        present = ", ".join(f"{info.name} ({info.type})" for info in self.topics) or "none at all"
+        raise RecordingError(
+            f"{self.name}: no topic {name}; topics present: {present}", "name one of them in rig.yaml"
+        )
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """The topics' messages in order of log time.
+
+        Files that follow one another are read one after the other; files that overlap in time are merged.
+
+        Raises:
+            RecordingError: a topic is missing or its encoding is not read, or a file is damaged beyond use.
+        """
+        names = frozenset(topics)
+        for name in sorted(names):
+            self.topic(name)
+        for part in self.parts:
+            for channel in part.channels.values():
+                if channel.topic in names:
+                    channel.check()
+        return self._stream(names)
+
+    def _stream(self, topics: frozenset[str]) -> Iterator[Message]:
+        seen: Counter[str] = Counter()
+        for group in _overlapping(self.parts):
+            streams = [self._part(part, topics) for part in group]
+            for channel, time_ns, payload in heapq.merge(*streams, key=lambda raw: raw[1]):
+                seen[channel.topic] += 1
+                yield Message(time_ns, channel, payload)
+        for topic in sorted(topics & self._stated.keys()):
+            if seen[topic] < self._stated[topic]:
+                self.note(
+                    f"{topic}: metadata.yaml states {self._stated[topic]} messages, {seen[topic]} could be read"
+                )
+
+    def _part(self, part: Storage, topics: frozenset[str]) -> Iterator[RawMessage]:
+        with boundary(part.path):
+            yield from part.raw(topics)
+
+
+def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:
+    """The parts, in order of time, in groups that overlap; parts without a known time stand alone."""
+    group: list[Storage] = []
+    end_ns = -1
+    for part in parts:
+        if group and (part.start_ns is None or part.start_ns > end_ns):
+            yield group
+            group = []
+        group.append(part)
+        end_ns = max(end_ns, part.end_ns if part.end_ns is not None else -1)
+    if group:
+        yield group

@@ -1,0 +1,192 @@
+"""Readings over time, as they arrive, and the tracks that are made of them."""
+
+from __future__ import annotations
+
+import math
+from array import array
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track, WheelSource
+from mobilecal_cli.readers.stamps import in_order
+
+#: A pause in a wheel's samples is a gap when it is this long and this many times the usual interval ...
+GAP_S = 0.5
+GAP_INTERVALS = 10
+#: ... and it is told when the wheel turned by more than this across it.
+GAP_RAD = 0.01
+#: Positions that a driver wraps to one turn jump by almost a turn within this time.
+WRAP_S = 1.0
+
+
+class Series:
+    """Readings of one quantity, 16 bytes each.
+
+    Args:
+        label: what it is, for messages ("joint head_pan_joint on /joint_states").
+    """
+
+    def __init__(self, label: str) -> None:
+        self.label = label
+        self._time_ns = array("q")
+        self._value = array("d")
+        self.not_finite = 0
+
+    def __len__(self) -> int:
+        return len(self._time_ns)
+
+    def add(self, time_ns: int, value: float) -> None:
+        """Take a reading; one that is not finite is counted and dropped."""
+        if math.isfinite(value):
+            self._time_ns.append(time_ns)
+            self._value.append(value)
+        else:
+            self.not_finite += 1
+
+    def ordered(self, notes: list[str]) -> tuple[IntArray, FloatArray]:
+        """Times, strictly increasing, and values; what was dropped is noted.
+
+        Raises:
+            RecordingError: no finite reading at all.
+        """
+        if self.not_finite:
+            total = self.not_finite + len(self)
+            if not len(self):
+                raise RecordingError(
+                    f"{self.label}: all {total} readings are NaN or infinite",
+                    "check the driver that publishes them",
+                )
+            notes.append(f"{self.label}: {self.not_finite} of {total} readings are NaN or infinite; dropped")
+        time_ns = np.array(self._time_ns, dtype=np.int64)
+        keep, found = order_notes(self.label, time_ns)
+        notes += found
+        return time_ns[keep], np.array(self._value, dtype=np.float64)[keep]
+
+
+def order_notes(label: str, time_ns: IntArray) -> tuple[BoolArray, list[str]]:
+    """`in_order`, and what it dropped in words."""
+    keep, duplicates, dropped, back_s = in_order(time_ns)
+    notes = []
+    if duplicates:
+        notes.append(f"{label}: {duplicates} of {len(time_ns)} stamps occur twice; the first is kept")
+    if dropped:
+        notes.append(
+            f"{label}: the clock steps back, by up to {back_s:.3f} s; {dropped} of {len(time_ns)} samples "
+            "that are out of order are dropped"
+        )
+    return keep, notes
+
+
+class TickCounter:
+    """Turns a counter's readings to a continuous angle that starts at zero.
+
+    A counter of `bits` bits wraps round; signed or not makes no difference to its differences, which are taken
+    to be less than half its range.
+
+    Args:
+        series: where the angles go, rad.
+        source: scale, width and sign.
+    """
+
+    def __init__(self, series: Series, source: WheelSource) -> None:
+        self.series = series
+        self._range = None if source.bits is None else 2**source.bits
+        self._scale = source.sign * (2 * math.pi / (source.ticks_per_revolution or 2 * math.pi))
+        self._last: float | None = None
+        self._total: float = 0
+
+    def add(self, time_ns: int, ticks: float) -> None:
+        """Take a reading.
+
+        Raises:
+            RecordingError: it does not fit the counter's width.
+        """
+        if not math.isfinite(ticks):
+            self.series.add(time_ns, ticks)
+            return
+        if self._range is not None and not -self._range // 2 <= ticks < self._range:
+            raise RecordingError(
+                f"{self.series.label}: a reading of {ticks} does not fit a counter of "
+                f"{self._range.bit_length() - 1} bits",
+                "correct the wheel's bits in rig.yaml",
+            )
+        if self._last is not None:
+            step = ticks - self._last
+            if self._range is not None:
+                step %= self._range
+                if step >= self._range / 2:
+                    step -= self._range
+            self._total += step
+        self._last = ticks
+        self.series.add(time_ns, self._total * self._scale)
+
+
+def wheel_track(position: Series, velocity: Series, source: WheelSource, notes: list[str]) -> Track:
+    """A wheel's track from joint states: positions, or velocities integrated where there are none.
+
+    Args:
+        position: rad (or ticks, with `source.ticks_per_revolution`).
+        velocity: rad/s (or ticks/s).
+        source: scale and sign.
+        notes: what was odd is added.
+
+    Raises:
+        RecordingError: neither holds a finite reading.
+    """
+    scale = source.sign * (2 * math.pi / (source.ticks_per_revolution or 2 * math.pi))
+    if len(position) or not len(velocity):
+        if not len(position) and not position.not_finite:
+            raise RecordingError(
+                f"{position.label}: neither positions nor velocities in its messages",
+                "name another source for the wheel in rig.yaml",
+            )
+        time_ns, value = position.ordered(notes)
+        if source.ticks_per_revolution is None:
+            value = _unwrapped(position.label, time_ns, value, notes)
+        return Track(time_ns, value * scale)
+    if position.not_finite:
+        notes.append(f"{position.label}: all {position.not_finite} positions are NaN or infinite")
+    time_ns, rate = velocity.ordered(notes)
+    notes.append(f"{position.label}: no positions; velocities are integrated")
+    steps = np.diff(time_ns) * 1e-9 * (rate[1:] + rate[:-1]) / 2
+    return Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * scale)
+
+
+def _unwrapped(label: str, time_ns: IntArray, value: FloatArray, notes: list[str]) -> FloatArray:
+    """Undo a driver's wrapping of positions to one turn; other positions are returned as they are.
+
+    Wrapped are those that never leave [-pi, pi] or [0, 2 pi], and jump by more than three quarters of a turn,
+    each time within a second.
+    """
+    slack = 1e-3
+    low, high = value.min(), value.max()
+    in_turn = low >= -math.pi - slack and high <= math.pi + slack
+    if not (in_turn or (low >= -slack and high <= 2 * math.pi + slack)):
+        return value
+    step = np.abs(np.diff(value))
+    jumps = step > math.pi
+    if not jumps.any():
+        return value
+    if np.any(step[jumps] < 1.5 * math.pi) or np.any(np.diff(time_ns)[jumps] > WRAP_S * 1e9):
+        return value
+    notes.append(f"{label}: positions are wrapped to one turn; {int(jumps.sum())} jumps are undone")
+    return np.unwrap(value)
+
+
+def gap_notes(label: str, track: Track) -> list[str]:
+    """The pauses across which a wheel turned: the path inside is not known."""
+    if len(track.time_ns) < 3:
+        return []
+    pauses_s = np.diff(track.time_ns) * 1e-9
+    turned = np.abs(np.diff(track.value))
+    limit_s = max(GAP_S, GAP_INTERVALS * float(np.median(pauses_s)))
+    gaps = np.flatnonzero((pauses_s > limit_s) & (turned > GAP_RAD))
+    if not len(gaps):
+        return []
+    worst = gaps[np.argmax(turned[gaps])]
+    start_s = (track.time_ns[worst] - track.time_ns[0]) * 1e-9
+    return [
+        f"{label}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''} in which the wheel turned; the worst lasts "
+        f"{pauses_s[worst]:.2f} s from {start_s:.2f} s on, {turned[worst]:.3f} rad"
+    ]

@@ -1,0 +1,253 @@
+"""One pass over a recording: joints, wheels and image stamps over time."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import IntArray, Side, Signals, Sources, Track, WheelSource
+from mobilecal_cli.readers.fields import FieldPath
+from mobilecal_cli.readers.prelude import IMAGES, JOINT_STATE
+from mobilecal_cli.readers.recording import Recording
+from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
+from mobilecal_cli.readers.stamps import Clock, clock_notes
+
+SIDES: tuple[Side, Side] = ("left", "right")
+
+Taker = Callable[[Any, int], None]
+
+
+def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) -> Signals:
+    """Read everything but the pictures' contents, in one pass.
+
+    Time is the header stamp where there is one that is not zero, the log time otherwise. Of equal stamps the
+    first is kept; where a clock steps back, the longest run in order is kept (`stamps.in_order`). Readings that
+    are not finite, and messages that cannot be decoded, are dropped. All of it is noted with counts.
+
+    Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
+
+    Args:
+        recording: the open recording.
+        sources: the topics in use.
+        joints: names of the head's joints.
+
+    Raises:
+        RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
+            type, a side has no images, or nothing finite is left of a joint or wheel.
+    """
+    reader = _Reader(recording)
+    for side in SIDES:
+        reader.image(side, sources.image[side])
+    for topic in sources.joints:
+        reader.joints(topic, joints)
+    for side in SIDES:
+        reader.wheel(side, sources.wheels[side])
+    reader.run()
+
+    notes: list[str] = []
+    images = {side: reader.image_stamps(side, sources.image[side], notes) for side in SIDES}
+    tracks = {name: reader.joint_track(name, sources.joints, notes) for name in joints}
+    wheels: dict[Side, Track] = {}
+    for side in SIDES:
+        wheels[side] = reader.wheel_track(side, sources.wheels[side], notes)
+        notes += gap_notes(f"{side} wheel", wheels[side])
+    notes = [*clock_notes(list(reader.clocks.values())), *reader.undecodable(), *notes]
+    return Signals(tracks, wheels, images, tuple(dict.fromkeys(notes)))
+
+
+class _Joints:
+    """Positions and velocities of named joints on one JointState topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.position: dict[str, Series] = {}
+        self.velocity: dict[str, Series] = {}
+        self.present: dict[str, None] = {}
+        self._names: list[str] = []
+        self._places: list[tuple[int, Series, Series]] = []
+
+    def want(self, name: str) -> None:
+        """Read this joint, too."""
+        self.position.setdefault(name, Series(f"joint {name} on {self.topic}"))
+        self.velocity.setdefault(name, Series(f"velocity of joint {name} on {self.topic}"))
+
+    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+        """Read one JointState message; the order of names may differ from the last one's."""
+        if message.name != self._names:
+            self._names = list(message.name)
+            self.present.update(dict.fromkeys(self._names))
+            self._places = [
+                (self._names.index(name), self.position[name], self.velocity[name])
+                for name in self.position
+                if name in self._names
+            ]
+        for place, position, velocity in self._places:
+            if place < len(message.position):
+                position.add(time_ns, float(message.position[place]))
+            if place < len(message.velocity):
+                velocity.add(time_ns, float(message.velocity[place]))
+
+
+class _Field:
+    """One wheel's counter or angle, by field path."""
+
+    def __init__(self, side: Side, source: WheelSource, path: FieldPath) -> None:
+        self.source = source
+        self.path = path
+        self.series = Series(f"{side} wheel ({source.topic} {path.text})")
+        self.missing = 0
+        self.error: RecordingError | None = None
+        self._counter = TickCounter(self.series, source)
+
+    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401
+        """Read one message."""
+        try:
+            value = self.path.number(message, self.source.topic)
+        except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
+            self.missing += 1
+            self.error = self.error or error
+            return
+        self._counter.add(time_ns, value)
+
+    def track(self, notes: list[str]) -> Track:
+        """The wheel's rotation."""
+        if self.error is not None:
+            if not len(self.series):
+                raise self.error
+            notes.append(f"{self.series.label}: the field is missing in {self.missing} messages; left out")
+        time_ns, value = self.series.ordered(notes)
+        return Track(time_ns, value)
+
+
+class _Reader:
+    """Hands each message to those who want its topic, decoded once."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.clocks: dict[str, Clock] = {}
+        self._takers: dict[str, list[Taker]] = {}
+        self._stamps: dict[Side, array[int]] = {}
+        self._joints: dict[str, _Joints] = {}
+        self._fields: dict[Side, _Field] = {}
+        self._broken: dict[str, int] = {}
+
+    def _subscribe(self, topic: str, taker: Taker) -> None:
+        takers = self._takers.setdefault(topic, [])
+        if taker not in takers:
+            takers.append(taker)
+        self.clocks.setdefault(topic, Clock(topic))
+
+    def _of_type(self, topic: str, types: Sequence[str], hint: str) -> None:
+        info = self.recording.topic(topic)
+        if info.type not in types:
+            wanted = " or ".join(types)
+            raise RecordingError(f"{self.recording.name}: {topic} is a {info.type}, not a {wanted}", hint)
+
+    def image(self, side: Side, topic: str) -> None:
+        """Collect the stamps of a side's images."""
+        self._of_type(topic, IMAGES, f"correct cameras.{side}.image in rig.yaml")
+        stamps = self._stamps[side] = array("q")
+        self._subscribe(topic, lambda _, time_ns: stamps.append(time_ns))
+
+    def joints(self, topic: str, names: Sequence[str]) -> None:
+        """Collect joints of a topic."""
+        self._of_type(topic, (JOINT_STATE,), "name a JointState topic in rig.yaml (wheels may use a field)")
+        group = self._joints.setdefault(topic, _Joints(topic))
+        for name in names:
+            group.want(name)
+        self._subscribe(topic, group.take)
+
+    def wheel(self, side: Side, source: WheelSource) -> None:
+        """Collect a wheel."""
+        if source.joint is not None:
+            self.joints(source.topic, [source.joint])
+            return
+        if source.field is None:
+            raise RecordingError(
+                f"{side} wheel: neither joint nor field is named on {source.topic}",
+                f"name wheels.{side}.joint or wheels.{side}.field in rig.yaml",
+            )
+        self.recording.topic(source.topic)
+        field = self._fields[side] = _Field(side, source, FieldPath.parse(source.field))
+        self._subscribe(source.topic, field.take)
+
+    def run(self) -> None:
+        """The pass."""
+        for message in self.recording.messages(self._takers):
+            try:
+                decoded = message.decode()
+            except RecordingError:
+                self._broken[message.topic] = self._broken.get(message.topic, 0) + 1
+                continue
+            time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
+            for take in self._takers[message.topic]:
+                take(decoded, time_ns)
+
+    def undecodable(self) -> list[str]:
+        """Notes on messages that do not fit their type."""
+        return [
+            f"{topic}: {count} of {count + self.clocks[topic].messages} messages do not fit their type; left out"
+            for topic, count in self._broken.items()
+        ]
+
+    def image_stamps(self, side: Side, topic: str, notes: list[str]) -> IntArray:
+        """A side's stamps, strictly increasing."""
+        stamps: IntArray = np.array(self._stamps[side], dtype=np.int64)
+        if not len(stamps):
+            broken = self._broken.get(topic, 0)
+            fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
+            raise RecordingError(
+                f"{self.recording.name}: no images of the {side} camera on {topic}: {fact}",
+                "record both cameras, or name other topics in rig.yaml",
+            )
+        keep, found = order_notes(topic, stamps)
+        notes += found
+        kept: IntArray = stamps[keep]
+        return kept
+
+    def _present(self, topics: Sequence[str]) -> str:
+        names = dict.fromkeys(name for topic in topics for name in self._joints[topic].present)
+        return ", ".join(names) or "none"
+
+    def joint_track(self, name: str, topics: Sequence[str], notes: list[str]) -> Track:
+        """A head joint, from the topic that has most of it."""
+        found = [self._joints[topic].position[name] for topic in topics]
+        best = max(found, key=len, default=None)
+        if best is None or not len(best):
+            bad = next((series for series in found if series.not_finite), None)
+            if bad is not None:
+                bad.ordered(notes)  # raises: nothing finite
+            where = ", ".join(topics) or "any topic"
+            raise RecordingError(
+                f"{self.recording.name}: no position of joint {name} on {where}; "
+                f"joints present: {self._present(topics)}",
+                "correct joints in rig.yaml, or the URDF's joint names",
+            )
+        time_ns, value = best.ordered(notes)
+        return Track(time_ns, value)
+
+    def wheel_track(self, side: Side, source: WheelSource, notes: list[str]) -> Track:
+        """A wheel's rotation, rad, positive forward."""
+        if side in self._fields:
+            if not self.clocks[source.topic].messages:
+                raise self._empty(source.topic)
+            return self._fields[side].track(notes)
+        group, name = self._joints[source.topic], source.joint or ""
+        if name not in group.present:
+            if not self.clocks[source.topic].messages:
+                raise self._empty(source.topic)
+            raise RecordingError(
+                f"{self.recording.name}: no joint {name} on {source.topic}; "
+                f"joints present: {self._present([source.topic])}",
+                f"correct wheels.{side}.joint in rig.yaml",
+            )
+        return wheel_track(group.position[name], group.velocity[name], source, notes)
+
+    def _empty(self, topic: str) -> RecordingError:
+        broken = self._broken.get(topic, 0)
+        fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
+        return RecordingError(f"{self.recording.name}: {topic}: {fact}", "record the topic, or name another")

@@ -1,0 +1,130 @@
+"""Time: header stamps where they are meant, the log time otherwise; and what is done with odd clocks."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.model import BoolArray, IntArray
+
+#: Stamps of two topics that stand this much differently to the log time come from different clocks.
+CLOCKS_DIFFER_S = 1.0
+
+
+def stamp_of(message: Any, log_time_ns: int) -> int:  # noqa: ANN401 - the type is the recording's
+    """The message's header stamp, ns; the log time where there is no header or its stamp is zero."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None:
+        return log_time_ns
+    return (int(stamp.sec) * 10**9 + int(stamp.nanosec)) or log_time_ns
+
+
+@dataclass(slots=True)
+class Clock:
+    """Counts what the stamps of one topic are like.
+
+    Attributes:
+        topic: the topic.
+        messages, unstamped: how many there were, and how many of them had no header or a zero stamp.
+        has_header: the type has a header stamp.
+        lag_s: log time minus stamp, of each stamped message's first few (enough for a median).
+    """
+
+    topic: str
+    messages: int = 0
+    unstamped: int = 0
+    has_header: bool = True
+    lag_s: list[float] = field(default_factory=list)
+
+    def time_ns(self, message: Any, log_time_ns: int) -> int:  # noqa: ANN401
+        """`stamp_of` the message, counted."""
+        time_ns = stamp_of(message, log_time_ns)
+        self.messages += 1
+        self.has_header = hasattr(message, "header")
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
+            self.unstamped += 1
+        elif len(self.lag_s) < 101:
+            self.lag_s.append((log_time_ns - time_ns) * 1e-9)
+        return time_ns
+
+    def notes(self) -> list[str]:
+        """Whole sentences on missing and zero stamps."""
+        if not self.unstamped:
+            return []
+        if not self.has_header:
+            return [f"{self.topic}: messages have no header stamp; the log time is used"]
+        if self.unstamped == self.messages:
+            return [f"{self.topic}: all {self.messages} header stamps are zero; the log time is used"]
+        return [
+            f"{self.topic}: {self.unstamped} of {self.messages} header stamps are zero; "
+            "the log time is used for those"
+        ]
+
+
+def clock_notes(clocks: list[Clock]) -> list[str]:
+    """Notes of all topics, and on topics whose stamps come from different clocks."""
+    notes = [note for clock in clocks for note in clock.notes()]
+    # A topic without stamps uses the log time itself: no lag.
+    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages}
+    if len(lags) > 1:
+        low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
+        if lags[high] - lags[low] > CLOCKS_DIFFER_S:
+            notes.append(
+                f"clocks differ: the stamps of {high} lie {lags[high]:.3f} s before the log time, those of "
+                f"{low} {lags[low]:.3f} s"
+            )
+    return notes
+
+
+def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
+    """Which samples make time strictly increase.
+
+    Of equal stamps the first is kept. Where a clock steps back, the longest increasing run is kept and the
+    rest dropped: one stray stamp costs one sample, and after a step back the samples that the clock had
+    already passed are left out, so that two stretches of time are never mixed.
+
+    Args:
+        time_ns: (n,) in the order of arrival.
+
+    Returns:
+        (n,) True to keep; how many were duplicates; how many were dropped for order; largest step back, s.
+    """
+    steps = np.diff(time_ns)
+    keep = np.ones(len(time_ns), dtype=np.bool_)
+    if np.all(steps > 0):
+        return keep, 0, 0, 0.0
+    _, first = np.unique(time_ns, return_index=True)
+    keep[:] = False
+    keep[first] = True
+    candidates = np.flatnonzero(keep)
+    if np.any(np.diff(time_ns[candidates]) < 0):
+        keep[:] = False
+        keep[candidates[_longest_increasing(time_ns[candidates])]] = True
+    duplicates = len(time_ns) - len(first)
+    return keep, duplicates, len(first) - int(keep.sum()), float(max(-int(steps.min()), 0) * 1e-9)
+
+
+def _longest_increasing(values: IntArray) -> IntArray:
+    """Indices of the longest strictly increasing subsequence (patience sorting)."""
+    tails: list[int] = []
+    ends: list[int] = []
+    before = np.full(len(values), -1, dtype=np.int64)
+    for index, value in enumerate(values.tolist()):
+        place = bisect_left(tails, value)
+        before[index] = ends[place - 1] if place else -1
+        if place == len(tails):
+            tails.append(value)
+            ends.append(index)
+        else:
+            tails[place] = value
+            ends[place] = index
+    chain = []
+    index = ends[-1] if ends else -1
+    while index >= 0:
+        chain.append(index)
+        index = int(before[index])
+    return np.array(chain[::-1], dtype=np.int64)

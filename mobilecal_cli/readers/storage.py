@@ -1,0 +1,188 @@
+"""What every container offers: channels, a time range, and raw messages as a stream in order of log time."""
+
+from __future__ import annotations
+
+import heapq
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+from mobilecal_cli.readers.channels import Channel, Payload
+
+RawMessage = tuple[Channel, int, Payload]
+
+#: No chunk, message or decompressed payload may claim more than this.
+SIZE_LIMIT = 2**31
+
+
+class Storage(ABC):
+    """One file of a recording.
+
+    Attributes:
+        path: the file, as the user knows it.
+        channels: channel id → channel.
+        counts: channel id → number of messages that the file itself states (or that counting found), None
+            where unknown.
+        start_ns, end_ns: log time of the first and last message, None where unknown or empty.
+        damage: what was lost, whole sentences; complete after a full pass.
+    """
+
+    path: Path
+    channels: dict[int, Channel]
+    counts: dict[int, int] | None
+    start_ns: int | None
+    end_ns: int | None
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.channels = {}
+        self.counts = None
+        self.start_ns = None
+        self.end_ns = None
+        self._damage: dict[str, None] = {}
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """Each note once, in order of appearance."""
+        return tuple(self._damage)
+
+    def note(self, sentence: str) -> None:
+        """Add a note on damage, once however often a pass is repeated."""
+        self._damage[f"{self.path.name}: {sentence}"] = None
+
+    @abstractmethod
+    def raw(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is whole."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the file."""
+
+    def compare_counts(self, topics: Collection[str], seen: Mapping[int, int]) -> None:
+        """After a full pass: note the topics of which fewer messages were read than the file states."""
+        if self.counts is None:
+            return
+        for number, channel in sorted(self.channels.items()):
+            stated = self.counts.get(number, 0)
+            if channel.topic in topics and seen.get(number, 0) < stated:
+                self.note(f"{channel.topic}: {seen.get(number, 0)} of {stated} messages could be read")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A stretch of the file that is read at once: a chunk, or neighbouring messages outside chunks.
+
+    Attributes:
+        offset: where it begins, bytes.
+        size: its length in the file, bytes.
+        is_chunk: a chunk record; otherwise plain records.
+        start_ns, end_ns: log times of its messages.
+        channels: ids of the channels with messages in it, None where unknown.
+    """
+
+    offset: int
+    size: int
+    is_chunk: bool
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int] | None
+
+
+class BlockStorage(Storage):
+    """A container made of chunks: MCAP and ROS 1 bags.
+
+    Only blocks with an asked-for channel are read. Messages come in order of log time: a message waits until
+    no block that is still unread can hold an earlier one, so memory holds the blocks that overlap in time,
+    whatever the length of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.blocks: list[Block] = []
+        self._stream = path.open("rb")
+        self.size = path.stat().st_size
+
+    def close(self) -> None:
+        """Release the file."""
+        self._stream.close()
+
+    @abstractmethod
+    def load(self, block: Block) -> bytes:
+        """The block's records, decompressed."""
+
+    @abstractmethod
+    def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
+        """Channel id, log time and payload of every message; channels met on the way are registered."""
+
+    def read_at(self, offset: int, size: int) -> bytes:
+        """Exactly `size` bytes from `offset`.
+
+        Raises:
+            EOFError: the file ends before.
+        """
+        if not 0 <= size <= SIZE_LIMIT:
+            raise ValueError(f"a record claims {size} bytes")
+        self._stream.seek(offset)
+        data = self._stream.read(size)
+        if len(data) != size:
+            raise EOFError(f"the file ends at byte {self.size}, {size} bytes were expected from {offset}")
+        return data
+
+    def raw(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is whole."""
+        wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
+        blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
+        blocks.sort(key=lambda block: (block.start_ns, block.offset))
+        waiting: list[tuple[int, int, int, Payload]] = []
+        order = count()
+        seen: Counter[int] = Counter()
+        for block in blocks:
+            while waiting and waiting[0][0] < block.start_ns:
+                yield self._release(waiting, seen)
+            for number, time_ns, payload in self._messages_of(block):
+                channel = self.channels.get(number)
+                if channel is not None and channel.topic in topics:
+                    heapq.heappush(waiting, (time_ns, next(order), number, payload))
+        while waiting:
+            yield self._release(waiting, seen)
+        self.compare_counts(topics, seen)
+
+    def _release(self, waiting: list[tuple[int, int, int, Payload]], seen: Counter[int]) -> RawMessage:
+        time_ns, _, number, payload = heapq.heappop(waiting)
+        seen[number] += 1
+        return self.channels[number], time_ns, payload
+
+    def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
+        """The block's messages up to the first damage, which is noted."""
+        found = 0
+        try:
+            for item in self.parse(self.load(block)):
+                found += 1
+                yield item
+        except Exception as error:  # damaged bytes raise almost anything in the decompressors and parsers
+            kept = f"its first {found} messages are used" if found else "its messages are left out"
+            self.note(
+                f"the {'chunk' if block.is_chunk else 'stretch'} at byte {block.offset} of {self.size} is "
+                f"damaged ({type(error).__name__}: {error}); {kept}"
+            )
+
+    def look_inside(self, block: Block) -> tuple[dict[int, int], int, int, Exception | None]:
+        """Messages per channel in a block, its first and last log time, and the damage that ended it."""
+        counts: Counter[int] = Counter()
+        start_ns, end_ns = 2**63 - 1, 0
+        try:
+            for number, time_ns, _ in self.parse(self.load(block)):
+                counts[number] += 1
+                start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
+        except Exception as error:  # damaged bytes raise almost anything; noted when the block is read
+            return dict(counts), start_ns, end_ns, error
+        return dict(counts), start_ns, end_ns, None
+
+    def settle(self) -> None:
+        """Take start and end from the blocks, after they are all known."""
+        if self.blocks:
+            self.start_ns = min(block.start_ns for block in self.blocks)
+            self.end_ns = max(block.end_ns for block in self.blocks)
