@@ -221,6 +221,37 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
+def parse_setting(text: str) -> tuple[str, Any]:
+    """One `--set KEY=VALUE`: the dotted key and the value, read as YAML.
+
+    Raises:
+        ConfigError: no "=", or a value that is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise ConfigError(f"--set {text}: not KEY=VALUE", "for example --set wheels.left.sign=-1")
+    try:
+        return key, YAML(typ="safe", pure=True).load(value)
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote it") from error
+
+
+def read_urdf(config: RigConfig) -> str | None:
+    """The text of `head.urdf`, None where the configuration names none.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    if config.head.urdf is None:
+        return None
+    try:
+        return config.head.urdf.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"head.urdf: {config.head.urdf} cannot be read: {error}", "check the path"
+        ) from error
+
+
 def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
     for key in keys[:-1]:
         inner = data.setdefault(key, {})

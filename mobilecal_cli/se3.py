@@ -151,6 +151,11 @@ def from_rpy(rpy_rad: FloatArray) -> FloatArray:
     return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
 
 
+def to_rpy(rotation: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw with `from_rpy(to_rpy(R))` = R: (3, 3) → (3,), rad."""
+    return np.radians(np.array(euler_zyx_deg(rotation)))
+
+
 def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
     """Angles (ax, ay, az) in degrees with R = Rz(az) Ry(ay) Rx(ax), as in the paper's Table 1.
 

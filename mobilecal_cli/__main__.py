@@ -1,0 +1,5 @@
+"""python -m mobilecal_cli."""
+
+from mobilecal_cli.cli import main
+
+main()

@@ -1,0 +1,34 @@
+"""One file, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from mobilecal_cli.errors import OutputError
+
+
+def write_file(path: Path, content: bytes, force: bool) -> None:
+    """Write a file under a temporary name beside it, then put it in place.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, is no plain file, or cannot be written.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise OutputError(f"{path}: exists and is not a plain file", "choose another --output")
+    if path.exists() and not force:
+        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another --output")
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        with partial.open("xb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror}", "choose another --output"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)

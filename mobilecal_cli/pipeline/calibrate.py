@@ -1,0 +1,124 @@
+"""The main job: recordings in, nine numbers and a report out."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli import __version__
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import (
+    check_output,
+    extraction_from_npz,
+    extraction_to_npz,
+    params_yaml,
+    write_outputs,
+)
+from mobilecal_cli.model import Extraction, Method, Provenance, Snapshot, Solution
+from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.settings import settings_of
+from mobilecal_cli.report import Verdict, judge, report_html, report_json
+from mobilecal_cli.solvers import solve
+from mobilecal_cli.uncertainty import require_observable
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What a calibration gave.
+
+    Attributes:
+        solution, extraction, verdict: the answer, what it rests on, and what it is worth.
+        directory: where the files are.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    verdict: Verdict
+    directory: Path
+
+
+def default_output(log: Path) -> Path:
+    """`<log name>_calibration` in the working directory."""
+    name = log.resolve().name if log.is_dir() else log.stem
+    return Path(f"{name}_calibration")
+
+
+def _created() -> str:
+    """Now in UTC, or the moment that SOURCE_DATE_EPOCH names, for outputs that repeat byte for byte."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return now.strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _is_extraction(path: Path) -> bool:
+    return path.is_file() and zipfile.is_zipfile(path)
+
+
+def load(
+    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    """Extract recordings, or take an extraction.npz of an earlier run as it is.
+
+    Raises:
+        ConfigError: an extraction together with other logs or with settings, which it carries itself.
+    """
+    given = frozenset(key for key, value in flags.items() if value is not None)
+    config = load_rig(config_path, flags)
+    if not any(_is_extraction(path) for path in logs):
+        return extract(logs, config, given, progress)
+    if len(logs) > 1 or config_path is not None or given:
+        raise ConfigError(
+            f"{logs[0]}: an extraction carries its own settings and stands alone",
+            "give it without other logs, --config and settings, or give the recordings instead",
+        )
+    return extraction_from_npz(logs[0]), ()
+
+
+def calibrate(
+    logs: Sequence[Path],
+    output: Path | None = None,
+    *,
+    config_path: Path | None = None,
+    flags: Mapping[str, Any] | None = None,
+    method: Method = "lm",
+    force: bool = False,
+    progress: Progress = silent,
+) -> Calibration:
+    """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
+
+    Args:
+        logs: recordings of one robot, or one extraction.npz.
+        output: directory to write; `<log name>_calibration` by default.
+        config_path: rig.yaml.
+        flags: dotted key → value, over the file.
+        method: see `solvers.solve`.
+        force: replace an output directory that is there.
+        progress: told how far it is.
+
+    Raises:
+        MobilecalError: see `errors`; nothing is written then.
+    """
+    directory = output if output is not None else default_output(logs[0])
+    check_output(directory, force)
+    extraction, snapshots = load(logs, config_path, flags or {}, progress)
+    require_observable(extraction)
+    progress("solving", 0, None)
+    solution = solve(extraction, method)
+    verdict = judge(solution, extraction)
+    provenance = Provenance(__version__, _created(), method, extraction.logs, settings_of(extraction))
+    progress("writing the report", 0, None)
+    files = {
+        "params.yaml": params_yaml(solution, extraction, provenance).encode(),
+        "report.html": report_html(solution, extraction, snapshots, provenance, verdict).encode(),
+        "report.json": report_json(solution, extraction, provenance, verdict).encode(),
+        "extraction.npz": extraction_to_npz(extraction),
+    }
+    write_outputs(directory, files, force)
+    return Calibration(solution, extraction, verdict, directory)

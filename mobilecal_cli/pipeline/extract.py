@@ -1,0 +1,192 @@
+"""Recordings into an extraction: everything slow, and the only part that sees pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.config import RigConfig, read_urdf
+from mobilecal_cli.discovery import settle_rig
+from mobilecal_cli.errors import ConfigError, ObservationError
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import (
+    Board,
+    Extraction,
+    JointLink,
+    LogSource,
+    Observation,
+    Rejection,
+    Rig,
+    Snapshot,
+    Station,
+    WheelTrack,
+)
+from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.seeing import Looks, board_size, look
+from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, read_signals, sha256_of
+from mobilecal_cli.stations import Plan, plan_stations
+from mobilecal_cli.uncertainty import FEWEST_STATIONS
+from mobilecal_cli.vision import Detection, observe, settle_numbering
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """One log, read and looked at."""
+
+    rig: Rig
+    board: Board
+    plan: Plan
+    looks: Sequence[Looks]
+    snapshots: Sequence[Snapshot]
+    notes: tuple[str, ...]
+
+
+def _plan(recording: Recording, rig: Rig) -> tuple[Plan, tuple[str, ...]]:
+    signals = read_signals(recording, rig.sources, rig.chain.joints)
+    sliding = frozenset(
+        link.joint for link in rig.chain.links if isinstance(link, JointLink) and link.kind == "prismatic"
+    )
+    plan = plan_stations(signals, rig.chain.joints, sliding)
+    return plan, (*signals.notes, *plan.notes)
+
+
+def _see(
+    recording: Recording, config: RigConfig, flags: frozenset[str], board: Board | None, progress: Progress
+) -> Seen:
+    progress("reading", 0, None)
+    settled = settle_rig(config, read_prelude(recording), read_urdf(config), flags)
+    rig = settled.rig
+    plan, notes = _plan(recording, rig)
+    if board is None:
+        progress("finding the board's size", 0, None)
+        size = board_size(recording, rig.sources, plan.stations)
+        if size is None:
+            raise ObservationError(
+                f"no checkerboard was found in pictures of {len(plan.stations)} stations",
+                "keep the whole board in both pictures, in good light, with squares of 7 pixels or more; or "
+                "state its inner corners with --board, such as --board 9x6",
+            )
+        board = Board(*size, config.board.square_m)
+    looks, snapshots = look(recording, rig.sources, rig.cameras, board, plan.stations, progress)
+    found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
+    if not found and config.board.columns is not None:
+        _refuse_wrong_size(recording, rig, plan, board)
+    return Seen(rig, board, plan, looks, snapshots, (*settled.notes, *notes, *recording.damage))
+
+
+def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board) -> None:
+    """Look whether there is another board where the stated one is nowhere.
+
+    Raises:
+        ObservationError: naming the size that was seen.
+    """
+    size = board_size(recording, rig.sources, plan.stations)
+    if size is not None and set(size) != {board.columns, board.rows}:
+        raise ObservationError(
+            f"the configuration says the board has {board.columns} x {board.rows} inner corners, the pictures "
+            f"show one of {size[0]} x {size[1]}",
+            f"state the board that was used: --board {size[0]}x{size[1]}, or board.columns and board.rows",
+        )
+
+
+def _observations(log: int, seen: Seen, square_m: float | None) -> tuple[list[Observation], list[Rejection]]:
+    observations, rejections = [], []
+    for station, looks in zip(seen.plan.stations, seen.looks, strict=True):
+        result = _observe(log, station, looks, seen, square_m)
+        if isinstance(result, Rejection):
+            rejections.append(result)
+        else:
+            observations.append(result)
+    return observations, rejections
+
+
+def _observe(
+    log: int, station: Station, looks: Looks, seen: Seen, square_m: float | None
+) -> Observation | Rejection:
+    left, right = looks.pairs(station.shots)
+    if not left:
+        detail = looks.rejections[0].detail if looks.rejections else "its pictures are not in the recording"
+        return Rejection("readers", "pictures cannot be decoded", detail, station.time_ns, station.index)
+    return observe(log, station, left, right, seen.rig.cameras, seen.board, square_m)
+
+
+def extract(
+    logs: Sequence[Path],
+    config: RigConfig,
+    flags: frozenset[str] = frozenset(),
+    progress: Progress = silent,
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    """Read recordings of one robot and find the board in their pictures.
+
+    Files that follow one another in time are one recording in parts; the others are logs of their own, and
+    no leg joins stations of two logs.
+
+    Args:
+        logs: recordings.
+        config: see `config.load_rig`.
+        flags: dotted keys that came from flags.
+        progress: told how far it is.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    size = (config.board.columns, config.board.rows)
+    board = Board(size[0], size[1], config.board.square_m) if size[0] and size[1] else None
+    seen: list[Seen] = []
+    sources: list[LogSource] = []
+    for parts in join_parts(logs):
+        with open_recording(parts) as recording:
+            one = _see(recording, config, flags, board, progress)
+        board = one.board
+        if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
+            raise ConfigError(
+                f"{parts[0]}: its head's joints are {', '.join(one.rig.chain.joints)}, those of {logs[0]} are "
+                f"{', '.join(seen[0].rig.chain.joints)}",
+                "give recordings of one robot",
+            )
+        seen.append(one)
+        sources += [LogSource(str(path), sha256_of(path)) for path in parts]
+    progress("measuring", 0, None)
+    return _assembled(seen, sources)
+
+
+def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    board, rig = seen[0].board, seen[0].rig
+    square_m = board.square_m
+    if square_m is None:
+        # One board, one square: its size is what the stereo baseline gives over all stations.
+        sides = [o.square_m for log, one in enumerate(seen) for o in _observations(log, one, None)[0]]
+        square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
+    observations: list[Observation] = []
+    rejections: list[Rejection] = []
+    for log, one in enumerate(seen):
+        found, missed = _observations(log, one, square_m)
+        observations += found
+        rejections += [*one.plan.rejections, *(r for looks in one.looks for r in looks.rejections), *missed]
+    if observations:
+        R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
+        settled, unsettled = settle_numbering(observations, R_v_h, board)
+        observations, rejections = list(settled), [*rejections, *unsettled]
+    wheels: tuple[WheelTrack, ...] = tuple(one.plan.wheels for one in seen)
+    counts: dict[str, Any] = {
+        "stations": sum(len(one.plan.stations) for one in seen),
+        "stations_at_rest": sum(s.at_rest for one in seen for s in one.plan.stations),
+        "pictures": sum(len(found) for one in seen for looks in one.looks for found in looks.found.values()),
+        "observations": len(observations),
+    }
+    extraction = Extraction(
+        rig=rig,
+        board=replace(board, square_m=board.square_m),
+        observations=tuple(observations),
+        wheels=wheels,
+        rejections=tuple(rejections),
+        notes=tuple(dict.fromkeys(note for one in seen for note in one.notes)),
+        logs=tuple(sources),
+        counts=counts,
+    )
+    snapshots = tuple(replace(s, log=log) for log, one in enumerate(seen) for s in one.snapshots)
+    return extraction, snapshots

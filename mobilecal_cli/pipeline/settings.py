@@ -1,0 +1,82 @@
+"""The settings in force, as rig.yaml would state them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Extraction, FixedLink, FloatArray, HeadChain, WheelSource
+
+
+def _numbers(array: FloatArray) -> list[float]:
+    return [float(value) + 0.0 for value in array]
+
+
+def _chain(chain: HeadChain) -> list[dict[str, Any]]:
+    links: list[dict[str, Any]] = []
+    for link in chain.links:
+        if isinstance(link, FixedLink):
+            links.append(
+                {
+                    "xyz_m": _numbers(link.T_parent_child[:3, 3]),
+                    "rpy_rad": _numbers(se3.to_rpy(link.T_parent_child[:3, :3])),
+                }
+            )
+            continue
+        joint: dict[str, Any] = {"joint": link.joint, "axis": _numbers(link.axis)}
+        if link.kind == "prismatic":
+            joint["kind"] = link.kind
+        links.append(joint)
+    return links
+
+
+def _wheel(source: WheelSource) -> dict[str, Any]:
+    settings = {
+        "topic": source.topic,
+        "joint": source.joint,
+        "field": source.field,
+        "ticks_per_revolution": source.ticks_per_revolution,
+        "bits": source.bits,
+        "sign": source.sign,
+    }
+    return {key: value for key, value in settings.items() if value is not None}
+
+
+def settings_of(extraction: Extraction) -> dict[str, Any]:
+    """Every setting that the result depends on, nested as in rig.yaml, and what settled each."""
+    rig, board = extraction.rig, extraction.board
+    settings: dict[str, Any] = {
+        "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
+        "cameras": {
+            **{
+                side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}
+                for side in ("left", "right")
+            },
+            "reference": rig.cameras.reference,
+            "rectified": rig.cameras.rectified,
+        },
+        "joints": {"topics": list(rig.sources.joints), "pan": rig.chain.pan, "tilt": rig.chain.tilt},
+        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in ("left", "right")},
+        "head": {
+            "base_frame": rig.chain.base_frame,
+            "head_frame": rig.chain.head_frame,
+            "chain": _chain(rig.chain),
+        },
+        "settled_by": dict(rig.settled_by),
+    }
+    nominal = rig.nominal
+    if nominal.wheels is not None:
+        wheels = nominal.wheels
+        settings["nominal"] = {
+            "wheels": {
+                "radius_left_m": wheels.radius_left_m,
+                "radius_right_m": wheels.radius_right_m,
+                "separation_m": wheels.separation_m,
+            }
+        }
+    if nominal.T_h_reference is not None:
+        settings.setdefault("nominal", {})["head_eye"] = {
+            "translation_m": _numbers(nominal.T_h_reference[:3, 3]),
+            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(nominal.T_h_reference[:3, :3])),
+        }
+    return settings
