@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -145,23 +146,41 @@ def _observation(
     )
 
 
-def _track(n: int, log: int) -> WheelTrack:
-    t = np.arange(40 * n, dtype=np.int64) * 150_000_000 + 1_433_160_000_000_000_000 + log * 10**12
-    s = np.linspace(0, 0.4 * n, len(t))
-    return WheelTrack(t, s + 0.2 * np.sin(s), s - 0.2 * np.sin(s))
+def _track(poses: list[FloatArray], log: int) -> WheelTrack:
+    """Each leg is a turn, a straight stretch and a turn, inside the six seconds between two stations."""
+    t0 = 1_433_160_000_000_000_000 + log * 1000 * 1_000_000_000
+    times, turns, ways = [t0], [0.0], [0.0]
+    for i, (a, b) in enumerate(pairwise(poses)):
+        d = se3.inverse(a) @ b
+        bearing = math.atan2(d[1, 3], d[0, 3])
+        length = math.hypot(d[0, 3], d[1, 3])
+        if abs(bearing) > math.pi / 2:
+            bearing, length = math.remainder(bearing + math.pi, math.tau), -length
+        rest = math.atan2(d[1, 0], d[0, 0]) - bearing
+        for k, (turn, way) in enumerate([(bearing, 0.0), (0.0, length), (rest, 0.0), (0.0, 0.0)]):
+            times.append(t0 + int((6 * i + (2, 3, 4, 6)[k]) * 1e9))
+            turns.append(turns[-1] + turn)
+            ways.append(ways[-1] + way)
+    turned, driven, b = np.array(turns), np.array(ways), WHEELS.separation_m
+    return WheelTrack(
+        np.array(times),
+        (driven + turned * b / 2) / WHEELS.radius_right_m,
+        (driven - turned * b / 2) / WHEELS.radius_left_m,
+    )
 
 
 def make_extraction(n: int = 12, logs: int = 1, rig: Rig | None = None, seed: int = 0) -> Extraction:
     rng = np.random.default_rng(seed)
-    observations = []
+    observations, tracks = [], []
     for log in range(logs):
         poses, joints = _stations(rng, n, log)
+        tracks.append(_track(poses, log))
         observations += [_observation(rng, log, i, poses[i], joints[i]) for i in range(n)]
     return Extraction(
         rig=rig or make_rig(),
         board=BOARD,
         observations=tuple(observations),
-        wheels=tuple(_track(n, log) for log in range(logs)),
+        wheels=tuple(tracks),
         rejections=(
             Rejection("stations", "the base moved", "0.021 rad in 0.4 s", 1_433_160_031_000_000_000),
             Rejection("vision", "board partly hidden", "41 of 54 corners", 1_433_160_040_000_000_000, 12),

@@ -1,0 +1,178 @@
+"""report.json: every number of the report, for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.report.numbers import (
+    QUANTITIES,
+    board_distance_m,
+    image_coverage,
+    nine_numbers,
+    predicted_point_rms_m,
+    reference_frame,
+    reference_pose,
+    rejection_counts,
+    stations_looked_at,
+)
+from mobilecal_cli.report.verdict import Verdict
+
+SCHEMA_VERSION = 1
+
+
+def report_json(solution: Solution, extraction: Extraction, provenance: Provenance, verdict: Verdict) -> str:
+    """Every number of the report: keys sorted, units as suffixes, the same bytes for the same values."""
+    cameras = extraction.rig.cameras
+    data = {
+        "schema_version": SCHEMA_VERSION,
+        "verdict": asdict(verdict),
+        "parameters": _parameters(solution.parameters, cameras)
+        | {"parent_frame": extraction.rig.chain.head_frame, "child_frame": reference_frame(cameras)},
+        "quality": _quality(solution, extraction),
+        "linear": _linear(solution, cameras),
+        "refinement": _refinement(solution, cameras),
+        "legs": _legs(solution),
+        "stations": _stations(solution, extraction),
+        "motion": dict(solution.motion),
+        "image_coverage": coverage(extraction),
+        "rejections": {
+            "counts": [
+                {"stage": stage, "reason": reason, "count": count}
+                for (stage, reason), count in rejection_counts(extraction).items()
+            ],
+            "items": [asdict(item) for item in extraction.rejections],
+        },
+        "counts": dict(extraction.counts),
+        "notes": {"reading": list(extraction.notes), "solving": list(solution.notes)},
+        "settled_by": dict(extraction.rig.settled_by),
+        "provenance": {
+            "tool": "mobilecal",
+            "version": provenance.version,
+            "created": provenance.created,
+            "method": provenance.method,
+            "logs": [asdict(log) for log in provenance.logs],
+            "config": provenance.config,
+        },
+    }
+    return json.dumps(_tidy(data), indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def _tidy(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
+    if isinstance(value, Mapping):
+        return {str(key): _tidy(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _tidy(value.tolist())
+    if isinstance(value, tuple | list):
+        return [_tidy(item) for item in value]
+    if isinstance(value, np.generic):
+        return _tidy(value.item())
+    if isinstance(value, float):
+        return value + 0.0  # no -0.0
+    return value
+
+
+def _parameters(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
+    T = reference_pose(parameters, cameras)
+    numbers = nine_numbers(parameters, cameras)
+    return {
+        **{quantity.key: float(value) for quantity, value in zip(QUANTITIES, numbers, strict=True)},
+        "translation_m": T[:3, 3],
+        "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
+        "gimbal_margin_deg": se3.gimbal_margin_deg(T[:3, :3]),
+    }
+
+
+def _quality(solution: Solution, extraction: Extraction) -> dict[str, Any]:
+    return {
+        "stations": len(extraction.observations),
+        "stations_looked_at": stations_looked_at(extraction),
+        "point_rms_mm": solution.point_rms_m * 1e3,
+        "point_rms_predicted_by_depth_noise_mm": predicted_point_rms_m(extraction, solution) * 1e3,
+        "reprojection_rms_px": solution.reprojection_rms_px,
+        "board_distance_m": board_distance_m(extraction),
+        "method": solution.method,
+    }
+
+
+def _linear(solution: Solution, cameras: StereoRig) -> dict[str, Any]:
+    linear = solution.linear
+    rival_m = linear.rival_point_rms_m
+    return _parameters(linear.parameters, cameras) | {
+        "point_rms_mm": linear.point_rms_m * 1e3,
+        "rival_point_rms_mm": rival_m * 1e3 if math.isfinite(rival_m) else None,
+        "rounds": linear.rounds,
+        "rounds_to_tolerance": linear.rounds_to_tolerance,
+        "start_ratios": linear.start_ratios,
+        "start_from": linear.start_from,
+        "history": [_parameters(parameters, cameras) for parameters in linear.history],
+    }
+
+
+def _refinement(solution: Solution, cameras: StereoRig) -> dict[str, Any] | None:
+    refinement = solution.refinement
+    if refinement is None:
+        return None
+    return _parameters(refinement.parameters, cameras) | {
+        "method": refinement.method,
+        "point_rms_mm": refinement.point_rms_m * 1e3,
+        "point_rms_history_mm": refinement.point_rms_history_m * 1e3,
+        "evaluations": refinement.evaluations,
+    }
+
+
+def _legs(solution: Solution) -> list[dict[str, Any]]:
+    residuals = solution.residuals
+    return [
+        {
+            "from_observation": first,
+            "to_observation": second,
+            "point_rms_mm": residuals.leg_point_rms_m[leg] * 1e3,
+            "reprojection_px": residuals.leg_reprojection_px[leg],
+        }
+        for leg, (first, second) in enumerate(residuals.legs.tolist())
+    ]
+
+
+def _stations(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:
+    joints = extraction.rig.chain.joints
+    return [
+        {
+            "log": o.log,
+            "station": o.station,
+            "time_ns": o.time_ns,
+            "at_rest": o.at_rest,
+            "joints": dict(zip(joints, o.joints.tolist(), strict=True)),
+            "pictures_left": o.left.pictures,
+            "pictures_right": o.right.pictures,
+            "corner_sigma_left_px": o.left.sigma_px,
+            "corner_sigma_right_px": o.right.sigma_px,
+            "stereo_reprojection_px": o.reprojection_px,
+            "square_mm": o.square_m * 1e3,
+            "board_distance_m": float(np.linalg.norm(o.points_c, axis=-1).mean()),
+            "base_x_m": T_w_v[0, 3],
+            "base_y_m": T_w_v[1, 3],
+            "base_heading_deg": math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
+        }
+        for o, T_w_v in zip(extraction.observations, solution.residuals.T_w_v, strict=True)
+    ]
+
+
+def coverage(extraction: Extraction) -> dict[str, float]:
+    """Side → share of its picture in which corners were seen, 0 to 1."""
+    cameras, seen = extraction.rig.cameras, extraction.observations
+    if not seen:
+        return {}
+    left = np.concatenate([o.left.pixels for o in seen])
+    right = np.concatenate([o.right.pixels for o in seen])
+    return {
+        "left": image_coverage(left, cameras.left.width, cameras.left.height),
+        "right": image_coverage(right, cameras.right.width, cameras.right.height),
+    }

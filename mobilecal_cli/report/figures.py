@@ -1,0 +1,103 @@
+"""How a figure becomes SVG inside the page: no network, no dates, colours that follow light and dark.
+
+Figures are drawn in stand-in colours, which are replaced by the page's CSS variables afterwards.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, FAINT, BLUE, ORANGE, GREEN, RED = "#010101", "#020202", "#030303", "#040404", "#050505", "#060606"
+_VARIABLES = {INK: "ink", FAINT: "faint", BLUE: "blue", ORANGE: "orange", GREEN: "green", RED: "red"}
+_SETTINGS: dict[str, Any] = {
+    "svg.fonttype": "none",  # text stays text: small, searchable, in the page's own font
+    "svg.hashsalt": "mobilecal",
+    "text.parse_math": False,  # a joint's name may hold a dollar sign
+    "font.family": "sans-serif",
+    "font.size": 10.0,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.facecolor": "none",
+    "axes.titlecolor": INK,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "figure.facecolor": "none",
+    "grid.color": FAINT,
+    "grid.alpha": 0.5,
+    "grid.linewidth": 0.6,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.8,
+    "lines.markersize": 5.0,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Matplotlib's own defaults with this module's settings on top, whatever the user's matplotlibrc says."""
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_SETTINGS)  # type: ignore[arg-type]  # its keys are Literals
+        yield
+
+
+def figure(
+    width_in: float,
+    height_in: float,
+    rows: int = 1,
+    columns: int = 1,
+    **kwargs: Any,  # noqa: ANN401
+) -> tuple[Figure, Sequence[Axes]]:
+    """A figure with its axes in reading order. Call it inside `style`."""
+    from matplotlib.figure import Figure as NewFigure
+
+    new = NewFigure(figsize=(width_in, height_in), layout="constrained")
+    grid = new.subplots(rows, columns, squeeze=False, **kwargs)
+    return new, list(grid.ravel())
+
+
+def svg(drawing: Figure, name: str, title: str) -> str:
+    """The figure as an <svg> element that scales with the page.
+
+    Args:
+        drawing: what was drawn inside `style`.
+        name: prefix that keeps the ids of several figures in one page apart.
+        title: what the figure shows, for those who cannot see it; plain ASCII of ours.
+    """
+    stream = io.StringIO()
+    drawing.savefig(
+        stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+    )
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
+    text = text.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1)
+    for colour, variable in _VARIABLES.items():
+        text = text.replace(colour, f"var(--{variable})")
+    # One number format throughout: a hundredth of a point is finer than any screen.
+    return re.sub(r"(\d\.\d{2})\d+", r"\1", text)

@@ -1,0 +1,170 @@
+"""report.html: one file that opens without a network and says whether to trust the numbers."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Extraction, Provenance, Setting, Snapshot, Solution
+from mobilecal_cli.report import overlays, plots
+from mobilecal_cli.report.data import coverage
+from mobilecal_cli.report.numbers import (
+    QUANTITIES,
+    board_distance_m,
+    nine_numbers,
+    predicted_point_rms_m,
+    reference_frame,
+    reference_pose,
+    rejection_counts,
+    stations_looked_at,
+    visible,
+)
+from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_MOST_REJECTIONS = 200  # details of more than these are in report.json only
+_MOST_PATHS = 4  # logs that are drawn from above
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def report_html(
+    solution: Solution,
+    extraction: Extraction,
+    snapshots: Sequence[Snapshot],
+    provenance: Provenance,
+    verdict: Verdict,
+) -> str:
+    """The report as one HTML page: no scripts, no network, the same bytes for the same values.
+
+    Args:
+        solution: the answer.
+        extraction: what it was solved from.
+        snapshots: pictures of some or all stations, for the overlays; may be empty.
+        provenance: when, by which version, from which logs and settings.
+        verdict: what `judge` says.
+    """
+    rig = extraction.rig
+    return _template().render(
+        verdict=verdict,
+        checks=verdict.checks,
+        numbers=_table_one(solution, extraction),
+        refined=solution.refinement is not None,
+        method=solution.method,
+        head_frame=rig.chain.head_frame,
+        camera_frame=reference_frame(rig.cameras),
+        camera_side=rig.cameras.reference,
+        rectified=rig.cameras.rectified,
+        lock_deg=se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
+        quaternion=se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
+        linear=solution.linear,
+        error_mm=solution.point_rms_m * 1e3,
+        linear_error_mm=solution.linear.point_rms_m * 1e3,
+        predicted_mm=predicted_point_rms_m(extraction, solution) * 1e3,
+        reprojection_px=solution.reprojection_rms_px,
+        distance_m=board_distance_m(extraction),
+        stations=len(extraction.observations),
+        looked_at=stations_looked_at(extraction),
+        least_stations=MIN_STATIONS,
+        figures=dict(_figures(solution, extraction)),
+        paths=_paths(solution, extraction),
+        coverage=coverage(extraction),
+        leg_views=overlays.leg_views(solution, extraction, snapshots),
+        rejection_counts=rejection_counts(extraction),
+        rejections=[
+            (item.stage, item.reason, item.detail, item.station, _moment(item.time_ns))
+            for item in extraction.rejections[:_MOST_REJECTIONS]
+        ],
+        rejections_hidden=max(0, len(extraction.rejections) - _MOST_REJECTIONS),
+        notes=(*solution.notes, *extraction.notes),
+        motion=solution.motion,
+        counts=extraction.counts,
+        board=extraction.board,
+        sources=rig.sources,
+        settled_by=rig.settled_by,
+        settings=list(_flat(provenance.config)),
+        provenance=provenance,
+    )
+
+
+@functools.cache
+def _template() -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def shown(value: object) -> object:
+        """Every string from outside passes here, whatever the template does with it."""
+        return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+    environment = Environment(
+        loader=PackageLoader("mobilecal_cli.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=shown,
+    )
+    return environment.get_template("report.html.jinja")
+
+
+def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:
+    cameras = extraction.rig.cameras
+    final = nine_numbers(solution.parameters, cameras)
+    linear = nine_numbers(solution.linear.parameters, cameras)
+    return [
+        {
+            "symbol": quantity.symbol,
+            "meaning": quantity.meaning,
+            "unit": quantity.unit,
+            "linear": f"{before:.{quantity.digits}f}",
+            "final": f"{after:.{quantity.digits}f}",
+        }
+        for quantity, before, after in zip(QUANTITIES, linear, final, strict=True)
+    ]
+
+
+def _figures(solution: Solution, extraction: Extraction) -> Iterator[tuple[str, Any]]:
+    from markupsafe import Markup
+
+    drawn: dict[str, Callable[[], str]] = {
+        "wheels": lambda: plots.wheel_convergence(solution, extraction),
+        "nine": lambda: plots.all_convergence(solution, extraction),
+        "refinement": lambda: plots.refinement_convergence(solution),
+        "legs": lambda: plots.leg_residuals(solution, extraction),
+        "stations": lambda: plots.station_residuals(extraction),
+        "head": lambda: plots.head_angles(extraction),
+        "left": lambda: plots.picture_coverage(extraction, "left"),
+        "right": lambda: plots.picture_coverage(extraction, "right"),
+    }
+    for name, draw in drawn.items():
+        # Markup: SVG made here; matplotlib has escaped every text in it.
+        yield name, Markup(draw()) if extraction.observations else Markup("")
+
+
+def _paths(solution: Solution, extraction: Extraction) -> list[tuple[str, Any]]:
+    from markupsafe import Markup
+
+    logs = sorted({o.log for o in extraction.observations})[:_MOST_PATHS]
+    return [
+        (extraction.logs[log].path, Markup(plots.seen_from_above(solution, extraction, log))) for log in logs
+    ]
+
+
+def _moment(time_ns: int) -> str:
+    """A log's time as UTC; seconds where it is no date that a calendar holds."""
+    if 0 < time_ns < 253_402_300_800_000_000_000:
+        return (_EPOCH + timedelta(microseconds=time_ns // 1000)).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
+    return f"{time_ns / 1e9:.3f} s"
+
+
+def _flat(config: Mapping[str, Setting], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as (dotted key, value)."""
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", "none" if value is None else str(value)

@@ -1,0 +1,113 @@
+"""The numbers that every part of the report shows, worked out in one place, and how they are written."""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Extraction, FloatArray, Parameters, Solution, StereoRig
+
+_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
+
+
+def visible(text: str) -> str:
+    """Text from a log for people: what would steer a terminal or a page is written as an escape."""
+    return "".join(
+        character.encode("unicode_escape").decode("ascii")
+        if unicodedata.category(character) in _HIDDEN
+        else character
+        for character in text
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One of the nine numbers, in the units of the paper's Table 1.
+
+    Attributes:
+        key: name in report.json, with its unit.
+        symbol: as the paper writes it.
+        meaning: in words.
+        unit: "deg" or "mm".
+        digits: decimals worth showing.
+    """
+
+    key: str
+    symbol: str
+    meaning: str
+    unit: str
+    digits: int
+
+
+QUANTITIES = (
+    Quantity("euler_x_deg", "αx", "camera's rotation about x", "deg", 3),
+    Quantity("euler_y_deg", "αy", "camera's rotation about y", "deg", 3),
+    Quantity("euler_z_deg", "αz", "camera's rotation about z", "deg", 3),
+    Quantity("translation_x_mm", "tx", "camera's position on the head, x", "mm", 2),
+    Quantity("translation_y_mm", "ty", "camera's position on the head, y", "mm", 2),
+    Quantity("translation_z_mm", "tz", "camera's position on the head, z", "mm", 2),
+    Quantity("radius_right_mm", "rR", "right wheel's radius", "mm", 2),
+    Quantity("radius_left_mm", "rL", "left wheel's radius", "mm", 2),
+    Quantity("separation_mm", "b", "distance between the wheels", "mm", 2),
+)
+
+
+def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+    """(4, 4) reference camera coordinates to head coordinates, m."""
+    T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
+    return T
+
+
+def reference_frame(cameras: StereoRig) -> str:
+    """Name of the reference camera's optical frame."""
+    return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
+
+
+def nine_numbers(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+    """(9,) in the order and units of `QUANTITIES`."""
+    T = reference_pose(parameters, cameras)
+    wheels = parameters.wheels
+    lengths_m = [*T[:3, 3], wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
+    return np.array([*se3.euler_zyx_deg(T[:3, :3]), *(1e3 * length for length in lengths_m)])
+
+
+def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:
+    """What eq. 19's square root would be if the triangulated corners' own noise were all there is, m."""
+    traces = np.array([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in extraction.observations])
+    legs = solution.residuals.legs
+    return float(np.sqrt(np.mean(traces[legs].sum(axis=1)))) if len(legs) else 0.0
+
+
+def board_distance_m(extraction: Extraction) -> float:
+    """Median distance from camera to corners, m; 0 without observations."""
+    seen = extraction.observations
+    return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in seen])) if seen else 0.0
+
+
+def stations_looked_at(extraction: Extraction) -> int:
+    """How many stations there were, used or not."""
+    return max(extraction.counts.get("stations", 0), len(extraction.observations))
+
+
+def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
+    """(stage, reason) → how many, the most frequent first."""
+    counts: dict[tuple[str, str], int] = {}
+    for item in extraction.rejections:
+        counts[item.stage, item.reason] = counts.get((item.stage, item.reason), 0) + 1
+    return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
+
+
+def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int, int] = (8, 6)) -> float:
+    """Share of a coarse grid over the picture, (across, down) cells, in which any corner lies: (n, 2) → 0..1."""
+    at = np.floor(pixels / [width, height] * cells).astype(int)
+    inside = np.all((at >= 0) & (at < cells), axis=-1)
+    return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
+
+
+def station_names(extraction: Extraction) -> list[str]:
+    """What each observation's station is called: its index in the log, after the log's where there are several."""
+    several = len({o.log for o in extraction.observations}) > 1
+    return [f"{o.log}:{o.station}" if several else str(o.station) for o in extraction.observations]
