@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.config import RigConfig
+from mobilecal_cli.discovery import draft_rig, settle_rig
+from mobilecal_cli.discovery.names import pairs, side_of, words
+from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import CameraInfo, Prelude, TopicInfo
+
+URDF = """<robot name="r">
+<joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
+<joint name="wheel_right_joint" type="continuous"><parent link="base_link"/><child link="wr"/><origin xyz="{x} -0.25 0.1"/></joint>
+<link name="wl"><collision><geometry><cylinder radius="0.2" length="0.1"/></geometry></collision></link>
+<link name="wr"><collision><geometry><cylinder radius="0.2" length="0.1"/></geometry></collision></link>
+<joint name="head_pan_joint" type="revolute"><parent link="base_link"/><child link="pan"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/></joint>
+<joint name="head_tilt_joint" type="revolute"><parent link="pan"/><child link="tilt"/><axis xyz="0 1 0"/></joint>
+<joint name="arm_pan" type="revolute"><parent link="base_link"/><child link="arm"/></joint>
+</robot>"""
+JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
+
+
+def info(side="left", baseline=0.12, **changes):
+    values = {
+        "frame_id": f"stereo_{side}_optical",
+        "width": 640,
+        "height": 480,
+        "K": np.array([[550.0, 0, 320], [0, 551.0, 240], [0, 0, 1]]),
+        "D": np.array([-0.2, 0.1, 0, 0, 0]),
+        "distortion": "plumb_bob",
+        "R": se3.exp_so3(np.array([0.01, -0.02, 0.005]) * (1 if side == "left" else -1)),
+        "P": np.array(
+            [[540.0, 0, 322, 0 if side == "left" else -540 * baseline], [0, 540, 241, 0], [0, 0, 1, 0]]
+        ),
+    }
+    return CameraInfo(**(values | changes))
+
+
+def prelude(
+    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=URDF.format(x=0), **changes
+):
+    infos = {"/stereo/left/camera_info": info("left"), "/stereo/right/camera_info": info("right")}
+    topics = [TopicInfo(name, "sensor_msgs/msg/Image", 10) for name in images]
+    topics += [TopicInfo(name, "sensor_msgs/msg/CameraInfo", 10) for name in infos]
+    topics += [TopicInfo("/joint_states", "sensor_msgs/msg/JointState", 100), *extra]
+    values = {
+        "topics": tuple(topics),
+        "infos": infos,
+        "image_frames": {},
+        "joint_names": {"/joint_states": JOINTS},
+        "urdfs": {"/robot_description": urdf} if urdf else {},
+    }
+    return Prelude(**(values | changes))
+
+
+def config(**sections):
+    return RigConfig.model_validate(sections)
+
+
+def test_a_log_tells_everything():
+    settled = settle_rig(RigConfig(), prelude())
+    rig = settled.rig
+    assert rig.sources.image == {"left": "/stereo/left/image_raw", "right": "/stereo/right/image_raw"}
+    assert rig.sources.info["right"] == "/stereo/right/camera_info"
+    assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
+    assert (rig.chain.pan, rig.chain.tilt) == ("head_pan_joint", "head_tilt_joint")
+    assert (rig.chain.base_frame, rig.chain.head_frame) == ("base_link", "tilt")
+    assert rig.sources.wheels["left"].joint == "wheel_left_joint"
+    assert rig.nominal.wheels is not None
+    assert (rig.nominal.wheels.radius_left_m, rig.nominal.wheels.separation_m) == (0.2, 0.5)
+    assert rig.cameras.baseline_m == pytest.approx(0.12)
+    assert not rig.cameras.rectified
+
+
+def test_raw_stereo_geometry_is_what_rectification_says():
+    cameras = settle_rig(RigConfig(), prelude()).rig.cameras
+    # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
+    point_r = np.array([0.3, -0.2, 2.0])
+    point_c = se3.act(cameras.T_c_r, point_r[None])[0]
+    left, right = info("left"), info("right")
+    assert left.R @ point_c == pytest.approx(right.R @ point_r + [0.12, 0, 0], abs=1e-12)
+
+
+def test_rectified_images_use_the_projection_matrices():
+    topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
+    cameras = settle_rig(RigConfig(), prelude(topics)).rig.cameras
+    assert cameras.rectified
+    assert cameras.left.K[0, 0] == 540
+    assert cameras.left.D.size == 0
+    assert cameras.T_c_r[:3, :3] == pytest.approx(np.eye(3))
+
+
+def test_raw_comes_before_rectified_and_full_before_compressed():
+    names = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in ("image_rect", "image_raw")]
+    compressed = [
+        TopicInfo(f"/stereo/{side}/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 1)
+        for side in ("left", "right")
+    ]
+    assert (
+        settle_rig(RigConfig(), prelude(names, compressed)).rig.sources.image["left"]
+        == "/stereo/left/image_raw"
+    )
+    rectified = settle_rig(config(cameras={"rectified": True}), prelude(names, compressed)).rig
+    assert rectified.sources.image["left"] == "/stereo/left/image_rect"
+    only = settle_rig(RigConfig(), prelude((), compressed)).rig
+    assert only.sources.image["right"] == "/stereo/right/image_raw/compressed"
+    assert only.sources.info["right"] == "/stereo/right/camera_info"
+
+
+def test_base_link_off_the_axle_is_taken_out():
+    settled = settle_rig(RigConfig(), prelude(urdf=URDF.format(x=-0.2)))
+    T_v_h = head_pose(settled.rig.chain, np.zeros(2))
+    assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
+    assert "not midway between the wheels" in settled.notes[0]
+    assert "x -200.0 mm" in settled.notes[0]
+
+
+def test_flag_file_and_log_are_told_apart():
+    rig = settle_rig(
+        config(joints={"pan": "head_pan_joint", "tilt": "head_tilt_joint"}),
+        prelude(),
+        flags=frozenset({"joints.tilt"}),
+    ).rig
+    assert rig.settled_by["pan joint head_pan_joint"] == "file"
+    assert rig.settled_by["tilt joint head_tilt_joint"] == "flag"
+    assert rig.settled_by["left images /stereo/left/image_raw"] == "log"
+    assert rig.settled_by["reference camera left"] == "default"
+
+
+def test_tick_counters():
+    ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
+    head_only = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+    wheel = {"field": "data", "ticks_per_revolution": 4096, "bits": 16}
+    rig = settle_rig(
+        config(
+            wheels={
+                "left": {"topic": "/ticks/left", **wheel},
+                "right": {"topic": "/ticks/right", **wheel, "sign": -1},
+            }
+        ),
+        prelude(extra=ticks, joint_names=head_only),
+    ).rig
+    assert rig.sources.wheels["right"].sign == -1
+    assert rig.sources.wheels["left"].ticks_per_revolution == 4096
+    with pytest.raises(RecordingError, match="look like tick counters") as caught:
+        settle_rig(RigConfig(), prelude(extra=ticks, joint_names=head_only))
+    assert "/ticks/left" in caught.value.message
+
+
+def test_explicit_chain_needs_no_urdf():
+    chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
+    rig = settle_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), prelude(urdf=None)).rig
+    assert rig.chain.joints == ("head_pan_joint",)
+    assert rig.chain.head_frame == "cam_mount"
+    assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("sections", "changes", "error", "words_"),
+    [
+        ({}, {"images": ("/camera/image",)}, RecordingError, "no stereo pair"),
+        ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope holds no images"),
+        ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope holds no camera info"),
+        ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
+        ({}, {"urdf": None}, RecordingError, "nothing says how the head is mounted"),
+        ({}, {"urdf": "<robot"}, ConfigError, "not readable as XML"),
+        (
+            {},
+            {"joint_names": {"/joint_states": JOINTS[:3]}},
+            RecordingError,
+            "no joint state for 'head_tilt_joint'",
+        ),
+        ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope holds no joint states"),
+        ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
+        ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
+        ({}, {"joint_names": {"/joint_states": JOINTS[2:]}}, RecordingError, "no pair of joints is called"),
+        (
+            {},
+            {"joint_names": {"/joint_states": (*JOINTS, "front_left_wheel", "front_right_wheel")}},
+            ConfigError,
+            "several pairs of joints could be the wheels",
+        ),
+        ({"head": {"head_frame": "base_link"}}, {}, ConfigError, "the camera is fixed to the base"),
+        ({"head": {"head_frame": "nope"}}, {}, ConfigError, "no link 'nope'"),
+    ],
+)
+def test_what_is_missing_is_named(sections, changes, error, words_):
+    with pytest.raises(error) as caught:
+        settle_rig(config(**sections), prelude(**changes))
+    assert words_ in caught.value.message
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "words_"),
+    [
+        (info("left"), info("right", baseline=0.0), "no baseline"),
+        (info("left"), info("right", baseline=-0.12), "120.0 mm to the left of the left one"),
+        (info("left", width=0), info("right"), "0 x 480"),
+    ],
+)
+def test_bad_calibrations(left, right, words_):
+    infos = {"/stereo/left/camera_info": left, "/stereo/right/camera_info": right}
+    with pytest.raises(MobilecalError) as caught:
+        settle_rig(RigConfig(), prelude(infos=infos))
+    assert words_ in caught.value.message
+
+
+def test_names():
+    assert words("/leftCamera/image_raw") == ["left", "camera", "image", "raw"]
+    assert side_of("/stereo/left/image") == "left"
+    assert side_of("wheel_joint_r") == "right"
+    assert side_of("/left/right") is None
+    assert pairs(["/a/left", "/a/right", "/b/left", "/c"]) == [{"left": "/a/left", "right": "/a/right"}]
+    assert pairs(["/d400/infra1/image", "/d400/infra2/image"])[0]["right"] == "/d400/infra2/image"
+
+
+def test_a_draft_loads_and_settles_the_same_rig():
+    from ruamel.yaml import YAML
+
+    text = draft_rig(prelude(), "some log.mcap")
+    loaded = RigConfig.model_validate(YAML(typ="safe").load(text))
+    again, first = settle_rig(loaded, prelude()).rig, settle_rig(RigConfig(), prelude()).rig
+    assert again.sources == first.sources
+    assert again.chain.joints == first.chain.joints
+    assert "# image topics in the log" in text
+
+
+def test_a_draft_of_a_poor_log_says_what_is_not_settled():
+    from ruamel.yaml import YAML
+
+    text = draft_rig(prelude(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
+    assert "# not settled: no stereo pair" in text
+    assert "spell the chain out" in text
+    RigConfig.model_validate(YAML(typ="safe").load(text))

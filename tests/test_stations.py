@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import Signals, Track
+from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, pair_shots, plan_stations, wheel_track
+
+START = 1_700_000_000_000_000_000
+S = 1_000_000_000
+
+
+def ns(seconds):
+    return START + np.round(np.asarray(seconds, dtype=float) * S).astype(np.int64)
+
+
+def staircase(times, rests=8, rest_s=2.0, move_s=1.0, height=0.5):
+    """Rests of 2 s and smooth moves of 1 s in between."""
+    period = rest_s + move_s
+    number = np.minimum(np.floor(times / period), rests - 1)
+    share = np.clip((times - number * period - rest_s) / move_s, 0, 1)
+    return height * (number + share**2 * (3 - 2 * share))
+
+
+def signals(pan, wheel, duration_s=24.0, image_hz=5.0, joint_hz=50.0, **changes):
+    times = np.arange(0, duration_s, 1 / joint_hz)
+    pictures = np.arange(0.1, duration_s - 0.1, 1 / image_hz)
+    values = {
+        "joints": {"pan": Track(ns(times), pan(times))},
+        "wheels": {"left": Track(ns(times), wheel(times)), "right": Track(ns(times), 1.5 * wheel(times))},
+        "image_ns": {"left": ns(pictures), "right": ns(pictures)},
+        "notes": (),
+    }
+    return Signals(**(values | changes))
+
+
+def test_every_rest_is_one_station():
+    plan = plan_stations(signals(staircase, lambda t: 3 * staircase(t)), ("pan",))
+    assert len(plan.stations) == 8
+    assert all(station.at_rest for station in plan.stations)
+    for i, station in enumerate(plan.stations):
+        assert station.joints == pytest.approx([0.5 * i], abs=1e-12)
+        assert 3.0 * i <= (station.time_ns - START) / S <= 3.0 * i + 2
+        assert 5 <= len(station.shots) <= 10
+        assert station.index == i
+    assert plan.notes == ()
+
+
+def test_joint_noise_and_a_coarse_encoder_do_not_hide_rests():
+    random = np.random.default_rng(1)
+    step = np.radians(1.2)
+
+    def noisy(t):
+        return staircase(t) + random.normal(scale=np.radians(0.05), size=len(t))
+
+    def coarse(t):
+        # The wheel comes to rest on the edge of a step, and the count flickers by one.
+        return np.round((3 * staircase(t)) / step + 0.5 + random.normal(scale=0.1, size=len(t))) * step
+
+    plan = plan_stations(signals(noisy, coarse), ("pan",))
+    assert len(plan.stations) == 8
+    scatter = [station.joints_std[0] for station in plan.stations]
+    assert np.degrees(np.mean(scatter)) == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_turning_head_is_no_rest():
+    plan = plan_stations(signals(lambda t: np.abs((t / 3) % 2 - 1), lambda t: 0 * t), ("pan",))
+    assert not any(station.at_rest for station in plan.stations)
+    assert 20 < len(plan.stations) <= KEYFRAMES
+    assert "rests only 0 times" in plan.notes[0]
+
+
+def test_keyframes_spread_over_the_motion():
+    # Nine tenths of the log look one way; the keyframes must not.
+    def mostly_one_way(t):
+        return np.where(t < 20, 0.02 * np.sin(3 * t), (t - 20) * 0.5)
+
+    plan = plan_stations(signals(mostly_one_way, lambda t: 0.2 * t, image_hz=20), ("pan",))
+    pan = np.array([station.joints[0] for station in plan.stations if not station.at_rest])
+    assert np.sum(pan > 0.1) >= 10
+
+
+def test_a_long_rest_gives_few_pictures():
+    plan = plan_stations(
+        signals(lambda t: staircase(t, rest_s=60), lambda t: 3 * staircase(t, rest_s=60), duration_s=488),
+        ("pan",),
+    )
+    assert len(plan.stations) == 8
+    assert all(len(station.shots) == SHOTS_PER_REST for station in plan.stations)
+
+
+def test_unequal_clocks_of_the_cameras_pair_the_nearest():
+    left, right = ns([0, 1, 2, 3]), ns([0.02, 0.98, 1.01, 3.01])
+    shots = pair_shots(left, right, 0.1)
+    assert [((s.left_ns - START) / S, (s.right_ns - START) / S) for s in shots] == [
+        (0, 0.02),
+        (1, 1.01),
+        (3, 3.01),
+    ]
+
+
+def test_each_picture_is_in_one_pair_only():
+    shots = pair_shots(ns([0, 0.03, 0.06]), ns([0.04]), 0.1)
+    assert len(shots) == 1
+    assert shots[0].left_ns == ns(0.03)
+
+
+def test_left_and_right_never_together():
+    with pytest.raises(RecordingError, match=r"never together: .* nearest two are 0\.500 s apart"):
+        pair_shots(ns([0, 1]), ns([0.5, 1.5]), 0.1)
+
+
+def test_pictures_without_readings_are_left_out():
+    good = signals(staircase, lambda t: 3 * staircase(t))
+    keep = np.abs((good.joints["pan"].time_ns - START) / S - 10.5) > 1.6  # gone over the fourth rest
+    pan = Track(good.joints["pan"].time_ns[keep], good.joints["pan"].value[keep])
+    plan = plan_stations(
+        Signals(joints={"pan": pan}, wheels=good.wheels, image_ns=good.image_ns, notes=()), ("pan",)
+    )
+    assert len(plan.stations) == 7
+    assert {r.reason for r in plan.rejections} == {"readings missing around the picture"}
+    assert {r.detail for r in plan.rejections} == {"pan"}
+
+
+def test_readings_that_end_before_the_pictures_begin():
+    early = Track(ns([0.0, 1.0]) - 100 * S, [0.0, 0.0])
+    good = signals(staircase, staircase)
+    bad = Signals(joints={"pan": early}, wheels=good.wheels, image_ns=good.image_ns, notes=())
+    with pytest.raises(RecordingError, match="no picture has readings") as caught:
+        plan_stations(bad, ("pan",))
+    assert "pan" in caught.value.message
+
+
+def test_wheels_that_never_overlap():
+    with pytest.raises(RecordingError, match="never overlap"):
+        wheel_track(Track(ns([0, 1]), [0.0, 1.0]), Track(ns([5, 6]), [0.0, 1.0]))
+
+
+def test_wheels_at_different_rates_are_joined():
+    track = wheel_track(Track(ns([0, 1, 2]), [0.0, 1.0, 2.0]), Track(ns([0.5, 1.5]), [5.0, 6.0]))
+    assert (track.time_ns - START) / S == pytest.approx([0.5, 1.0, 1.5])
+    assert track.right_rad == pytest.approx([0.5, 1.0, 1.5])
+    assert track.left_rad == pytest.approx([5.0, 5.5, 6.0])
