@@ -20,6 +20,7 @@ URDF = """<robot name="r">
 <joint name="head_tilt_joint" type="revolute"><parent link="pan"/><child link="tilt"/><axis xyz="0 1 0"/></joint>
 <joint name="arm_pan" type="revolute"><parent link="base_link"/><child link="arm"/></joint>
 </robot>"""
+AT_BASE = URDF.format(x=0)
 JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
 
 
@@ -40,7 +41,7 @@ def info(side="left", baseline=0.12, **changes):
 
 
 def prelude(
-    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=URDF.format(x=0), **changes
+    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes
 ):
     infos = {"/stereo/left/camera_info": info("left"), "/stereo/right/camera_info": info("right")}
     topics = [TopicInfo(name, "sensor_msgs/msg/Image", 10) for name in images]
