@@ -18,6 +18,8 @@ Reason = Literal[
     "board continues beyond the grid",
     "board polarity does not alternate",
     "corners off the board's grid",
+    "second board in view",
+    "board of another size",
     "left and right do not fit together",
 ]
 

@@ -65,3 +65,70 @@ def seen(
     points_c = se3.act(T_c_k, square_m * board.grid())
     T_r_c = np.linalg.inv(rig.T_c_r)
     return points_c, opencv_pixels(rig.left, points_c), opencv_pixels(rig.right, se3.act(T_r_c, points_c))
+
+
+def _rays(camera: Camera, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Pixels to z = 1 coordinates by fixed-point iteration (none, plumb_bob): (..., 2)."""
+    target = np.stack([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
+    if camera.distortion == "none":
+        return target
+    k1, k2, p1, p2, k3 = camera.D
+    ray = target.copy()
+    for _ in range(25):
+        x, y = ray[..., 0], ray[..., 1]
+        q = x * x + y * y
+        radial = 1 + q * (k1 + q * (k2 + q * k3))
+        shift = np.stack(
+            [2 * p1 * x * y + p2 * (q + 2 * x * x), p1 * (q + 2 * y * y) + 2 * p2 * x * y], axis=-1
+        )
+        ray = (target - shift) / radial[..., None]
+    return ray
+
+
+def render(
+    camera: Camera,
+    T_camera_k: np.ndarray,
+    board: Board,
+    square_m: float,
+    *,
+    picture: np.ndarray | None = None,
+    dark: float = 40.0,
+    light: float = 200.0,
+    outer: float = 1.0,
+    background: float = 110.0,
+    noise: float = 0.0,
+    blur_px: float = 0.0,
+    seed: int = 0,
+    supersample: int = 4,
+) -> np.ndarray:
+    """A picture of the board, every pixel the mean of supersample^2 rays cut with the board's plane.
+
+    The outer square diagonally next to corner 0 is dark. Outer squares are `outer` squares wide, and a light
+    margin of one square surrounds them. With `picture` the board is painted over it.
+    """
+    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
+    u = (np.arange(camera.width)[:, None] + offset).ravel()
+    v = (np.arange(camera.height)[:, None] + offset).ravel()
+    uu, vv = np.meshgrid(u, v)
+    ray = _rays(camera, uu, vv)
+    H = np.linalg.inv(np.column_stack([T_camera_k[:3, 0], T_camera_k[:3, 1], T_camera_k[:3, 3]]))
+    h = ray @ H[:, :2].T + H[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y = h[..., 0] / h[..., 2] / square_m, h[..., 1] / h[..., 2] / square_m
+    ahead = h[..., 2] > 0
+    squares = (x > -outer) & (x < board.columns - 1 + outer) & (y > -outer) & (y < board.rows - 1 + outer)
+    margin = (x > -outer - 1) & (x < board.columns + outer) & (y > -outer - 1) & (y < board.rows + outer)
+    is_dark = squares & ((np.floor(x) + np.floor(y)) % 2 == 0)
+    shape = (camera.height, supersample, camera.width, supersample)
+    paint = np.where(is_dark, dark, light).reshape(shape).mean(axis=(1, 3))
+    cover = (margin & ahead).reshape(shape).mean(axis=(1, 3))
+    # Light mixes in a pixel in proportion to the area: exact because paint is constant where cover is not 1.
+    base = np.full(paint.shape, background) if picture is None else picture.astype(np.float64)
+    mixed = cover * np.where(cover == 1, paint, light) + (1 - cover) * base
+    if blur_px:
+        mixed = cv2.GaussianBlur(mixed, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
+    if noise:
+        mixed = mixed + np.random.default_rng(seed).normal(0, noise, mixed.shape)
+    image = np.clip(np.round(mixed), 0, 255).astype(np.uint8)
+    image.setflags(write=False)
+    return image

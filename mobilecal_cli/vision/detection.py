@@ -1,0 +1,161 @@
+"""The board in one picture: found fast, refined, and let through the gate."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, GrayImage
+from mobilecal_cli.vision.gate import check_polarity, check_sharpness
+from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.growing import grow_any, refine
+from mobilecal_cli.vision.values import Detection, Miss
+
+_LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
+_MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
+_SMALLEST_PICTURE = 64
+_FLOOR_PX = 0.01
+_TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the board
+
+
+def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
+    """OpenCV's contour-based detector at full or reduced size: (rows, columns, 2) px of the full picture."""
+    picture = image
+    if scale != 1.0:
+        picture = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if min(picture.shape) < _SMALLEST_PICTURE:
+        return None
+    found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+    if not found:
+        return None
+    ratio = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
+    return (corners.reshape(rows, columns, 2).astype(np.float64) + 0.5) * ratio - 0.5
+
+
+def _fast(image: GrayImage, columns: int, rows: int) -> FloatArray | None:
+    scales = (0.5, 1.0, 0.25) if image.shape[1] >= _LARGE else (1.0, 0.5)
+    for scale in scales:
+        grid = _classic(image, columns, rows, 0, scale)
+        if grid is not None:
+            return grid
+    return None
+
+
+def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
+    """Refine corners and pass them through the gate."""
+    rows, columns = grid.shape[:2]
+    grid = right_handed(grid)
+    edge = smallest_edge_px(grid)
+    if edge < _MIN_EDGE_PX:
+        return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
+    grid = refine(image, grid.reshape(-1, 2), edge).reshape(grid.shape)
+    grid_map = fit_grid(grid)
+    edge = smallest_edge_px(grid)
+    if edge < _MIN_EDGE_PX:
+        return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
+    worst = float(np.linalg.norm(grid_map.residual, axis=-1).max())
+    limit = max(0.6, 0.12 * edge)
+    polarity = check_polarity(image, grid_map, columns, rows)
+    if isinstance(polarity, Miss):
+        return polarity
+    blurred = check_sharpness(image, grid_map, columns, rows)
+    if blurred is not None:
+        return blurred
+    if worst > limit:
+        return Miss("corners off the board's grid", f"worst corner {worst:.2f} px, limit {limit:.2f} px")
+    return Detection(canonical(grid, polarity.dark_at_origin), max(grid_map.sigma_px, _FLOOR_PX))
+
+
+def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
+    """The picture with a found board painted over, a square beyond its corners, in its mean brightness."""
+    grid_map = fit_grid(pixels.reshape(rows, columns, 2))
+    hull = grid_map(
+        np.array([[-0.7, -0.7], [columns - 0.3, -0.7], [columns - 0.3, rows - 0.3], [-0.7, rows - 0.3]])
+    )
+    painted = np.array(image)
+    cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
+    return painted
+
+
+def detect(image: GrayImage, columns: int, rows: int) -> Detection | Miss:
+    """Find a board of known size in one picture.
+
+    The contour-based detector is asked first (half size first in large pictures), and its corners refined and
+    let through the gate. Where it finds nothing, a grid is grown from any few corners seen: that finds what the
+    first missed, and tells why there is nothing. A picture with a second board of the same size is a Miss: which
+    of the two is meant cannot be known.
+
+    Args:
+        image: (height, width) grey, 8 bits; may be read-only and have padded rows.
+        columns, rows: inner corners.
+
+    Returns:
+        The corners, or why there are none.
+    """
+    if min(image.shape) < _SMALLEST_PICTURE:
+        return Miss("no board", f"the picture has only {image.shape[1]} x {image.shape[0]} px")
+    grid = _fast(image, columns, rows)
+    result = _judge(image, grid) if grid is not None else None
+    if not isinstance(result, Detection):
+        result = _thorough(image, columns, rows, result)
+    if isinstance(result, Detection):
+        painted = _without(image, result.pixels, columns, rows)
+        other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
+        if other is not None and isinstance(_judge(painted, other), Detection):
+            x, y = other.reshape(-1, 2).mean(axis=0)
+            first_x, first_y = result.pixels.mean(axis=0)
+            return Miss(
+                "second board in view",
+                f"boards of {columns} x {rows} at ({first_x:.0f}, {first_y:.0f}) and ({x:.0f}, {y:.0f}) px",
+            )
+    return result
+
+
+def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> Detection | Miss:
+    """What is there when the fast search gave nothing, or corners that the gate refused."""
+    if first is not None and first.reason in (
+        "squares too small",
+        "board continues beyond the grid",
+        "blurred",
+    ):
+        return first
+    grown = grow_any(image, columns * rows)
+    if grown is None or grown.grid.size < 2 * _TELLING * columns * rows:
+        for scale in (0.25, 0.125):
+            grid = _classic(image, columns, rows, 0, scale)
+            if grid is not None:
+                return _judge(image, grid)
+        return first or Miss("no board", f"no grid of {columns} x {rows} corners")
+    seen_rows, seen_columns = grown.grid.shape[:2]
+    grid = grown.grid
+    if (seen_columns, seen_rows) == (rows, columns) and rows != columns:
+        grid = np.rot90(grid)
+        seen_rows, seen_columns = seen_columns, seen_rows
+    if (seen_columns, seen_rows) == (columns, rows):
+        return _judge(image, grid)
+    adaptive = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    again = _classic(image, columns, rows, adaptive, 0.5 if image.shape[1] >= _LARGE else 1.0)
+    if again is not None:
+        judged = _judge(image, again)
+        if isinstance(judged, Detection):
+            return judged
+        first = first or judged
+    return first or _other_size(grown.grid, grown.open_sides, columns, rows)
+
+
+def _other_size(grid: FloatArray, open_sides: int, columns: int, rows: int) -> Miss:
+    seen = sorted(grid.shape[:2], reverse=True)
+    wanted = sorted((columns, rows), reverse=True)
+    edge = smallest_edge_px(grid)
+    numbers = f"a grid of {seen[0]} x {seen[1]} corners is seen where {columns} x {rows} are wanted"
+    if edge < _MIN_EDGE_PX:
+        return Miss(
+            "squares too small", f"{numbers}; smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px"
+        )
+    if seen[0] >= wanted[0] and seen[1] >= wanted[1]:
+        return Miss("board continues beyond the grid", numbers)
+    if open_sides == 0:
+        return Miss("board of another size", numbers)
+    return Miss(
+        "board partly hidden or cut off by the border", f"{numbers}; {open_sides} sides end in mid-line"
+    )

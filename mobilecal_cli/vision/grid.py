@@ -1,0 +1,161 @@
+"""The board's corners as a grid in a picture: a smooth map from board to picture, and how corners are numbered.
+
+Grid coordinates (u, v) count squares: corner (column, row) is at (u, v) = (column, row), and the squares'
+border lines are at whole numbers, beyond the inner corners too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class GridMap:
+    """Grid coordinates to pixels: a homography and a polynomial that takes up the lens distortion.
+
+    Attributes:
+        H: (3, 3) homography from centred grid coordinates to pixels.
+        bend: (terms, 2) coefficients of the polynomial, px.
+        degree: of the polynomial, 0 where there is none.
+        centre, size: grid coordinates are centred and scaled by them.
+        residual: (rows, columns, 2) corner minus a smooth map, px.
+        sigma_px: noise of one coordinate that the residuals show, their degrees of freedom counted.
+    """
+
+    H: FloatArray
+    bend: FloatArray
+    degree: int
+    centre: FloatArray
+    size: float
+    residual: FloatArray
+    sigma_px: float
+
+    def __call__(self, uv: FloatArray) -> FloatArray:
+        """(..., 2) grid coordinates → (..., 2) px."""
+        w = (uv - self.centre) / self.size
+        return _through(self.H, w) + _monomials(w, self.degree) @ self.bend
+
+
+def _through(H: FloatArray, w: FloatArray) -> FloatArray:
+    h = w @ H[:, :2].T + H[:, 2]
+    pixels: FloatArray = h[..., :2] / h[..., 2:]
+    return pixels
+
+
+def _monomials(w: FloatArray, degree: int) -> FloatArray:
+    x, y = w[..., 0], w[..., 1]
+    return np.stack([x**i * y ** (d - i) for d in range(degree + 1) for i in range(d + 1)], axis=-1)
+
+
+def _homography(w: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Direct linear transformation with normalised pixels (Hartley and Zisserman 2004, algorithm 4.2)."""
+    mean, spread = pixels.mean(axis=0), pixels.std()
+    p = (pixels - mean) / spread
+    one = np.column_stack([w, np.ones(len(w))])
+    zero = np.zeros_like(one)
+    rows = np.vstack(
+        [np.hstack([one, zero, -p[:, :1] * one]), np.hstack([zero, one, -p[:, 1:] * one])],
+    )
+    H = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
+    back = np.array([[spread, 0, mean[0]], [0, spread, mean[1]], [0, 0, 1]])
+    homography: FloatArray = back @ H
+    return homography
+
+
+def fit_grid(grid: FloatArray) -> GridMap:
+    """The smooth map through (rows, columns, 2) corners, px.
+
+    The polynomial is cubic on boards with corners to spare, so that it can be carried beyond the corners;
+    residuals are taken against one degree more, so that they show the corners' noise and not the lens.
+    """
+    rows, columns = grid.shape[:2]
+    uv = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
+    centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    size = max(columns, rows) / 2
+    w = ((uv - centre) / size).reshape(-1, 2)
+    pixels = grid.reshape(-1, 2)
+    H = _homography(w, pixels)
+    bent = pixels - _through(H, w)
+    # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
+    finest = min(4, min(rows, columns) - 2)
+    degree = min(3, finest)
+    bend = np.zeros((1, 2))
+    residual, unknowns = bent, 8
+    if finest > 1:
+        bend = np.linalg.lstsq(_monomials(w, degree), bent, rcond=None)[0]
+        terms = _monomials(w, finest)
+        residual = bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0]
+        unknowns = (
+            2 * terms.shape[1] + 2
+        )  # of a homography's 8 numbers, 6 are an affine map: in the polynomial
+    else:
+        degree = 0
+    freedom = max(2 * len(pixels) - unknowns, 1)
+    sigma_px = float(np.sqrt(np.sum(residual**2) / freedom))
+    return GridMap(H, bend, degree, centre, size, residual.reshape(grid.shape), sigma_px)
+
+
+def smallest_edge_px(grid: FloatArray) -> float:
+    """Shortest distance between neighbouring corners of (rows, columns, 2), px."""
+    return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)))
+
+
+def right_handed(grid: FloatArray) -> FloatArray:
+    """The same corners, (rows, columns, 2), with x cross y pointing away from the camera."""
+    x = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0)
+    y = grid[-1].mean(axis=0) - grid[0].mean(axis=0)
+    return grid if x[0] * y[1] - x[1] * y[0] > 0 else grid[:, ::-1]
+
+
+def turns(columns: int, rows: int) -> tuple[int, ...]:
+    """Quarter turns, 0 first, that leave a board of this size looking the same, colours included.
+
+    With counts of different parity none but 0: opposite outer squares differ in colour. With the same parity
+    a half turn; a square board of even count looks the same after every quarter turn.
+    """
+    if (columns + rows) % 2:
+        return (0,)
+    return (0, 1, 2, 3) if columns == rows and columns % 2 == 0 else (0, 2)
+
+
+def turned(values: FloatArray, columns: int, rows: int, quarter_turns: int) -> FloatArray:
+    """Corner values (columns * rows, ...) numbered anew for a board turned by quarter turns about its normal.
+
+    Odd numbers of quarter turns only for columns == rows.
+    """
+    grid = values.reshape(rows, columns, *values.shape[1:])
+    return np.ascontiguousarray(np.rot90(grid, quarter_turns)).reshape(values.shape)
+
+
+def canonical(grid: FloatArray, dark_at_origin: bool) -> FloatArray:
+    """Corners in the order that square colours prescribe, as far as they can.
+
+    The outer square diagonally next to corner 0 is dark, where a turn of the board can bring that about. What
+    then is left open (see `turns`) is settled for the moment by turning x as far to the picture's right as can
+    be; `settle_numbering` settles it for good.
+
+    Args:
+        grid: (rows, columns, 2) right-handed, px.
+        dark_at_origin: that square is dark in the order given.
+
+    Returns:
+        (rows * columns, 2).
+    """
+    rows, columns = grid.shape[:2]
+    odd_square = columns == rows and columns % 2 == 1
+    if not dark_at_origin and (columns + rows) % 2:
+        grid = np.rot90(grid, 2)
+    elif not dark_at_origin and odd_square:
+        grid = np.rot90(grid, 1)
+    candidates = [np.rot90(grid, k) for k in turns(columns, rows)]
+    best = max(candidates, key=lambda g: float(_x_direction(g)))
+    return np.ascontiguousarray(best).reshape(-1, 2)
+
+
+def _x_direction(grid: FloatArray) -> float:
+    x = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0)
+    return float(x[0] / np.linalg.norm(x))

@@ -1,0 +1,176 @@
+"""A grid of any size, grown from a few corners to the board's edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, GrayImage
+from mobilecal_cli.vision.gate import sample
+from mobilecal_cli.vision.grid import fit_grid, right_handed, smallest_edge_px
+
+_WINDOW = 0.38  # of the shortest edge, to either side: printed boards often have narrow outer squares
+_SEEDS = ((3, 3), (5, 4))
+_MIN_EDGE_PX = 4.0
+_MIN_STRENGTH_GREY = 8.0
+_LARGE = 1280  # px of width from which the seed is looked for at half size
+_LARGEST = 60  # corners along one side
+_QUADRANT = 0.22
+_LEAST = 0.3  # of the median strength, for a crossing to count
+
+
+@dataclass(frozen=True, slots=True)
+class Grown:
+    """Corners as far as they go.
+
+    Attributes:
+        grid: (rows, columns, 2) px, right-handed.
+        open_sides: how many sides end where a line of corners is seen in part or leaves the picture.
+    """
+
+    grid: FloatArray
+    open_sides: int
+
+
+def refine(image: GrayImage, pixels: FloatArray, edge_px: float) -> FloatArray:
+    """Sub-pixel corners with a window that stays inside the squares next to a corner.
+
+    Args:
+        image: (height, width) grey.
+        pixels: (M, 2) px.
+        edge_px: shortest distance between corners, px.
+
+    Returns:
+        (M, 2) px.
+    """
+    half = int(np.clip(round(_WINDOW * edge_px - 0.5), 2, 11))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
+    corners = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    return (
+        cv2.cornerSubPix(image, corners, (half, half), (-1, -1), criteria).reshape(-1, 2).astype(np.float64)
+    )
+
+
+def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
+    """How much the four squares around corners alternate, grey: (n, 2) each → (n,), signed.
+
+    The weakest of the four differences between neighbouring quadrants; 0 where they disagree in sign.
+    """
+    quadrant = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    q = [sample(image, corners + _QUADRANT * (a * du + b * dv)) for a, b in quadrant]
+    values = np.stack([value for value, _ in q])
+    inside = np.all([good for _, good in q], axis=0)
+    differences = np.stack([s * (values[i] - values[(i + 1) % 4]) for i, s in enumerate((1, -1, 1, -1))])
+    agree = np.all(differences > 0, axis=0) | np.all(differences < 0, axis=0)
+    weakest = np.take_along_axis(differences, np.argmin(np.abs(differences), axis=0)[None], axis=0)[0]
+    return np.where(agree & inside, weakest, 0.0)
+
+
+def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
+    """Strength of every corner of (rows, columns, 2), with the sign expected of it taken out."""
+    dv, du = np.gradient(grid, axis=(0, 1))
+    rows, columns = grid.shape[:2]
+    strength = _strength(image, grid.reshape(-1, 2), du.reshape(-1, 2), dv.reshape(-1, 2)).reshape(
+        rows, columns
+    )
+    j, i = np.indices(strength.shape)
+    return np.where((i + j) % 2 == 0, strength, -strength)
+
+
+def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:
+    """Drop outer lines with corners that are none, the worst first; None when too few are left."""
+    while min(grid.shape[:2]) >= 3:
+        strength = _alternating(grid, image)
+        median = float(np.median(strength))
+        if abs(median) < _MIN_STRENGTH_GREY or smallest_edge_px(grid) < _MIN_EDGE_PX:
+            return None
+        bad = strength * np.sign(median) < _LEAST * abs(median)
+        if not bad.any():
+            return grid
+        lines = {0: bad[0].mean(), 1: bad[-1].mean(), 2: bad[:, 0].mean(), 3: bad[:, -1].mean()}
+        worst = max(lines, key=lambda k: float(lines[k]))
+        if lines[worst] == 0:
+            return None  # a hole in the middle
+        grid = (grid[1:], grid[:-1], grid[:, 1:], grid[:, :-1])[worst]
+    return None
+
+
+def _next_line(grid: FloatArray, image: GrayImage) -> tuple[FloatArray | None, bool]:
+    """One more row below the last: the grown grid or None, and whether a part of that row is there."""
+    rows, columns = grid.shape[:2]
+    grid_map = fit_grid(grid)
+    uv = np.stack([np.arange(columns), np.full(columns, rows)], axis=-1).astype(np.float64)
+    guess = grid_map(uv)
+    height, width = image.shape
+    inside = np.all((guess > 2) & (guess < [width - 3, height - 3]), axis=-1)
+    edge = float(np.linalg.norm(guess - grid[-1], axis=-1).min())
+    if not inside.any() or edge < 3:
+        return None, not inside.all()
+    line = guess.copy()
+    moved = refine(image, guess[inside], min(edge, smallest_edge_px(grid)))
+    near = np.linalg.norm(moved - guess[inside], axis=-1) < 0.35 * edge
+    line[inside] = np.where(near[:, None], moved, guess[inside])
+    longer = np.concatenate([grid, line[None]])
+    strength = _alternating(longer, image)
+    median = float(np.median(strength[:-1]))
+    there = (strength[-1] * np.sign(median) >= _LEAST * abs(median)) & inside
+    if there.all():
+        return longer, True
+    return None, bool(there.mean() >= 0.3 or not inside.all())
+
+
+def grow(image: GrayImage, seed: FloatArray) -> Grown | None:
+    """Trim a grid to corners that are ones, and add lines on all four sides while whole lines are seen.
+
+    Args:
+        image: (height, width) grey.
+        seed: (rows, columns, 2) px, corners found by any detector, some of them perhaps false.
+    """
+    grid = _trim(right_handed(seed), image)
+    if grid is None:
+        return None
+    grid = refine(image, grid.reshape(-1, 2), smallest_edge_px(grid)).reshape(grid.shape)
+    grid = _trim(grid, image)
+    if grid is None:
+        return None
+    open_sides, closed = 0, 0
+    while closed < 4 and max(grid.shape[:2]) < _LARGEST:
+        longer, partly = _next_line(grid, image)
+        if longer is not None:
+            grid, open_sides, closed = longer, 0, 0
+        else:
+            closed += 1
+            open_sides += partly
+            grid = np.rot90(grid)  # four quarter turns look at all four sides
+    return Grown(right_handed(grid), open_sides)
+
+
+def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
+    """A few corners of any chessboard, (rows, columns, 2) px, by OpenCV's sector-based detector.
+
+    Its word on the board's size and its sub-pixel positions are not to be trusted; `grow` sees to both.
+    """
+    half = image.shape[1] >= _LARGE
+    picture = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if half else image
+    cv2.setRNGSeed(0)  # the detector draws random samples; the same picture is to give the same answer
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, smallest, cv2.CALIB_CB_LARGER)
+    if not found:
+        return None
+    grid = np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2)
+    scale = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
+    return (grid + 0.5) * scale - 0.5
+
+
+def grow_any(image: GrayImage, enough: int) -> Grown | None:
+    """The largest grid that can be grown in a picture; the search ends at `enough` corners."""
+    best: Grown | None = None
+    for smallest in _SEEDS:
+        seed = _seed(image, smallest)
+        grown = grow(image, seed) if seed is not None else None
+        if grown is not None and (best is None or grown.grid.size > best.grid.size):
+            best = grown
+        if seed is None or (best is not None and best.grid.size >= 2 * enough):
+            break
+    return best
