@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers.channels import Channel, Payload, ros2_spelling
@@ -72,14 +71,20 @@ def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
 
 
 class BagStorage(BlockStorage):
-    """One ROS 1 bag."""
+    """One ROS 1 bag.
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    Attributes:
+        first: where the first record behind the bag header begins, bytes.
+    """
+
+    first: int
+
+    def find_blocks(self) -> None:
+        """Use the index where it is whole, otherwise walk."""
         fields, _, self.first = self.head(len(MAGIC))
         if fields.get(b"encryptor"):
             raise RecordingError(
-                f"{path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
+                f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
                 "decrypt it with rosbag decrypt first",
             )
         if not self._read_index(fields):
@@ -87,7 +92,6 @@ class BagStorage(BlockStorage):
             self.blocks.clear()
             self.counts = None
             _Walk(self).run()
-        self.settle()
 
     def head(self, at: int) -> tuple[Fields, int, int]:
         """Header fields of the record at byte `at` of the file, and where its data begins and ends."""

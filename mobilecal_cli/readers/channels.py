@@ -18,6 +18,18 @@ Payload = bytes | memoryview
 #: Two lines of this precede each file in concatenated IDL definitions.
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
+#: Types whose fields the readers use by name; they are the same in every ROS 1, and in every ROS 2.
+_RELIED_ON = {
+    "builtin_interfaces/msg/Time",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/RegionOfInterest",
+    "std_msgs/msg/Header",
+    "std_msgs/msg/String",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Channel:
@@ -79,7 +91,7 @@ def ros2_spelling(name: str) -> str:
 def _decoder(
     encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
 ) -> Callable[[Payload], object]:
-    store = _embedded_types(type_name, definition, definition_format)
+    store = _embedded_types(encoding, type_name, definition, definition_format)
     if store is None:
         store = _default_types(encoding)
     if type_name not in store.fielddefs:
@@ -93,7 +105,9 @@ def _decoder(
     return lambda payload: store.deserialize_cdr(payload, type_name)
 
 
-def _embedded_types(type_name: str, definition: str, definition_format: DefinitionFormat) -> Typestore | None:
+def _embedded_types(
+    encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
+) -> Typestore | None:
     """The types that the definition text declares; None where there is none that can be used."""
     if not definition.strip() or not definition_format:
         return None
@@ -111,7 +125,18 @@ def _embedded_types(type_name: str, definition: str, definition_format: Definiti
         store.get_msgdef(type_name)
     except Exception:  # a damaged definition: the common types may still do
         return None
-    return store
+    return store if _agrees(store, _default_types(encoding)) else None
+
+
+def _agrees(store: Typestore, common: Typestore) -> bool:
+    """Whether the types that the readers rely on are as everywhere; else their definitions are damaged."""
+    for name in _RELIED_ON & store.fielddefs.keys():
+        ours, theirs = store.fielddefs[name][1], common.fielddefs[name][1]
+        if [(field.lower(), kind) for field, kind in ours] != [
+            (field.lower(), kind) for field, kind in theirs
+        ]:
+            return False
+    return True
 
 
 @lru_cache(maxsize=2)

@@ -107,6 +107,8 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
         if hasattr(message, "format"):
             return _decompressed(message)
         return _raw(message)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise RecordingError(f"not a picture as sensor_msgs defines it: {error}", "") from error
     except cv2.error as error:
         raise RecordingError(f"picture damaged: {error.err}", "") from error
 

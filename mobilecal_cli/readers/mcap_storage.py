@@ -41,15 +41,18 @@ class McapStorage(BlockStorage):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path)
         self._schemas: dict[int, records.Schema] = {}
+        self._profile = ""
+        super().__init__(path)
+
+    def find_blocks(self) -> None:
+        """Use the summary where it is complete, otherwise walk."""
         self._profile = self._read_profile()
         summary = self._complete_summary()
         if summary is not None:
             self._use(summary)
         else:
             _Walk(self).run()
-        self.settle()
 
     def _read_profile(self) -> str:
         opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))

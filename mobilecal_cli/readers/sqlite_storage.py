@@ -17,6 +17,9 @@ from mobilecal_cli.readers.storage import RawMessage, Storage
 
 MAGIC = b"SQLite format 3\x00"
 
+#: Log time and row number: where a row stands in either order.
+_Key = tuple[int, int]
+
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
@@ -33,8 +36,10 @@ class SqliteStorage(Storage):
         self._connection: sqlite3.Connection | None = None
         try:
             self._connection = self._connect(path)
+            # Without it sqlite refuses a file that is shorter than its header says.
+            self._connection.execute("PRAGMA writable_schema=ON")
             self._read_topics(self._connection)
-        except Exception:
+        except BaseException:
             self.close()
             raise
         self._count(self._connection)
@@ -49,8 +54,6 @@ class SqliteStorage(Storage):
             shutil.copyfile(log, folder / log.name)
             path, options = folder / path.name, "mode=rw"
         connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{options}", uri=True)
-        # Without it sqlite refuses a file that is shorter than its header says.
-        connection.execute("PRAGMA writable_schema=ON")
         connection.text_factory = lambda raw: raw.decode(errors="replace")
         return connection
 
@@ -110,22 +113,49 @@ class SqliteStorage(Storage):
         if connection is None or not wanted:
             return
         seen: Counter[int] = Counter()
-        row = (0, 0, 0, b"")
+        order = self._order(connection)
+        among = f"topic_id IN ({','.join(map(str, wanted))})"  # integers from the file's own table
+        last: _Key | None = None
         try:
             rows = connection.execute(
-                f"SELECT id, topic_id, timestamp, data FROM messages "
-                f"WHERE topic_id IN ({','.join(map(str, wanted))}) ORDER BY {self._order(connection)}"
+                f"SELECT id, topic_id, timestamp, data FROM messages WHERE {among} ORDER BY {order}"
             )
-            for row in rows:
-                number, time_ns, payload = row[1:]
+            for row, number, time_ns, payload in rows:
+                last = (time_ns, row)
                 seen[number] += 1
                 yield self.channels[number], time_ns, self._payload(number, payload)
-        except sqlite3.Error as error:
-            self.note(
-                f"the table of messages is damaged after {sum(seen.values())} messages of the topics in use "
-                f"({error}); what follows is lost"
-            )
+        except sqlite3.Error:
+            for number, time_ns, payload in self._one_by_one(connection, among, order, last):
+                seen[number] += 1
+                yield self.channels[number], time_ns, self._payload(number, payload)
+            self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
         self.compare_counts(topics, seen)
+
+    def _one_by_one(
+        self, connection: sqlite3.Connection, among: str, order: str, last: _Key | None
+    ) -> Iterator[tuple[int, int, object]]:
+        """The rows behind `last`, each by itself: a row whose payload is damaged costs only itself."""
+        key = "id" if order == "id" else "(timestamp, id)"
+        place = "?" if order == "id" else "(?, ?)"
+        while True:
+            after = f"AND {key} > {place}" if last else ""
+            values = () if last is None else (last[1:] if order == "id" else last)
+            try:
+                found = connection.execute(
+                    f"SELECT id, topic_id, timestamp FROM messages WHERE {among} {after} ORDER BY {order} LIMIT 1",
+                    values,
+                ).fetchone()
+            except sqlite3.Error:
+                return
+            if found is None:
+                return
+            row, number, time_ns = found
+            last = (time_ns, row)
+            try:
+                (payload,) = connection.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
+            except (sqlite3.Error, TypeError):
+                continue
+            yield number, time_ns, payload
 
     def _payload(self, number: int, payload: object) -> bytes:
         data = payload if isinstance(payload, bytes) else str(payload).encode()

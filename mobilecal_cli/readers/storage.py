@@ -104,10 +104,20 @@ class BlockStorage(Storage):
         self.blocks: list[Block] = []
         self._stream = path.open("rb")
         self.size = path.stat().st_size
+        try:
+            self.find_blocks()
+        except BaseException:
+            self.close()
+            raise
+        self.settle()
 
     def close(self) -> None:
         """Release the file."""
         self._stream.close()
+
+    @abstractmethod
+    def find_blocks(self) -> None:
+        """Fill channels, blocks and counts."""
 
     @abstractmethod
     def load(self, block: Block) -> bytes:

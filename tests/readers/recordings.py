@@ -1,0 +1,277 @@
+"""One small world, written into every container."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import zstandard
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from mobilecal_cli.model import Sources, WheelSource
+
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 20_000_000
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS2 = get_typestore(Stores.ROS2_JAZZY)
+
+SOURCES = Sources(
+    image={"left": "/left/image_raw", "right": "/right/image/compressed"},
+    info={"left": "/left/camera_info", "right": "/right/camera_info"},
+    joints=("/joint_states",),
+    wheels={
+        "left": WheelSource("/joint_states", joint="wheel_left"),
+        "right": WheelSource("/ticks", field="data", ticks_per_revolution=1000, bits=16),
+    },
+)
+JOINTS = ("pan", "tilt")
+
+
+@dataclass(frozen=True)
+class Item:
+    """One message to write; `make` builds it for a typestore."""
+
+    topic: str
+    type: str
+    log_ns: int
+    make: Callable[[Typestore], Any]
+
+
+def header(store: Typestore, stamp_ns: int, frame: str = "") -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+    kind = store.types["std_msgs/msg/Header"]
+    return kind(0, time, frame) if store is ROS1 else kind(time, frame)
+
+
+def joint_state(names: list[str], position: Iterable[float], velocity=(), stamp_ns=START_NS):
+    def make(store: Typestore) -> Any:
+        return store.types["sensor_msgs/msg/JointState"](
+            header(store, stamp_ns),
+            names,
+            np.array(position, dtype=np.float64),
+            np.array(velocity, dtype=np.float64),
+            np.zeros(0),
+        )
+
+    return make
+
+
+def number(kind: str, value: float):
+    return lambda store: store.types[f"std_msgs/msg/{kind}"](value)
+
+
+def image(pixels, encoding: str, stamp_ns=START_NS, frame="left_optical", **changes):
+    def make(store: Typestore) -> Any:
+        data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
+        fields = {
+            "header": header(store, stamp_ns, frame),
+            "height": pixels.shape[0],
+            "width": pixels.shape[1],
+            "encoding": encoding,
+            "is_bigendian": 0,
+            "step": data.size // pixels.shape[0],
+            "data": data,
+        }
+        return store.types["sensor_msgs/msg/Image"](**{**fields, **changes})
+
+    return make
+
+
+def compressed(pixels, extension: str, stamp_ns=START_NS, frame="right_optical"):
+    data = cv2.imencode(extension, pixels)[1].ravel()
+
+    def make(store: Typestore) -> Any:
+        return store.types["sensor_msgs/msg/CompressedImage"](
+            header(store, stamp_ns, frame), extension[1:], data
+        )
+
+    return make
+
+
+def info(K, D=(), P=None, R=None, model="plumb_bob", size=(640, 480), binning=(0, 0), roi=(0, 0, 0, 0)):
+    def make(store: Typestore) -> Any:
+        region = store.types["sensor_msgs/msg/RegionOfInterest"](roi[0], roi[1], roi[3], roi[2], False)
+        projection = np.hstack([K, np.zeros((3, 1))]) if P is None else P
+        matrices = (np.array(D, float), np.ravel(K), np.ravel(np.eye(3) if R is None else R))
+        return store.types["sensor_msgs/msg/CameraInfo"](
+            header(store, START_NS, "left_optical"),
+            size[1],
+            size[0],
+            model,
+            *matrices,
+            np.ravel(projection),
+            *binning,
+            region,
+        )
+
+    return make
+
+
+def picture(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return cv2.resize(rng.integers(0, 256, (6, 8), dtype=np.uint8), (64, 48), interpolation=cv2.INTER_CUBIC)
+
+
+K_LEFT = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
+URDF = "<robot name='r'><link name='base_link'/></robot>"
+
+
+def world(messages: int = 60) -> list[Item]:
+    """Joints whose names change order, a tick counter that wraps, pictures of both sides, in log order."""
+    items = [
+        Item("/robot_description", "std_msgs/msg/String", START_NS, number("String", URDF)),
+        Item("/left/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT, [0.1, 0, 0, 0, 0])),
+        Item("/right/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT)),
+    ]
+    for k in range(messages):
+        stamp = START_NS + k * STEP_NS
+        log = stamp + 3_000_000
+        names, values = ["pan", "tilt", "wheel_left"], [0.01 * k, -0.02 * k, 0.1 * k]
+        if k % 3 == 1:
+            names, values = names[::-1], values[::-1]
+        items.append(
+            Item(
+                "/joint_states", "sensor_msgs/msg/JointState", log, joint_state(names, values, stamp_ns=stamp)
+            )
+        )
+        ticks = (65_500 + 16 * k) % 2**16
+        items.append(Item("/ticks", "std_msgs/msg/UInt16", log + 1, number("UInt16", ticks)))
+        if k % 10 == 0:
+            items.append(
+                Item("/left/image_raw", "sensor_msgs/msg/Image", log + 2, image(picture(k), "mono8", stamp))
+            )
+            items.append(
+                Item(
+                    "/right/image/compressed",
+                    "sensor_msgs/msg/CompressedImage",
+                    log + 3,
+                    compressed(picture(k + 1), ".png", stamp),
+                )
+            )
+    return items
+
+
+def write_bag(path: Path, items: list[Item], compression: str = "") -> Path:
+    writer = BagWriter(path)
+    writer.chunk_threshold = 4096
+    if compression:
+        writer.set_compression(BagWriter.CompressionFormat[compression])
+    with writer:
+        connections = {}
+        for item in items:
+            if item.topic not in connections:
+                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS1)
+            writer.write(
+                connections[item.topic], item.log_ns, ROS1.serialize_ros1(item.make(ROS1), item.type)
+            )
+    return path
+
+
+def write_bag2(path: Path, items: list[Item], storage: str = "SQLITE3", compression: str = "") -> Path:
+    writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin[storage])
+    if compression:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for item in items:
+            if item.topic not in connections:
+                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS2)
+            writer.write(connections[item.topic], item.log_ns, ROS2.serialize_cdr(item.make(ROS2), item.type))
+    return path
+
+
+def write_mcap(
+    path: Path, items: list[Item], profile="ros2", ros1=False, pack=False, encoding=None, **options
+) -> Path:
+    store = ROS1 if ros1 else ROS2
+    options.setdefault("chunk_size", 4096)
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start(profile)
+        channels = {}
+        for item in items:
+            if item.topic not in channels:
+                definition = store.generate_msgdef(item.type, ros_version=1 if ros1 else 2)[0]
+                name = item.type.replace("/msg/", "/") if ros1 else item.type
+                schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", definition.encode())
+                wire = "ros1" if ros1 else "cdr"
+                channels[item.topic] = writer.register_channel(item.topic, encoding or wire, schema)
+            message = item.make(store)
+            data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.type)
+            payload = zstandard.compress(bytes(data)) if pack else bytes(data)
+            writer.add_message(channels[item.topic], item.log_ns, payload, item.log_ns)
+        writer.finish()
+    return path
+
+
+def _bare(path: Path, items: list[Item], suffix: str, storage: str) -> Path:
+    folder = write_bag2(path.with_suffix(".d"), items, storage)
+    found = next(folder.glob(f"*{suffix}"))
+    return found.rename(path.with_suffix(suffix))
+
+
+def _without_metadata(path: Path, items: list[Item]) -> Path:
+    folder = write_bag2(path, items)
+    (folder / "metadata.yaml").unlink()
+    return folder
+
+
+def _packed(path: Path, items: list[Item]) -> Path:
+    source = _bare(path, items, ".db3", "SQLITE3")
+    target = source.with_suffix(".db3.zstd")
+    target.write_bytes(zstandard.compress(source.read_bytes()))
+    return target
+
+
+def _misnamed(path: Path, items: list[Item]) -> Path:
+    return Path(shutil.move(write_mcap(path.with_suffix(".mcap"), items), path.with_suffix(".bag")))
+
+
+NO_REPEATS = {"repeat_channels": False, "repeat_schemas": False}
+NO_SUMMARY = {
+    **NO_REPEATS,
+    "use_statistics": False,
+    "use_summary_offsets": False,
+    "index_types": IndexType.MESSAGE,
+}
+CONTAINERS: dict[str, Callable[[Path, list[Item]], Path]] = {
+    "bag": lambda p, i: write_bag(p.with_suffix(".bag"), i),
+    "bag-bz2": lambda p, i: write_bag(p.with_suffix(".bag"), i, "BZ2"),
+    "bag-lz4": lambda p, i: write_bag(p.with_suffix(".bag"), i, "LZ4"),
+    "rosbag2-sqlite3": write_bag2,
+    "rosbag2-mcap": lambda p, i: write_bag2(p, i, "MCAP"),
+    "rosbag2-sqlite3-file": lambda p, i: write_bag2(p, i, "SQLITE3", "FILE"),
+    "rosbag2-sqlite3-message": lambda p, i: write_bag2(p, i, "SQLITE3", "MESSAGE"),
+    "rosbag2-mcap-file": lambda p, i: write_bag2(p, i, "MCAP", "FILE"),
+    "rosbag2-mcap-message": lambda p, i: write_bag2(p, i, "MCAP", "MESSAGE"),
+    "rosbag2-mcap-storage": lambda p, i: write_bag2(p, i, "MCAP", "STORAGE"),
+    "rosbag2-no-metadata": _without_metadata,
+    "bare-db3": lambda p, i: _bare(p, i, ".db3", "SQLITE3"),
+    "bare-db3-zstd": _packed,
+    "bare-rosbag2-mcap": lambda p, i: _bare(p, i, ".mcap", "MCAP"),
+    "mcap-zstd": lambda p, i: write_mcap(p, i),
+    "mcap-lz4": lambda p, i: write_mcap(p, i, compression=CompressionType.LZ4),
+    "mcap-none": lambda p, i: write_mcap(p, i, compression=CompressionType.NONE),
+    "mcap-unchunked": lambda p, i: write_mcap(p, i, use_chunking=False),
+    "mcap-unchunked-no-summary": lambda p, i: write_mcap(p, i, use_chunking=False, **NO_SUMMARY),
+    "mcap-no-summary": lambda p, i: write_mcap(p, i, **NO_SUMMARY),
+    "mcap-no-index-at-all": lambda p, i: write_mcap(p, i, **{**NO_SUMMARY, "index_types": IndexType.NONE}),
+    "mcap-half-summary": lambda p, i: write_mcap(p, i, **NO_REPEATS),
+    "mcap-ros1": lambda p, i: write_mcap(p, i, profile="ros1", ros1=True),
+    "mcap-empty-profile": lambda p, i: write_mcap(p, i, profile=""),
+    "mcap-empty-profile-ros1": lambda p, i: write_mcap(p, i, profile="", ros1=True),
+    "mcap-message-zstd": lambda p, i: write_mcap(p, i, pack=True),
+    "mcap-misnamed-as-bag": _misnamed,
+}

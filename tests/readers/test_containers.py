@@ -1,0 +1,191 @@
+"""One set of assertions over all containers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers import (
+    join_parts,
+    open_recording,
+    read_images,
+    read_prelude,
+    read_signals,
+    sha256_of,
+)
+
+from . import recordings as r
+
+ITEMS = r.world()
+
+
+@pytest.fixture(params=r.CONTAINERS)
+def path(request, tmp_path) -> Path:
+    return r.CONTAINERS[request.param](tmp_path / "log", ITEMS)
+
+
+def check_contents(recording) -> None:
+    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    k = np.arange(60)
+    for name, slope in (("pan", 0.01), ("tilt", -0.02)):
+        np.testing.assert_array_equal(signals.joints[name].time_ns, r.START_NS + k * r.STEP_NS)
+        np.testing.assert_array_equal(signals.joints[name].value, slope * k)
+    np.testing.assert_array_equal(signals.wheels["left"].value, 0.1 * k)
+    np.testing.assert_allclose(signals.wheels["right"].value, 16 * k * 2 * np.pi / 1000, rtol=1e-14, atol=0)
+    np.testing.assert_array_equal(signals.wheels["right"].time_ns, r.START_NS + k * r.STEP_NS + 3_000_001)
+    for side in ("left", "right"):
+        np.testing.assert_array_equal(signals.image_ns[side], r.START_NS + k[::10] * r.STEP_NS)
+    assert signals.notes == ("/ticks: messages have no header stamp; the log time is used",)
+    assert recording.damage == ()
+
+    wanted = {
+        "left": {int(signals.image_ns["left"][2])},
+        "right": {int(signals.image_ns["right"][k]) for k in (0, 5)},
+    }
+    got = {
+        (side, (ns - r.START_NS) // r.STEP_NS): gray
+        for side, ns, gray in read_images(recording, r.SOURCES.image, wanted)
+    }
+    assert set(got) == {("left", 20), ("right", 0), ("right", 50)}
+    np.testing.assert_array_equal(got["left", 20], r.picture(20))
+    np.testing.assert_array_equal(got["right", 50], r.picture(51))
+
+
+def test_same_contents_from_every_container(path):
+    with open_recording([path]) as recording:
+        assert {t.name: t.count for t in recording.topics} == {
+            "/joint_states": 60,
+            "/ticks": 60,
+            "/left/image_raw": 6,
+            "/right/image/compressed": 6,
+            "/left/camera_info": 1,
+            "/right/camera_info": 1,
+            "/robot_description": 1,
+        }
+        assert {t.type for t in recording.topics if t.name == "/ticks"} == {"std_msgs/msg/UInt16"}
+        assert recording.start_ns == r.START_NS
+        assert recording.end_ns == ITEMS[-1].log_ns
+        check_contents(recording)
+
+
+def test_same_prelude_from_every_container(path):
+    with open_recording([path]) as recording:
+        prelude = read_prelude(recording)
+    assert prelude.urdfs == {"/robot_description": r.URDF}
+    assert prelude.joint_names == {"/joint_states": ("pan", "tilt", "wheel_left")}
+    assert prelude.image_frames == {
+        "/left/image_raw": "left_optical",
+        "/right/image/compressed": "right_optical",
+    }
+    np.testing.assert_array_equal(prelude.infos["/left/camera_info"].K, r.K_LEFT)
+    np.testing.assert_array_equal(prelude.infos["/left/camera_info"].D, [0.1, 0, 0, 0, 0])
+    assert prelude.infos["/right/camera_info"].distortion == "none"
+
+
+@pytest.mark.parametrize("name", ["bag-lz4", "rosbag2-sqlite3", "mcap-zstd", "mcap-no-summary"])
+def test_parts_in_any_order_are_one_recording(tmp_path, name):
+    write = r.CONTAINERS[name]
+    halves = [write(tmp_path / "a", ITEMS[:70]), write(tmp_path / "b", ITEMS[70:])]
+    for paths in (halves, halves[::-1]):
+        assert join_parts(paths) == [halves]
+        with open_recording(paths) as recording:
+            check_contents(recording)
+            times = [m.log_time_ns for m in recording.messages(["/ticks", "/joint_states"])]
+        assert times == sorted(times)
+
+
+def test_separate_recordings_are_not_joined(tmp_path):
+    later = [r.Item(i.topic, i.type, i.log_ns + 20 * 10**9, i.make) for i in ITEMS]
+    same_time = ITEMS
+    first = r.write_mcap(tmp_path / "first.mcap", ITEMS)
+    paths = [
+        r.write_mcap(tmp_path / "later.mcap", later),
+        first,
+        r.write_bag(tmp_path / "again.bag", same_time),
+    ]
+    assert join_parts(paths) == [[paths[0]], [paths[1]], [paths[2]]]
+
+
+def test_two_recorders_side_by_side_are_one_recording(tmp_path):
+    cameras = r.write_bag(
+        tmp_path / "cameras.bag", [i for i in ITEMS if "/left" in i.topic or "/right" in i.topic]
+    )
+    rest = r.write_bag(
+        tmp_path / "rest.bag", [i for i in ITEMS if not ("/left" in i.topic or "/right" in i.topic)]
+    )
+    assert [set(group) for group in join_parts([cameras, rest])] == [{cameras, rest}]
+    with open_recording([cameras, rest]) as recording:
+        check_contents(recording)
+
+
+def test_messages_come_in_log_order_although_chunks_overlap(tmp_path):
+    rng = np.random.default_rng(4)
+    shuffled = [ITEMS[k] for k in np.argsort(np.arange(len(ITEMS)) + rng.uniform(-15, 15, len(ITEMS)))]
+    for name in ("mcap-zstd", "mcap-unchunked", "mcap-no-summary", "rosbag2-sqlite3", "bag"):
+        with open_recording([r.CONTAINERS[name](tmp_path / name, shuffled)]) as recording:
+            topics = {t.name for t in recording.topics}
+            times = [m.log_time_ns for m in recording.messages(topics)]
+        assert times == sorted(i.log_ns for i in ITEMS), name
+
+
+def test_unasked_chunks_are_not_read(tmp_path, monkeypatch):
+    path = r.write_mcap(tmp_path / "log.mcap", ITEMS)
+    with open_recording([path]) as recording:
+        part = recording.parts[0]
+        loaded = []
+        load = part.load
+        monkeypatch.setattr(part, "load", lambda block: loaded.append(block) or load(block))
+        list(recording.messages(["/robot_description"]))
+        assert len(part.blocks) > 5
+        assert len(loaded) == 1
+
+
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+def test_other_encodings_fail_only_when_asked_for(tmp_path, encoding):
+    odd = r.Item("/odd", "std_msgs/msg/String", r.START_NS, r.number("String", "{}"))
+    good = r.write_mcap(tmp_path / "good.mcap", ITEMS)
+    path = r.write_mcap(tmp_path / "odd.mcap", [odd], encoding=encoding)
+    with open_recording([good, path]) as recording:
+        check_contents(recording)
+        with pytest.raises(RecordingError, match=f"/odd.*{encoding}"):
+            recording.messages(["/odd"])
+
+
+def test_missing_topic_lists_those_present(tmp_path):
+    with (
+        open_recording([r.write_mcap(tmp_path / "log.mcap", ITEMS)]) as recording,
+        pytest.raises(RecordingError, match=r"no topic /nope; topics present: /joint_states \(sensor_msgs"),
+    ):
+        recording.messages(["/nope"])
+
+
+def test_hash_of_file_and_directory(tmp_path):
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "b").write_bytes(b"c")
+    (tmp_path / "d" / "a").write_bytes(b"ab")
+    (tmp_path / "whole").write_bytes(b"abc")
+    assert sha256_of(tmp_path / "d") == sha256_of(tmp_path / "whole")
+    assert sha256_of(tmp_path / "whole").startswith("ba7816bf")
+    with pytest.raises(RecordingError, match="cannot be read"):
+        sha256_of(tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    "name", ["bag", "bag-bz2", "rosbag2-sqlite3", "rosbag2-mcap", "mcap-lz4", "mcap-half-summary"]
+)
+def test_payloads_agree_with_rosbags(tmp_path, name):
+    path = r.CONTAINERS[name](tmp_path / "log", ITEMS)
+    if path.suffix == "":
+        path = path.rename(tmp_path / "log.mcap") if path.is_file() else path
+    with AnyReader([path]) as reader:
+        expected = sorted((t, c.topic, bytes(data)) for c, t, data in reader.messages())
+    with open_recording([path]) as recording:
+        found = [
+            (m.log_time_ns, m.topic, bytes(m.payload))
+            for m in recording.messages({t.name for t in recording.topics})
+        ]
+    assert sorted(found) == expected

@@ -1,0 +1,149 @@
+"""Every picture encoding, honest sizes, and dishonest ones."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import Rejection
+from mobilecal_cli.readers import decode_image, open_recording, read_images
+
+from . import recordings as r
+
+GRAY = r.picture(1)
+COLOR = np.stack([GRAY, 255 - GRAY, GRAY // 2], axis=-1)
+"""Red, green, blue."""
+LUMA = 0.299 * COLOR[..., 0] + 0.587 * COLOR[..., 1] + 0.114 * COLOR[..., 2]
+ALPHA = np.full_like(GRAY[..., None], 7)
+
+
+def decoded(pixels, encoding, **changes):
+    return decode_image(r.image(pixels, encoding, **changes)(r.ROS2))
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "8UC1"])
+def test_gray_is_passed_through_without_a_copy(encoding):
+    message = r.image(GRAY, encoding)(r.ROS2)
+    gray = decode_image(message)
+    np.testing.assert_array_equal(gray, GRAY)
+    assert np.shares_memory(gray, message.data)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels"),
+    [
+        ("rgb8", COLOR),
+        ("bgr8", COLOR[..., ::-1]),
+        ("8UC3", COLOR[..., ::-1]),
+        ("rgba8", np.concatenate([COLOR, ALPHA], axis=-1)),
+        ("bgra8", np.concatenate([COLOR[..., ::-1], ALPHA], axis=-1)),
+    ],
+)
+def test_colours_are_weighted(encoding, pixels):
+    assert np.abs(decoded(pixels, encoding).astype(float) - LUMA).max() <= 1
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+def test_16_bit_in_either_byte_order(encoding, order):
+    words = (GRAY.astype(np.uint16) << 8) + 17
+    gray = decoded(words.astype(f"{order}u2"), encoding, is_bigendian=int(order == ">"))
+    np.testing.assert_array_equal(gray, GRAY)
+
+
+def test_12_bit_in_16_bit_words_is_scaled():
+    np.testing.assert_array_equal(decoded(GRAY.astype(np.uint16) << 4, "mono16"), GRAY)
+
+
+PATTERNS = {
+    "rggb": ((0, 1), (1, 2)),
+    "bggr": ((2, 1), (1, 0)),
+    "gbrg": ((1, 2), (0, 1)),
+    "grbg": ((1, 0), (2, 1)),
+}
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_bayer_patterns(pattern, bits):
+    color = np.array([200, 120, 40])
+    tile = color[np.array(PATTERNS[pattern])]
+    mosaic = np.tile(tile, (16, 20)).astype(np.uint8)
+    pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
+    gray = decoded(pixels, f"bayer_{pattern}{bits}")
+    assert np.abs(gray[2:-2, 2:-2] - (color @ [0.299, 0.587, 0.114])).max() <= 1
+
+
+def test_rows_with_padding():
+    padded = np.pad(COLOR.reshape(48, -1), ((0, 0), (0, 13)), constant_values=99)
+    gray = decoded(padded, "rgb8", width=64, step=64 * 3 + 13)
+    assert np.abs(gray.astype(float) - LUMA).max() <= 1
+
+
+def test_last_row_needs_no_padding():
+    padded = np.pad(GRAY, ((0, 0), (0, 6))).ravel()[:-6].reshape(1, -1)
+    np.testing.assert_array_equal(decoded(padded, "mono8", height=48, width=64, step=70), GRAY)
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg"])
+@pytest.mark.parametrize("pixels", [GRAY, COLOR[..., ::-1]], ids=["gray", "colour"])
+def test_compressed(extension, pixels):
+    gray = decode_image(r.compressed(pixels, extension)(r.ROS1))
+    expected = GRAY if pixels is GRAY else LUMA
+    assert gray.dtype == np.uint8
+    assert np.abs(gray.astype(float) - expected).mean() < (3 if extension == ".jpg" else 0.6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"height": 4000}, "size 64x4000 mono8 with 64 bytes a row does not fit its 3072 bytes"),
+        ({"step": 10}, "10 bytes a row"),
+        ({"width": 0}, "makes no sense"),
+        ({"width": 2**32 - 1, "height": 2**32 - 1}, "makes no sense"),
+        ({"encoding": "yuv422"}, "encoding 'yuv422' not known; known: 16uc1"),
+        ({"encoding": "rgb8"}, "does not fit"),
+    ],
+)
+def test_dishonest_pictures_are_refused(changes, message):
+    with pytest.raises(RecordingError, match=message):
+        decoded(GRAY, changes.pop("encoding", "mono8"), **changes)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff\xe0 not a jpeg", b"\x89PNG\r\n\x1a\n" + bytes(30)])
+def test_damaged_compressed_pictures_are_refused(data):
+    message = r.compressed(GRAY, ".png")(r.ROS2)
+    message.data = np.frombuffer(data, dtype=np.uint8)
+    with pytest.raises(RecordingError, match=r"picture (empty|damaged)"):
+        decode_image(message)
+
+
+def test_undecodable_picture_is_a_rejection_in_its_place(tmp_path):
+    items = [
+        r.Item("/l", "sensor_msgs/msg/Image", r.START_NS + k, r.image(GRAY, encoding, r.START_NS + k))
+        for k, encoding in enumerate(["mono8", "yuv422", "mono8", "mono8"])
+    ]
+    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
+        wanted = {"left": [r.START_NS + k for k in range(3)], "right": []}
+        found = [
+            (s, ns - r.START_NS, p)
+            for s, ns, p in read_images(recording, {"left": "/l", "right": "/r"}, wanted)
+        ]
+    assert [(s, k) for s, k, _ in found] == [("left", 0), ("left", 1), ("left", 2)]
+    rejection = found[1][2]
+    assert isinstance(rejection, Rejection)
+    assert (rejection.stage, rejection.reason) == ("readers", "picture cannot be decoded")
+    assert "/l: picture encoding 'yuv422'" in rejection.detail
+    assert rejection.time_ns == r.START_NS + 1
+    np.testing.assert_array_equal(found[2][2], GRAY)
+
+
+def test_largest_picture_of_a_forged_png_is_refused():
+    header = bytearray(cv2.imencode(".png", GRAY)[1].tobytes())
+    header[16:24] = (2**31 - 1).to_bytes(4, "big") * 2
+    message = r.compressed(GRAY, ".png")(r.ROS2)
+    message.data = np.frombuffer(bytes(header), dtype=np.uint8)
+    with pytest.raises(RecordingError, match="picture damaged"):
+        decode_image(message)

@@ -1,0 +1,188 @@
+"""Recordings that others made: real robots, other tools' writers, published traps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers import join_parts, open_recording, read_images, read_prelude
+
+CONFORMANCE = {
+    "NoData": (0, 6),
+    "OneAttachment": (0, 14),
+    "OneMetadata": (0, 14),
+    "OneMessage": (1, 154),
+    "OneSchemalessMessage": (1, 74),
+    "TenMessages": (10, 154),
+}
+
+
+def counted(path: Path) -> tuple[int, int, tuple[str, ...]]:
+    """Messages read, messages that the file states, damage."""
+    with open_recording([path]) as recording:
+        topics = {t.name for t in recording.topics}
+        read = sum(1 for part in recording.parts for _ in part.raw(topics))
+        return read, sum(t.count or 0 for t in recording.topics), recording.damage
+
+
+@pytest.mark.parametrize("kind", CONFORMANCE)
+def test_mcap_conformance(shared_data, kind):
+    expected, files = CONFORMANCE[kind]
+    paths = sorted((shared_data / "bags" / "mcap_conformance" / kind).glob("*.mcap"))
+    assert len(paths) == files
+    for path in paths:
+        assert counted(path) == (expected, expected, ()), path.name
+
+
+BAGS = {
+    "example-unsorted-chunks.bag": 3,
+    "fetch_calibration/fetch_calibration/config/calibration_poses.bag": 101,
+    "fetch_calibration/fetch_calibration/config/calibration_poses_ground.bag": 130,
+    "fetch_calibration/fetch_calibration/config/checkerboard_poses.bag": 21,
+    "foxglove_noetic_generated/noetic-empty.bag": 0,
+    "foxglove_noetic_generated/noetic-multitopic-bz2.bag": 3,
+    "foxglove_noetic_generated/noetic-multitopic-lz4.bag": 3,
+    "foxglove_noetic_generated/noetic-multitopic-none.bag": 3,
+    "foxglove_rosbag/fixtures/example-bz2.bag": 8647,
+    "foxglove_rosbag/fixtures/example-lz4.bag": 8647,
+    "foxglove_rosbag/fixtures/example.bag": 8647,
+    "foxglove_rosbag/fixtures/no-messages.bag": 0,
+    "mvtb/tests/data/test_ros1.bag": 9,
+    "mvtb/tests/data/test_ros2": 9,
+    "robot_calibration_ubr/launch/calibration_poses.bag": 61,
+    "rosbag2/ros2bag/test/resources/empty_bag": 0,
+    "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/only_services.mcap": 12,
+    "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/only_topics.mcap": 7,
+    "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/topics_and_services.db3": 13,
+    "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/topics_and_services.mcap": 13,
+    "rosbag2/rosbag2_py/test/resources/mcap/convert_a": 150,
+    "rosbag2/rosbag2_py/test/resources/mcap/talker": 20,
+    "rosbag2/rosbag2_py/test/resources/mcap/wbag": 6074,
+    "rosbag2/rosbag2_py/test/resources/mcap/reindex_test_bags/multiple_files": 3177,
+    "rosbag2/rosbag2_py/test/resources/sqlite3/convert_b": 75,
+    "rosbag2/rosbag2_py/test/resources/sqlite3/wbag": 6074,
+    "rosbag2/rosbag2_py/test/resources/sqlite3/reindex_test_bags/multiple_files": 3177,
+    "rosbag2/rosbag2_transport/test/resources/sqlite3/test_bag_for_seek": 5,
+    "rosbags_rs_all_types/tests/test_bags/test_bag_mcap": 188,
+    "rosbags_rs_all_types/tests/test_bags/test_bag_sqlite3": 188,
+    "tiryoh_analyzer/e2e/fixtures/test_sample.bag": 14,
+    "tiryoh_analyzer/e2e/fixtures/test_sample.mcap": 14,
+    "tiryoh_analyzer/e2e/fixtures/test_sample.mcap.zstd": 14,
+}
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_whole_bags(shared_data, name):
+    assert counted(shared_data / "bags" / name) == (BAGS[name], BAGS[name], ())
+
+
+@pytest.mark.parametrize(
+    ("name", "messages", "note"),
+    [
+        ("test_sample_truncated.mcap", 14, "at byte 1475 of 1533, after 14 messages, 3.5 s"),
+        ("test_truncated.bag", 3, "at byte 4117 of 5992"),
+        ("test_unindexed.bag", 14, "no usable index"),
+    ],
+)
+def test_damaged_bags(shared_data, name, messages, note):
+    read, stated, damage = counted(shared_data / "bags/tiryoh_analyzer/e2e/fixtures" / name)
+    assert (read, stated) == (messages, messages)
+    assert note in damage[0]
+
+
+def test_unindexed_bag_by_topic(shared_data):
+    with open_recording([shared_data / "bags/tiryoh_analyzer/e2e/fixtures/test_unindexed.bag"]) as recording:
+        assert {t.name: t.count for t in recording.topics} == {"/rosout_agg": 10, "/diagnostics_agg": 4}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "foxglove_rosbag/fixtures/empty-file.bag",
+        "rosbag_rs/dummy.bag",
+        "tiryoh_analyzer/e2e/fixtures/Dockerfile.mcap",
+        "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags",
+        "rosbag2/ros2bag/test/resources/empty_bag/empty_bag_0.db3-wal",
+        "foxglove_rosbag/LICENSE",
+    ],
+)
+def test_refused(shared_data, name):
+    with pytest.raises(RecordingError) as caught:
+        open_recording([shared_data / "bags" / name])
+    assert caught.value.hint
+
+
+def test_every_other_file_is_read_or_refused(shared_data):
+    for path in sorted((shared_data / "bags").rglob("*")):
+        if "mcap_conformance" in path.parts:
+            continue
+        try:
+            read, _, _ = counted(path)
+        except RecordingError:
+            continue
+        assert read >= 0
+
+
+def test_split_bags_are_joined(shared_data):
+    for storage in ("mcap", "db3"):
+        kind = "sqlite3" if storage == "db3" else "mcap"
+        folder = shared_data / f"bags/rosbag2/rosbag2_py/test/resources/{kind}/wbag"
+        paths = sorted(folder.glob(f"*.{storage}"))
+        assert len(paths) == 5
+        assert join_parts(paths[::-1]) == [paths]
+
+
+def test_wrong_serialization_is_named(shared_data):
+    path = shared_data / "bags/rosbag2/rosbag2_tests/resources/mcap/wrong_rmw_test"
+    with (
+        open_recording([path]) as recording,
+        pytest.raises(RecordingError, match="wrong_format"),
+    ):
+        recording.messages([recording.topics[0].name])
+
+
+def test_joints_of_fetch_and_ubr1(shared_data):
+    folder = shared_data / "bags/fetch_calibration/fetch_calibration/config"
+    with open_recording([folder / "checkerboard_poses.bag"]) as recording:
+        (names,) = read_prelude(recording).joint_names.values()
+        assert {"head_pan_joint", "head_tilt_joint", "l_wheel_joint", "r_wheel_joint"} <= set(names)
+    path = shared_data / "bags/robot_calibration_ubr/launch/calibration_poses.bag"
+    with open_recording([path]) as recording:
+        (names,) = read_prelude(recording).joint_names.values()
+        assert {"head_pan_joint", "base_l_wheel_joint", "base_r_wheel_joint"} <= set(names)
+
+
+def test_picture_that_claims_more_than_it_holds(shared_data):
+    path = shared_data / "bags/rosbags_rs_all_types/tests/test_bags/test_bag_mcap"
+    topic = "/test/sensor_msgs/image"
+    with open_recording([path]) as recording:
+        stamps = [
+            m.decode().header.stamp.sec * 10**9 + m.decode().header.stamp.nanosec
+            for m in recording.messages([topic])
+        ]
+        found = list(read_images(recording, {"left": topic}, {"left": set(stamps)}))
+    assert found
+    for _, _, rejection in found:
+        assert rejection.stage == "readers"
+        assert "640x480" in rejection.detail
+        assert "30 bytes" in rejection.detail
+
+
+def test_same_pictures_from_ros1_and_ros2(shared_data):
+    pictures = []
+    for name in ("test_ros1.bag", "test_ros2"):
+        with open_recording([shared_data / "bags/mvtb/tests/data" / name]) as recording:
+            image = {"left": "/camera/raw", "right": "/camera/compressed"}
+            stamps = {
+                side: [m.decode().header.stamp for m in recording.messages([topic])]
+                for side, topic in image.items()
+            }
+            wanted = {s: {t.sec * 10**9 + t.nanosec for t in times} for s, times in stamps.items()}
+            pictures.append([(s, p) for s, _, p in read_images(recording, image, wanted)])
+    assert len(pictures[0]) == 6
+    for (side, ours), (other_side, other) in zip(*pictures, strict=True):
+        assert side == other_side
+        np.testing.assert_array_equal(ours, other)

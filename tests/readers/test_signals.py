@@ -1,0 +1,342 @@
+"""Joints, wheels and stamps: what is read, dropped, noted and refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers.fields import FieldPath
+from mobilecal_cli.readers.series import Series, TickCounter
+from mobilecal_cli.readers.stamps import in_order
+
+from . import recordings as r
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+S = 10**9
+
+
+def at(k: float) -> int:
+    return r.START_NS + round(k * S)
+
+
+def images(count: int = 3) -> list[r.Item]:
+    return [
+        r.Item(topic, "sensor_msgs/msg/Image", at(k), r.image(r.picture(k), "mono8", at(k)))
+        for k in range(count)
+        for topic in ("/l", "/r")
+    ]
+
+
+def joints(samples, topic="/j") -> list[r.Item]:
+    """(log s, stamp ns, names, positions[, velocities]) each."""
+    return [
+        r.Item(topic, JOINT_STATE, at(log), r.joint_state(names, position, *rate, stamp_ns=stamp))
+        for log, stamp, names, position, *rate in samples
+    ]
+
+
+SOURCES = Sources(
+    image={"left": "/l", "right": "/r"},
+    info={"left": "", "right": ""},
+    joints=("/j",),
+    wheels={"left": WheelSource("/j", joint="wl"), "right": WheelSource("/j", joint="wr")},
+)
+NAMES = ["pan", "wl", "wr"]
+
+
+def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
+    path = r.write_mcap(tmp_path / "log.mcap", items)
+    with open_recording([path]) as recording:
+        return read_signals(recording, sources, names)
+
+
+def steady(count=10, **changes):
+    return [(0.1 * k, at(0.1 * k), NAMES, [k, 2.0 * k, 3.0 * k]) for k in range(count)]
+
+
+def test_names_spread_over_topics(tmp_path):
+    items = [
+        *images(),
+        *joints([(0.1 * k, at(0.1 * k), ["wl", "wr"], [k, k]) for k in range(5)]),
+        *joints([(0.1 * k, at(0.1 * k), ["pan"], [k]) for k in range(7)], "/head"),
+        *joints([(0.1 * k, at(0.1 * k), ["tilt", "pan"], [k, -1]) for k in range(3)], "/other"),
+    ]
+    sources = replace(SOURCES, joints=("/other", "/head"))
+    signals = signals_of(tmp_path, items, sources, ("pan", "tilt"))
+    np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(7))
+    np.testing.assert_array_equal(signals.joints["tilt"].value, np.arange(3))
+
+
+def test_velocities_are_integrated_where_positions_are_absent(tmp_path):
+    t = np.linspace(0, 1, 11)
+    rows = [(s, at(s), NAMES, [0.0], [0, 2 * s, 4 - s]) for s in t]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_allclose(signals.wheels["left"].value, t**2, atol=1e-12)
+    np.testing.assert_allclose(signals.wheels["right"].value, 4 * t - t**2 / 2, atol=1e-12)
+    assert any("wl on /j: no positions; velocities are integrated" in note for note in signals.notes)
+
+
+def test_joint_without_position_or_velocity_is_refused(tmp_path):
+    rows = [(0.1 * k, at(0.1 * k), NAMES, [0.0]) for k in range(5)]
+    with pytest.raises(RecordingError, match="neither positions nor velocities"):
+        signals_of(tmp_path, [*images(), *joints(rows)])
+
+
+def test_zero_stamps_fall_back_to_log_time(tmp_path):
+    rows = [(0.1 * k, 0, NAMES, [k, k, k]) for k in range(5)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_array_equal(signals.joints["pan"].time_ns, [at(0.1 * k) for k in range(5)])
+    assert "/j: all 5 header stamps are zero; the log time is used" in signals.notes
+
+
+def test_other_clock_is_noted(tmp_path):
+    rows = [(0.1 * k, at(0.1 * k) - 100 * S, NAMES, [k, k, k]) for k in range(5)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    assert any(note.startswith("clocks differ: the stamps of /j lie 100.000 s") for note in signals.notes)
+
+
+def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
+    stamps = [0, 1, 2, 3, 1.5, 2.5, 3.5, 4.5]
+    rows = [(0.1 * k, at(s), NAMES, [s, s, s]) for k, s in enumerate(stamps)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    track = signals.joints["pan"]
+    assert len(track.time_ns) == 6
+    np.testing.assert_allclose((track.time_ns - r.START_NS) / S, track.value)
+    assert (
+        "joint pan on /j: the clock steps back, by up to 1.500 s; 2 of 8 samples that are out of order are dropped"
+        in signals.notes
+    )
+
+
+def test_duplicate_stamps_keep_the_first(tmp_path):
+    rows = [(0.1 * k, at(0.1 * (k // 2)), NAMES, [k, k, k]) for k in range(10)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows), *images()])
+    np.testing.assert_array_equal(signals.joints["pan"].value, [0, 2, 4, 6, 8])
+    assert "joint wl on /j: 5 of 10 stamps occur twice; the first is kept" in signals.notes
+    assert "/l: 3 of 6 stamps occur twice; the first is kept" in signals.notes
+
+
+def test_gap_in_which_wheels_turned_is_reported(tmp_path):
+    times = [0.02 * k for k in range(50)] + [0.98 + 2.56 + 0.02 * k for k in range(50)]
+    rows = [(s, at(s), NAMES, [0, 2 * s, 0]) for s in times]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    assert (
+        "left wheel: 1 gap in which the wheel turned; the worst lasts 2.56 s from 0.98 s on, 5.120 rad"
+        in signals.notes
+    )
+    assert not any(note.startswith("right wheel") for note in signals.notes)
+
+
+def test_nan_readings_are_dropped_and_counted(tmp_path):
+    rows = steady()
+    rows[3] = (*rows[3][:3], [np.nan, np.inf, 9.0])
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    assert len(signals.joints["pan"].value) == len(signals.wheels["left"].value) == 9
+    assert len(signals.wheels["right"].value) == 10
+    assert "joint pan on /j: 1 of 10 readings are NaN or infinite; dropped" in signals.notes
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_only_nan_is_refused(tmp_path, bad):
+    rows = [(*row[:3], [np.nan if k == bad else x for k, x in enumerate(row[3])]) for row in steady()]
+    with pytest.raises(RecordingError, match=f"joint {NAMES[bad]} on /j: all 10 readings are NaN"):
+        signals_of(tmp_path, [*images(), *joints(rows)])
+
+
+def test_wrapped_positions_are_unwrapped_and_noted(tmp_path):
+    angle = 0.3 * np.arange(60)
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    rows = [(0.05 * k, at(0.05 * k), NAMES, [0, a, 0]) for k, a in enumerate(wrapped)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
+    assert any("wrapped to one turn; 3 jumps are undone" in note for note in signals.notes)
+
+
+def test_sparse_positions_are_left_alone(tmp_path):
+    rows = [(3.0 * k, at(3.0 * k), NAMES, [0, 3 * (-1) ** k, 0]) for k in range(8)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_array_equal(signals.wheels["left"].value, [3 * (-1) ** k for k in range(8)])
+
+
+def test_sign_turns_a_wheel_round(tmp_path):
+    wheels = {**SOURCES.wheels, "left": WheelSource("/j", joint="wl", sign=-1)}
+    signals = signals_of(tmp_path, [*images(), *joints(steady())], replace(SOURCES, wheels=wheels))
+    np.testing.assert_array_equal(signals.wheels["left"].value, -2.0 * np.arange(10))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joints": ("/nope",)}, r"no topic /nope; topics present: /j \(sensor_msgs/msg/JointState\), /l"),
+        ({"joints": ("/l",)}, "/l is a sensor_msgs/msg/Image, not a sensor_msgs/msg/JointState"),
+        ({"image": {"left": "/j", "right": "/r"}}, "/j is a sensor_msgs/msg/JointState, not a sensor_msgs"),
+        (
+            {"wheels": {**SOURCES.wheels, "left": WheelSource("/j", joint="x")}},
+            "no joint x on /j; joints present: pan",
+        ),
+        (
+            {"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="ticks")}},
+            "no field ticks .*velocity",
+        ),
+        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="name")}}, "is a list, not a number"),
+        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="a..b")}}, "not a path to a field"),
+        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j")}}, "neither joint nor field"),
+    ],
+)
+def test_wrong_sources_are_refused(tmp_path, change, message):
+    with pytest.raises(RecordingError, match=message) as caught:
+        signals_of(tmp_path, [*images(), *joints(steady())], replace(SOURCES, **change))
+    assert caught.value.hint
+
+
+def test_missing_joint_lists_those_present(tmp_path):
+    with pytest.raises(RecordingError, match="no position of joint tilt on /j; joints present: pan, wl, wr"):
+        signals_of(tmp_path, [*images(), *joints(steady())], names=("tilt",))
+
+
+def test_side_without_images_is_refused(tmp_path):
+    items = [item for item in images() if item.topic == "/l"]
+    empty = r.Item("/r", "sensor_msgs/msg/Image", at(0), r.image(r.picture(0), "mono8"))
+    path = r.write_mcap(tmp_path / "log.mcap", [*items, *joints(steady()), empty])
+    with open_recording([path]) as recording:
+        part = recording.parts[0]
+        raw = part.raw
+        part.raw = lambda topics: (m for m in raw(topics) if m[0].topic != "/r")
+        with pytest.raises(RecordingError, match="no images of the right camera on /r: it has no messages"):
+            read_signals(recording, SOURCES, ("pan",))
+
+
+def test_joint_state_inside_another_message_by_field(shared_data, tmp_path):
+    path = FieldPath.parse("left.values[2].ticks[0]")
+    assert path.steps == ("left", "values", 2, "ticks", 0)
+    with open_recording(
+        [shared_data / "bags/fetch_calibration/fetch_calibration/config/calibration_poses_ground.bag"]
+    ) as rec:
+        (topic,) = rec.topics
+        assert topic.type == "robot_calibration_msgs/msg/CaptureConfig"
+        message = next(rec.messages([topic.name])).decode()
+        names = message.joint_states.name
+        place = names.index("head_pan_joint")
+        found = FieldPath.parse(f"joint_states.position[{place}]").number(message, topic.name)
+        assert found == message.joint_states.position[place]
+        with pytest.raises(RecordingError, match=r"fields present: .*joint_states\.position\[0\.\."):
+            FieldPath.parse("joint_states.angle").number(message, topic.name)
+
+
+@given(
+    bits=st.sampled_from([8, 16, 32, 64]),
+    signed=st.booleans(),
+    start=st.integers(0, 2**64 - 1),
+    steps=st.lists(st.integers(-100, 100), min_size=1, max_size=50),
+    sign=st.sampled_from([1, -1]),
+)
+@settings(deadline=None)
+def test_counters_of_any_width_wrap_round(bits, signed, start, steps, sign):
+    counts = start + np.concatenate([[0], np.cumsum(steps)]).astype(object)
+    readings = [int(c) % 2**bits for c in counts]
+    if signed:
+        readings = [c - 2**bits if c >= 2 ** (bits - 1) else c for c in readings]
+    series = Series("wheel")
+    counter = TickCounter(
+        series, WheelSource("/t", field="data", ticks_per_revolution=360, bits=bits, sign=sign)
+    )
+    for k, reading in enumerate(readings):
+        counter.add(k, reading)
+    _, angle = series.ordered([])
+    expected = sign * np.radians((counts - start).astype(np.float64))
+    np.testing.assert_allclose(angle, expected, atol=1e-12)
+
+
+def test_counter_without_width_never_wraps_and_keeps_large_numbers_exact():
+    series = Series("wheel")
+    counter = TickCounter(series, WheelSource("/t", field="data", ticks_per_revolution=100))
+    for k, ticks in enumerate([2**62, 2**62 + 1, 2**62 + 70_000]):
+        counter.add(k, ticks)
+    np.testing.assert_allclose(series.ordered([])[1], np.array([0, 1, 70_000]) * 2 * np.pi / 100, rtol=1e-14)
+
+
+def test_reading_beyond_the_width_is_refused():
+    counter = TickCounter(
+        Series("left wheel (/t data)"), WheelSource("/t", field="data", ticks_per_revolution=100, bits=16)
+    )
+    with pytest.raises(RecordingError, match="reading of 65536 does not fit a counter of 16 bits"):
+        counter.add(0, 65536)
+
+
+@given(st.lists(st.integers(0, 30), min_size=1, max_size=40))
+def test_in_order_is_the_longest_increasing_choice(times):
+    stamps = np.array(times, dtype=np.int64)
+    keep, duplicates, dropped, back_s = in_order(stamps)
+    kept = stamps[keep]
+    assert np.all(np.diff(kept) > 0)
+    assert len(kept) + duplicates + dropped == len(times)
+    assert duplicates == len(times) - len(set(times))
+    assert (back_s > 0) == bool(np.any(np.diff(stamps) < 0))
+    firsts = list(dict.fromkeys(times))
+    best = [1] * len(firsts)
+    for i, late in enumerate(firsts):
+        best[i] = max([1, *(best[j] + 1 for j in range(i) if firsts[j] < late)])
+    assert len(kept) == max(best)
+
+
+def test_one_stray_stamp_costs_one_sample():
+    stamps = np.arange(100, dtype=np.int64)
+    stamps[40] = 10**15
+    keep, _, dropped, _ = in_order(stamps)
+    assert dropped == 1
+    assert not keep[40]
+
+
+def test_joints_of_a_real_robot_with_zero_stamps(shared_data, tmp_path):
+    """Fetch: 21 joint states, every header stamp 0, wheels and pan-tilt head in one message."""
+    path = shared_data / "bags/fetch_calibration/fetch_calibration/config/checkerboard_poses.bag"
+    pictures = r.write_bag(tmp_path / "pictures.bag", images())
+    topic = "calibration_joint_states"
+    sources = Sources(
+        image={"left": "/l", "right": "/r"},
+        info={"left": "", "right": ""},
+        joints=(topic,),
+        wheels={
+            "left": WheelSource(topic, joint="l_wheel_joint"),
+            "right": WheelSource(topic, joint="r_wheel_joint"),
+        },
+    )
+    with open_recording([path, pictures]) as recording:
+        messages = list(recording.messages([topic]))
+        signals = read_signals(recording, sources, ("head_pan_joint", "head_tilt_joint"))
+    assert len(messages) == 21
+    assert f"{topic}: all 21 header stamps are zero; the log time is used" in signals.notes
+    for name, track in signals.joints.items():
+        expected = [m.decode().position[m.decode().name.index(name)] for m in messages]
+        np.testing.assert_array_equal(track.value, expected)
+        np.testing.assert_array_equal(track.time_ns, [m.log_time_ns for m in messages])
+    assert np.ptp(signals.joints["head_pan_joint"].value) > 0.1
+
+
+def test_joints_of_a_real_robot_with_stamps(shared_data, tmp_path):
+    """UBR-1: 61 joint states with real stamps."""
+    path = shared_data / "bags/robot_calibration_ubr/launch/calibration_poses.bag"
+    pictures = r.write_bag(tmp_path / "pictures.bag", images())
+    topic = "calibration_joint_states"
+    sources = Sources(
+        image={"left": "/l", "right": "/r"},
+        info={"left": "", "right": ""},
+        joints=(topic,),
+        wheels={
+            "left": WheelSource(topic, joint="base_l_wheel_joint"),
+            "right": WheelSource(topic, joint="base_r_wheel_joint"),
+        },
+    )
+    with open_recording([path, pictures]) as recording:
+        stamps = [m.decode().header.stamp for m in recording.messages([topic])]
+        signals = read_signals(recording, sources, ("head_pan_joint",))
+    track = signals.joints["head_pan_joint"]
+    assert len(track.time_ns) == 61
+    np.testing.assert_array_equal(track.time_ns, [s.sec * S + s.nanosec for s in stamps])
