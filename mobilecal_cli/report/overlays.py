@@ -11,7 +11,8 @@ import numpy as np
 from mobilecal_cli.model import Extraction, FloatArray, Side, Snapshot, Solution
 from mobilecal_cli.report.numbers import station_names
 
-_WIDTH_PX = 800  # wider pictures are shrunk: the page stays small, and the marks are drawn in vectors anyway
+_WIDTH_PX = 800  # wider cuttings are shrunk: the page stays small, and the marks are drawn in vectors anyway
+_MARGIN = 0.3  # of the board's size in the picture, left free around it
 _QUALITY = 72
 
 
@@ -21,12 +22,15 @@ class Overlay:
 
     Attributes:
         side: which camera.
-        width, height: of the original picture, px; the marks are in its pixels.
-        jpeg: the (shrunk) picture as base64, "" when it cannot be decoded.
+        x, y, width, height: the part of the picture around the board that is shown, px; the marks are in
+            the same pixels of the whole picture.
+        jpeg: that part (shrunk) as base64, "" when the picture cannot be decoded.
         marks: (u, v) detected and (u, v) carried, one row a corner.
     """
 
     side: Side
+    x: int
+    y: int
     width: int
     height: int
     jpeg: str
@@ -95,15 +99,17 @@ def _overlay(side: Side, jpeg: bytes, detected: FloatArray, carried: FloatArray)
     import cv2
 
     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) if jpeg else None
-    marks = np.round(
-        np.concatenate([detected, carried], axis=1) + 0.5, 2
-    ).tolist()  # SVG's 0 is a pixel's edge
+    marks = np.concatenate([detected, carried], axis=1) + 0.5  # SVG counts from a pixel's edge
+    low, high = detected.min(axis=0), detected.max(axis=0)
+    margin = _MARGIN * float(np.max(high - low)) + 8
+    bounds = np.array([[0, 0], [1 << 20, 1 << 20]] if picture is None else [[0, 0], picture.shape[::-1]])
+    (x, y), (right, bottom) = np.clip([low - margin, high + margin], *bounds).astype(int).tolist()
+    place = (side, x, y, right - x, bottom - y)
     if picture is None:
-        reach = np.ceil(np.max(detected, axis=0) + 20).astype(int)
-        return Overlay(side, int(reach[0]), int(reach[1]), "", marks)
-    height, width = picture.shape
-    if width > _WIDTH_PX:
-        size = (_WIDTH_PX, max(1, round(height * _WIDTH_PX / width)))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-    return Overlay(side, width, height, base64.b64encode(encoded.tobytes()).decode("ascii"), marks)
+        return Overlay(*place, "", np.round(marks, 2).tolist())
+    part = picture[y:bottom, x:right]
+    if part.shape[1] > _WIDTH_PX:
+        size = (_WIDTH_PX, max(1, round(part.shape[0] * _WIDTH_PX / part.shape[1])))
+        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    encoded = cv2.imencode(".jpg", part, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return Overlay(*place, base64.b64encode(encoded.tobytes()).decode("ascii"), np.round(marks, 2).tolist())

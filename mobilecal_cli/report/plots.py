@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _MOST_LABELS = 40  # more numbers than this on one plot are not read
 _MOST_OUTLINES = 150
+_LABEL_CHARACTERS = 100  # what fits side by side under a wide plot
 _TRAIL_POINTS = 400
 
 
@@ -58,10 +59,11 @@ def all_convergence(solution: Solution, extraction: Extraction) -> str:
                 axes.plot(rounds, distance, "o-", color=colours[k], label=QUANTITIES[first + k].symbol)
             if np.any(apart[:, first : first + 3] > 1e-9):
                 axes.set_yscale("log")
+                axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+                axes.minorticks_off()
             axes.set_title(name)
             axes.legend(loc="upper right")
             _round_axis(axes, solution)
-        panels[0].set_ylabel("distance from the end")
         return svg(drawing, "nine", "distance of each parameter from its end, against the round")
 
 
@@ -75,7 +77,7 @@ def refinement_convergence(solution: Solution) -> str:
         axes.plot(np.arange(len(error_mm)), error_mm, "o-", color=BLUE, markersize=4)
         axes.set_title("Error [mm]")
         axes.set_xlabel("iteration of the refinement (0: the linear solution)")
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.15 * float(np.max(error_mm)) or 1.0)
         axes.locator_params(axis="x", integer=True)
         return svg(drawing, "refine", "error against the iteration of the refinement")
 
@@ -103,7 +105,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     times = np.array([o.time_ns for o in seen])
     path = trail(extraction.wheels[log], times, solution.parameters.wheels)
     with style():
-        drawing, (axes,) = figure(7.2, 4.6)
+        drawing, (axes,) = figure(7.2, 4.4, header_in=0.35)
         axes.plot(path[:, 0], path[:, 1], color=FAINT, linewidth=1.5, label="path of the base")
         size = 0.05 * float(max(np.ptp(np.concatenate([boards[..., :2].reshape(-1, 2), path]), axis=0)))
         for k, (a, b) in enumerate(boards[..., :2]):
@@ -120,7 +122,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("x of the first station [m]")
         axes.set_ylabel("y [m]")
-        drawing.legend(loc="outside upper left", ncols=4)
+        drawing.legend(loc="upper left", ncols=4)
         return svg(drawing, f"above{log}", "base path from above with cameras and board")
 
 
@@ -157,6 +159,8 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> str:
         pixels.bar(at, residuals.leg_reprojection_px, color=BLUE)
         pixels.axhline(solution.reprojection_rms_px, color=INK, linewidth=1)
         pixels.set_title("the same in the pictures [px]")
+        for axes in (points, pixels):
+            axes.grid(visible=False, axis="x")
         _bar_labels(pixels, labels, "leg: from station to station")
         return svg(drawing, "legs", "error of each leg between two stations")
 
@@ -177,15 +181,16 @@ def station_residuals(extraction: Extraction) -> str:
             square.legend(loc="upper right")
         square.set_title("side of a square as measured [mm]")
         square.margins(y=0.3)
+        stereo.grid(visible=False, axis="x")
         _bar_labels(square, station_names(extraction), "station")
         return svg(drawing, "stations", "stereo residual and size of squares at each station")
 
 
 def _bar_labels(axes: Axes, labels: list[str], name: str) -> None:
-    every = max(1, -(-len(labels) // 24))
+    longest = max(map(len, labels), default=0)
+    every = max(1, -(-len(labels) * (longest + 2) // _LABEL_CHARACTERS))
     axes.set_xticks(np.arange(len(labels))[::every], labels[::every])
-    axes.tick_params(axis="x", labelsize=8, rotation=90 if max(map(len, labels), default=0) > 3 else 0)
-    axes.grid(visible=False, axis="x")
+    axes.tick_params(axis="x", labelsize=8)
     axes.set_xlabel(name)
 
 

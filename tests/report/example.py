@@ -255,7 +255,7 @@ def make_solution(extraction: Extraction, refined: bool = True) -> Solution:
     residuals = make_residuals(extraction, best.T_h_c)
     legs = residuals.leg_point_rms_m
     rms = float(np.sqrt(np.mean(legs**2))) if len(legs) else 0.0
-    refinement = Refinement("lm", best, np.array([0.01094, 0.0081, rms + 1e-5, rms]), rms, 31)
+    refinement = Refinement("lm", best, np.array([0.01094, rms * 1.04, rms * 1.001, rms]), rms, 31)
     answer = best if refined else linear
     return Solution(
         method="lm" if refined else "linear",

@@ -1,0 +1,303 @@
+"""The page, the JSON and the table, from made-up answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import HeadChain, JointLink, LogSource, Parameters, Rejection, Snapshot
+from mobilecal_cli.report import judge, report_html, report_json, summary_table
+from mobilecal_cli.report.numbers import image_coverage, visible
+from mobilecal_cli.report.overlays import leg_views
+from mobilecal_cli.report.plots import trail
+from tests.report.example import (
+    HOSTILE,
+    WHEELS,
+    make_extraction,
+    make_hostile,
+    make_provenance,
+    make_rig,
+    make_snapshots,
+    make_solution,
+)
+
+GOLDEN = Path(__file__).parent / "golden"
+VOID = {"meta", "br", "link", "img"}
+
+
+class Page(HTMLParser):
+    """Checks that every element closes in order, and gathers what the tests ask for."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        assert len(attrs) == len(dict(attrs)), f"<{tag}> has an attribute twice"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"style", "title"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def page_of(extraction, solution=None, snapshots=(), **provenance) -> str:
+    solution = solution or make_solution(extraction)
+    origin = dataclasses.replace(make_provenance(extraction), **provenance)
+    return report_html(solution, extraction, snapshots, origin, judge(solution, extraction))
+
+
+@pytest.fixture(scope="module")
+def extraction():
+    return make_extraction()
+
+
+@pytest.fixture(scope="module")
+def solution(extraction):
+    return make_solution(extraction)
+
+
+@pytest.fixture(scope="module")
+def html(extraction):
+    return page_of(extraction, snapshots=make_snapshots(extraction))
+
+
+@pytest.fixture(scope="module")
+def page(html):
+    return Page(html)
+
+
+def test_the_page_says_what_matters_first(page):
+    text = page.text
+    assert text.index("PASS") < text.index("The nine numbers") < text.index("What was checked")
+    for words in ("αx", "223.39", "227.60", "508.80", "10.94", "9.85", "board partly hidden", "head_link"):
+        assert words in text
+
+
+def test_the_page_needs_no_network_and_runs_nothing(html, page):
+    for tag, attributes in page.tags:
+        assert tag not in {"script", "iframe", "link", "object", "embed", "img", "form"}
+        assert not [name for name in attributes if name.startswith("on")]
+        for name in ("src", "href", "xlink:href"):
+            assert re.match(r"#|data:image/jpeg;base64,", attributes.get(name) or "#")
+    assert "@import" not in html
+    assert not re.search(r"url\((?!#)", html)
+
+
+def test_ids_are_unique_and_references_resolve(html, page):
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    used = re.findall(r'(?:href="#|url\(#)([^")]+)', html)
+    assert used
+    assert set(used) <= set(ids)
+
+
+def test_figures_follow_the_page_colours(html):
+    assert "var(--ink)" in html
+    assert not re.search(r"#0[1-6]0[1-6]0[1-6]\b", html)
+
+
+def test_the_page_is_small_and_repeats_byte_for_byte(extraction, html):
+    assert len(html.encode()) < 1_000_000
+    assert page_of(extraction, snapshots=make_snapshots(extraction)) == html
+
+
+def test_overlays_draw_both_marks_for_every_corner(extraction, page):
+    circles = [a for tag, a in page.tags if tag == "circle"]
+    assert len(circles) == 3 * 2 * 2 * extraction.board.corners
+    assert sum(tag == "image" for tag, _ in page.tags) == 6
+
+
+def test_overlays_pick_worst_median_and_best(extraction, solution):
+    views = leg_views(solution, extraction, make_snapshots(extraction))
+    px = solution.residuals.leg_reprojection_px
+    assert [view.error_px for view in views] == [max(px), sorted(px)[len(px) // 2], min(px)]
+    assert [view.rank for view in views] == ["worst", "median", "best"]
+    worst = int(np.argmax(px))
+    np.testing.assert_allclose(
+        np.array(views[0].pictures[1].marks)[:, 2:],
+        solution.residuals.predicted_right_px[worst] + 0.5,
+        atol=0.006,
+    )
+
+
+def test_overlays_use_the_legs_that_have_pictures(extraction, solution):
+    first = make_snapshots(extraction)[:1]
+    (view,) = leg_views(solution, extraction, first)
+    assert (view.rank, view.from_station, view.to_station) == ("only", "0", "1")
+    assert leg_views(solution, extraction, ()) == []
+
+
+def test_a_broken_picture_is_said(extraction):
+    broken = (Snapshot(0, 0, b"not a jpeg", b""),)
+    assert "cannot be decoded" in Page(page_of(extraction, snapshots=broken)).text
+
+
+def test_hostile_strings_stay_text(extraction):
+    hostile = make_hostile(extraction)
+    solution = dataclasses.replace(make_solution(hostile), notes=(HOSTILE,), motion={HOSTILE: 1.0})
+    html = page_of(
+        hostile,
+        solution,
+        make_snapshots(hostile),
+        logs=(LogSource(HOSTILE, HOSTILE),),
+        config={HOSTILE: HOSTILE},
+        version=HOSTILE,
+    )
+    page = Page(html)
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert sum(tag == "title" for tag, _ in page.tags) == 1
+    assert "{{7*7}}" in page.text
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e\ud800-\udfff]", html)
+    html.encode("utf-8")
+
+
+@pytest.mark.parametrize("stations", [0, 1, 2])
+def test_next_to_nothing_still_makes_a_page(stations):
+    extraction = make_extraction(n=stations)
+    solution = make_solution(extraction)
+    verdict = judge(solution, extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert "NOT ENOUGH" in Page(page_of(extraction, snapshots=make_snapshots(extraction))).text
+    assert json.loads(report_json(solution, extraction, make_provenance(extraction), verdict))
+    assert summary_table(solution, extraction, verdict)
+
+
+def test_several_logs_have_a_path_each():
+    extraction = make_extraction(n=5, logs=2)
+    page = Page(page_of(extraction))
+    assert "robot_1.mcap" in page.text
+    labels = [attributes.get("aria-label") for _, attributes in page.tags]
+    assert labels.count("base path from above with cameras and board") == 2
+    assert "1:0–1:1" in page.text
+
+
+def test_the_linear_method_alone(extraction):
+    solution = make_solution(extraction, refined=False)
+    text = Page(page_of(extraction, solution)).text
+    assert "no refinement was asked for" in text
+    assert "iteration of the refinement" not in text
+    data = json.loads(
+        report_json(solution, extraction, make_provenance(extraction), judge(solution, extraction))
+    )
+    assert data["refinement"] is None
+
+
+def test_a_head_with_one_joint():
+    rig = make_rig()
+    chain = HeadChain("base_link", "head_link", (JointLink("pan", np.array([0, 0, 1.0])),), pan="pan")
+    extraction = make_extraction(n=8)
+    solution = make_solution(extraction)
+    seen = tuple(
+        dataclasses.replace(o, joints=o.joints[:1], joints_std=o.joints_std[:1])
+        for o in extraction.observations
+    )
+    extraction = dataclasses.replace(extraction, rig=dataclasses.replace(rig, chain=chain), observations=seen)
+    assert "pan [deg]" in Page(page_of(extraction, solution)).text
+
+
+def test_gimbal_lock_is_said(extraction, solution):
+    locked = Parameters(se3.transform(se3.from_rpy(np.radians([-164, 89.4, -166])), np.zeros(3)), WHEELS)
+    solution = dataclasses.replace(solution, parameters=locked)
+    assert "0.6° from gimbal lock" in Page(page_of(extraction, solution)).text
+    assert "0.6 deg from gimbal lock" in summary_table(solution, extraction, judge(solution, extraction))
+
+
+def test_many_rejections_are_cut_and_counted(extraction):
+    many = tuple(Rejection("vision", "no board", f"n{i}", i) for i in range(205))
+    text = Page(page_of(dataclasses.replace(extraction, rejections=many))).text
+    assert "5 more are in report.json" in text
+    assert "n199" in text
+    assert "n200" not in text
+
+
+def test_a_long_recording_stays_small():
+    extraction = make_extraction(n=300)
+    assert len(page_of(extraction).encode()) < 1_500_000
+
+
+def test_the_trail_runs_through_the_stations(extraction):
+    times = np.array([o.time_ns for o in extraction.observations])
+    path = trail(extraction.wheels[0], times, WHEELS)
+    ends = make_solution(extraction).residuals.T_w_v[:, :2, 3]  # noisy by 2 mm
+    assert np.linalg.norm(path[-1] - ends[-1]) < 0.03
+    nearest = np.linalg.norm(path[None] - ends[:, None], axis=-1).min(axis=1)
+    assert np.all(nearest < 0.03)
+
+
+def test_coverage_counts_cells():
+    corners = np.array([[0, 0], [639, 479], [10, 10], [-5, 3], [700, 3]], dtype=np.float64)
+    assert image_coverage(corners, 640, 480) == pytest.approx(2 / 48)
+
+
+def test_visible_escapes_what_steers():
+    assert visible("a\x1b[31mé\u202e\udcff\n") == "a\\x1b[31mé\\u202e\\udcff\\n"
+
+
+def test_the_table_against_its_golden_copy(extraction, solution):
+    table = summary_table(solution, extraction, judge(solution, extraction))
+    assert table == (GOLDEN / "summary.txt").read_text(encoding="utf-8")
+
+
+def test_the_table_cannot_steer_the_terminal(extraction):
+    hostile = make_hostile(extraction)
+    solution = make_solution(hostile)
+    table = summary_table(solution, hostile, judge(solution, hostile))
+    assert all(character == "\n" or character.isprintable() for character in table)
+
+
+def test_json_holds_every_number(extraction, solution):
+    verdict = judge(solution, extraction)
+    text = report_json(solution, extraction, make_provenance(extraction), verdict)
+    assert text == report_json(solution, extraction, make_provenance(extraction), verdict)
+    data = json.loads(text)
+    assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
+    assert data["schema_version"] == 1
+    assert data["verdict"]["level"] == "PASS"
+    assert data["parameters"]["radius_left_mm"] == pytest.approx(
+        solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15
+    )
+    assert len(data["stations"]) == 12
+    assert len(data["legs"]) == 11
+    assert len(data["linear"]["history"]) == solution.linear.rounds
+    assert data["linear"]["rival_point_rms_mm"] is None
+    assert math.sqrt(np.mean([leg["point_rms_mm"] ** 2 for leg in data["legs"]])) == pytest.approx(
+        data["quality"]["point_rms_mm"]
+    )
+    assert data["rejections"]["counts"][0] == {
+        "stage": "vision", "reason": "board partly hidden", "count": 2,
+    }  # fmt: skip
+
+
+def test_json_takes_hostile_strings(extraction):
+    hostile = make_hostile(extraction)
+    solution = make_solution(hostile)
+    text = report_json(solution, hostile, make_provenance(hostile), judge(solution, hostile))
+    assert text.isascii()
+    assert json.loads(text)["notes"]["reading"] == [HOSTILE]

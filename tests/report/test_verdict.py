@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Nominal, Parameters, WheelGeometry
+from mobilecal_cli.report import judge
+from tests.report.example import WHEELS, make_extraction, make_solution
+
+
+@pytest.fixture(scope="module")
+def extraction():
+    return make_extraction()
+
+
+@pytest.fixture(scope="module")
+def solution(extraction):
+    return make_solution(extraction)
+
+
+def with_legs(solution, errors_m):
+    residuals = dataclasses.replace(solution.residuals, leg_point_rms_m=np.array(errors_m))
+    rms = math.sqrt(np.mean(np.square(errors_m)))
+    return dataclasses.replace(solution, residuals=residuals, point_rms_m=rms)
+
+
+def with_nominal(extraction, wheels):
+    return dataclasses.replace(
+        extraction, rig=dataclasses.replace(extraction.rig, nominal=Nominal(wheels=wheels))
+    )
+
+
+def with_seen(extraction, **changes):
+    seen = tuple(dataclasses.replace(o, **changes) for o in extraction.observations)
+    return dataclasses.replace(extraction, observations=seen)
+
+
+def test_a_sound_calibration_passes(solution, extraction):
+    verdict = judge(solution, extraction)
+    assert verdict.level == "PASS"
+    assert verdict.reason == (
+        "12 stations agree with one another to 9.8 mm, 0.5 % of the distance to the board."
+    )
+    assert verdict.next_step == "Use params.yaml on the robot."
+    assert {check.outcome for check in verdict.checks} == {"good"}
+
+
+def test_an_exact_one_passes(solution, extraction):
+    exact = with_legs(solution, np.zeros(11))
+    linear = dataclasses.replace(solution.linear, point_rms_m=0.0, rival_point_rms_m=0.01)
+    assert judge(dataclasses.replace(exact, linear=linear), extraction).level == "PASS"
+
+
+def test_too_few_stations_come_before_any_failure():
+    extraction = make_extraction(n=7)
+    solution = make_solution(extraction)
+    verdict = judge(with_legs(solution, [0.5] * 6), extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert verdict.reason.startswith("Only 7 stations show the board")
+    assert judge(make_solution(make_extraction(n=8)), make_extraction(n=8)).level == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("pan_range_deg", 9.9, "the head panned by 9.9 degrees only"),
+        ("tilt_range_deg", 4.9, "the head tilted"),
+        ("turned_deg", 19.0, "the base turned"),
+        ("driven_m", 0.1, "the base drove by 0.1 m only"),
+    ],
+)
+def test_too_little_motion(solution, extraction, key, value, said):
+    verdict = judge(dataclasses.replace(solution, motion={**solution.motion, key: value}), extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert said in verdict.reason
+    assert verdict.next_step.startswith("Record again and ")
+
+
+def test_motion_that_nobody_measured_is_not_judged(solution, extraction):
+    assert judge(dataclasses.replace(solution, motion={}), extraction).level == "PASS"
+
+
+def failing(solution, extraction, said):
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert said in verdict.reason
+    assert verdict.next_step.endswith(".")
+
+
+def test_a_rival_answer(solution, extraction):
+    linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.012)
+    failing(
+        dataclasses.replace(solution, linear=linear), extraction, "almost equally well (10.9 and 12.0 mm)"
+    )
+    linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.02)
+    assert judge(dataclasses.replace(solution, linear=linear), extraction).level == "PASS"
+
+
+def test_wheels_far_from_their_nominal_sizes(solution, extraction):
+    double = WheelGeometry(WHEELS.radius_right_m, 2 * WHEELS.radius_left_m, WHEELS.separation_m)
+    failing(
+        solution, with_nominal(extraction, double), "left wheel's radius comes out at 227.6 mm, about half of"
+    )
+    verdict = judge(solution, with_nominal(extraction, dataclasses.replace(WHEELS, separation_m=0.55)))
+    assert verdict.level == "PASS"
+    assert "Worth a look first: The wheel separation comes out at 508.8 mm, 0.93 times" in verdict.next_step
+
+
+def test_a_stereo_pair_that_does_not_fit(solution, extraction):
+    failing(solution, with_seen(extraction, reprojection_px=1.3), "do not agree on a flat board: 1.30 px")
+
+
+def test_squares_of_another_size(solution, extraction):
+    failing(solution, with_seen(extraction, square_m=0.075), "squares of 75.00 mm, but 80.00 mm are stated")
+    unstated = dataclasses.replace(extraction, board=dataclasses.replace(extraction.board, square_m=None))
+    assert judge(solution, with_seen(unstated, square_m=0.075)).level == "PASS"
+
+
+def test_methods_that_disagree(solution, extraction):
+    far = Parameters(
+        solution.parameters.T_h_c @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0])), solution.parameters.wheels
+    )
+    linear = dataclasses.replace(solution.linear, parameters=far)
+    failing(dataclasses.replace(solution, linear=linear), extraction, "Two ways of solving disagree")
+
+
+def test_one_leg_that_stands_out(solution, extraction):
+    errors = [0.002] * 11
+    errors[4] = 0.011
+    failing(with_legs(solution, errors), extraction, "Between stations 4 and 5 something moved: 11.0 mm")
+
+
+def test_all_legs_bad(solution, extraction):
+    failing(with_legs(solution, [0.05] * 11), extraction, "miss by 50.0 mm at 2.1 m")
+
+
+def test_depth_noise_is_no_fault_of_the_calibration(solution, extraction):
+    noisy = with_seen(extraction, points_cov=np.broadcast_to(np.eye(3) * 0.05**2 / 6, (54, 3, 3)))
+    assert judge(with_legs(solution, [0.05] * 11), noisy).level == "PASS"
+
+
+def test_pixels_off(solution, extraction):
+    failing(
+        dataclasses.replace(solution, reprojection_rms_px=9.0), extraction, "miss by 9.0 px in the pictures"
+    )
+
+
+def test_many_rejections_are_worth_a_look(solution, extraction):
+    verdict = judge(solution, dataclasses.replace(extraction, counts={"stations": 40}))
+    assert verdict.level == "PASS"
+    assert "28 of 40 stations were left out; most often: board partly hidden." in verdict.next_step
