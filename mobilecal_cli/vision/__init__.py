@@ -1,1 +1,30 @@
-"""TODO"""
+"""Seeing: the board in the pictures, its corners in space, its pose.
+
+Other rooms use what is named here.
+"""
+
+from mobilecal_cli.vision.board_size import SizeVote, identify_size
+from mobilecal_cli.vision.detection import detect
+from mobilecal_cli.vision.numbering import settle_numbering
+from mobilecal_cli.vision.observing import observe
+from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
+from mobilecal_cli.vision.snapshot import snapshot_jpeg
+from mobilecal_cli.vision.stereo import triangulate
+from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
+
+__all__ = [
+    "BoardPose",
+    "Detection",
+    "Miss",
+    "SizeVote",
+    "StereoPoints",
+    "absolute_orientation",
+    "board_pose",
+    "detect",
+    "identify_size",
+    "observe",
+    "settle_numbering",
+    "snapshot_jpeg",
+    "square_from_points",
+    "triangulate",
+]

@@ -20,16 +20,19 @@ _TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the b
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
     """OpenCV's contour-based detector at full or reduced size: (rows, columns, 2) px of the full picture."""
-    picture = image
+    picture = np.asarray(image)
     if scale != 1.0:
-        picture = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        picture = np.asarray(
+            cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
+        )
     if min(picture.shape) < _SMALLEST_PICTURE:
         return None
     found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
     if not found:
         return None
     ratio = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
-    return (corners.reshape(rows, columns, 2).astype(np.float64) + 0.5) * ratio - 0.5
+    grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
+    return np.asarray((grid + 0.5) * ratio - 0.5, dtype=np.float64)
 
 
 def _fast(image: GrayImage, columns: int, rows: int) -> FloatArray | None:

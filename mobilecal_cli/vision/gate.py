@@ -52,7 +52,7 @@ def _square_means(
     uu, vv = np.meshgrid(u, v)
     uv = np.stack([uu[..., None] + du.ravel(), vv[..., None] + dv.ravel()], axis=-1)
     values, inside = sample(image, grid_map(uv))
-    return values.mean(axis=-1), values.std(axis=-1), inside.all(axis=-1)
+    return values.mean(axis=-1), values.std(axis=-1), np.all(inside, axis=-1, keepdims=True)[..., 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,8 @@ def _goes_on(image: GrayImage, grid_map: GridMap, columns: int, rows: int, contr
         "lower": (u, np.array([rows + _OUTER]), rows + 1),
     }
     for side, (line_u, line_v, index) in lines.items():
-        values, _, inside = (a.ravel() for a in _square_means(image, grid_map, line_u, line_v))
+        means, _, all_inside = _square_means(image, grid_map, line_u, line_v)
+        values, inside = means.ravel(), all_inside.ravel()
         sign = np.where((np.arange(len(values)) + index) % 2 == 0, 1.0, -1.0)
         pair = sign[:-1] * (values[:-1] - values[1:]) / contrast
         seen = inside[:-1] & inside[1:]

@@ -83,10 +83,10 @@ def fit_grid(grid: FloatArray) -> GridMap:
     # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
     finest = min(4, min(rows, columns) - 2)
     degree = min(3, finest)
-    bend = np.zeros((1, 2))
+    bend: FloatArray = np.zeros((1, 2))
     residual, unknowns = bent, 8
     if finest > 1:
-        bend = np.linalg.lstsq(_monomials(w, degree), bent, rcond=None)[0]
+        bend = np.asarray(np.linalg.lstsq(_monomials(w, degree), bent, rcond=None)[0], dtype=np.float64)
         terms = _monomials(w, finest)
         residual = bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0]
         unknowns = (

@@ -160,7 +160,7 @@ def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2)
     scale = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
-    return (grid + 0.5) * scale - 0.5
+    return np.asarray((grid + 0.5) * scale - 0.5, dtype=np.float64)
 
 
 def grow_any(image: GrayImage, enough: int) -> Grown | None:

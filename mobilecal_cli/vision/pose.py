@@ -137,5 +137,6 @@ def board_pose(
         else:
             damping *= _FACTOR
     A = J[..., :unknowns].reshape(-1, unknowns) * np.tile(np.sqrt(weight), len(points_k))[:, None]
-    covariance = np.linalg.inv(A.T @ A)[:6, :6]
-    return BoardPose(T_c_k, covariance, scale, rms(residual))
+    covariance = np.linalg.inv(A.T @ A)
+    scale_sigma = float(np.sqrt(covariance[6, 6])) * scale if free_scale else 0.0
+    return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms(residual))

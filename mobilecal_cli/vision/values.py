@@ -81,12 +81,14 @@ class BoardPose:
         T_c_k: (4, 4) board coordinates to left camera coordinates, m.
         T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
         scale: factor on the board's points that fits best; 1 where it was held.
+        scale_sigma: its standard deviation; 0 where it was held.
         rms_px: root mean square of the reprojection residuals per coordinate, px.
     """
 
     T_c_k: FloatArray
     T_c_k_cov: FloatArray
     scale: float
+    scale_sigma: float
     rms_px: float
 
     def __post_init__(self) -> None:
