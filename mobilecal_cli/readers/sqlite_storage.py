@@ -17,6 +17,8 @@ from mobilecal_cli.readers.storage import RawMessage, Storage
 
 MAGIC = b"SQLite format 3\x00"
 
+#: So many damaged or missing rows in turn end the search for further ones.
+MOST_FAILURES = 10_000
 #: Log time and row number: where a row stands in either order.
 _Key = tuple[int, int]
 
@@ -114,48 +116,26 @@ class SqliteStorage(Storage):
             return
         seen: Counter[int] = Counter()
         order = self._order(connection)
-        among = f"topic_id IN ({','.join(map(str, wanted))})"  # integers from the file's own table
         last: _Key | None = None
         try:
+            places = ",".join("?" * len(wanted))
             rows = connection.execute(
-                f"SELECT id, topic_id, timestamp, data FROM messages WHERE {among} ORDER BY {order}"
+                "SELECT id, topic_id, timestamp, data FROM messages "
+                f"WHERE topic_id IN ({places}) ORDER BY {order}",
+                wanted,
             )
             for row, number, time_ns, payload in rows:
-                last = (time_ns, row)
-                seen[number] += 1
-                yield self.channels[number], time_ns, self._payload(number, payload)
+                if isinstance(time_ns, int):  # a damaged row may hold anything
+                    last = (time_ns, row)
+                    seen[number] += 1
+                    yield self.channels[number], time_ns, self._payload(number, payload)
         except sqlite3.Error:
-            for number, time_ns, payload in self._one_by_one(connection, among, order, last):
-                seen[number] += 1
-                yield self.channels[number], time_ns, self._payload(number, payload)
+            for number, time_ns, payload in _row_by_row(connection, order, last):
+                if number in wanted:
+                    seen[number] += 1
+                    yield self.channels[number], time_ns, self._payload(number, payload)
             self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
         self.compare_counts(topics, seen)
-
-    def _one_by_one(
-        self, connection: sqlite3.Connection, among: str, order: str, last: _Key | None
-    ) -> Iterator[tuple[int, int, object]]:
-        """The rows behind `last`, each by itself: a row whose payload is damaged costs only itself."""
-        key = "id" if order == "id" else "(timestamp, id)"
-        place = "?" if order == "id" else "(?, ?)"
-        while True:
-            after = f"AND {key} > {place}" if last else ""
-            values = () if last is None else (last[1:] if order == "id" else last)
-            try:
-                found = connection.execute(
-                    f"SELECT id, topic_id, timestamp FROM messages WHERE {among} {after} ORDER BY {order} LIMIT 1",
-                    values,
-                ).fetchone()
-            except sqlite3.Error:
-                return
-            if found is None:
-                return
-            row, number, time_ns = found
-            last = (time_ns, row)
-            try:
-                (payload,) = connection.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
-            except (sqlite3.Error, TypeError):
-                continue
-            yield number, time_ns, payload
 
     def _payload(self, number: int, payload: object) -> bytes:
         data = payload if isinstance(payload, bytes) else str(payload).encode()
@@ -175,3 +155,32 @@ class SqliteStorage(Storage):
             if columns[:1] == ["timestamp"]:
                 return "timestamp, id"
         return "id"
+
+
+def _row_by_row(
+    connection: sqlite3.Connection, order: str, last: _Key | None
+) -> Iterator[tuple[int, int, object]]:
+    """Topic, time and payload of the rows behind `last`, each looked up by its number.
+
+    A damaged page then costs the rows on it and no others, whatever the topics in use. The pass ends at the last
+    row, or after many damaged rows in turn where the last row's number is lost, too.
+    """
+    try:
+        (end,) = connection.execute("SELECT MAX(id) FROM messages").fetchone()
+    except sqlite3.Error:
+        end = 2**63
+    row = last[1] if last and order == "id" else 0
+    failures = 0
+    while row < end and failures < MOST_FAILURES:
+        row += 1
+        try:
+            found = connection.execute(
+                "SELECT topic_id, timestamp, data FROM messages WHERE id = ?", (row,)
+            ).fetchone()
+        except sqlite3.Error:
+            found = None
+        if found and not isinstance(found[1], int):
+            found = None  # damage that the lookup did not notice
+        failures = 0 if found else failures + 1
+        if found and (last is None or order == "id" or (found[1], row) > last):
+            yield found

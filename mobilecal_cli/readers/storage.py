@@ -16,6 +16,8 @@ RawMessage = tuple[Channel, int, Payload]
 
 #: No chunk, message or decompressed payload may claim more than this.
 SIZE_LIMIT = 2**31
+#: A log time beyond the year 2262 is damage; times fit 64 signed bits everywhere.
+LATEST_NS = 2**63
 
 
 class Storage(ABC):
@@ -154,7 +156,7 @@ class BlockStorage(Storage):
                 yield self._release(waiting, seen)
             for number, time_ns, payload in self._messages_of(block):
                 channel = self.channels.get(number)
-                if channel is not None and channel.topic in topics:
+                if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
                     heapq.heappush(waiting, (time_ns, next(order), number, payload))
         while waiting:
             yield self._release(waiting, seen)

@@ -237,3 +237,15 @@ def test_directory_of_several_recordings_is_refused(tmp_path):
     r.write_mcap(tmp_path / "b.mcap", ITEMS)
     with pytest.raises(RecordingError, match=r"holds 2 recordings.*a\.mcap; b\.mcap"):
         open_recording([tmp_path])
+
+
+def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):
+    data = bytearray(originals["mcap-unchunked"])
+    time = ITEMS[20].log_ns.to_bytes(8, "little")
+    place = data.index(time)
+    data[place + 7] = 255
+    path = tmp_path / "flipped"
+    path.write_bytes(data)
+    with open_recording([path]) as recording:
+        assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS) - 1
+        assert any(f"{ITEMS[20].topic}: " in note and "could be read" in note for note in recording.damage)
