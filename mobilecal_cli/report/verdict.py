@@ -36,8 +36,10 @@ MIN_PAN_DEG, MIN_TILT_DEG, MIN_TURNED_DEG, MIN_DRIVEN_M = 10.0, 5.0, 20.0, 0.2
 POINT_ERROR_LOOK, POINT_ERROR_BAD = 0.008, 0.015
 # The same in the picture, as an angle: depth noise does not enter, so the limit is the same share.
 PIXEL_ERROR_BAD = 0.015
-# Errors of single legs spread like a Rayleigh variable: of 50 legs the worst is about 2.4 times the median.
-LEG_OUTLIER = 5.0
+# One leg against the median one. Errors of sound legs spread like |x| of a normal x: of 11 the worst is about
+# 3 times the median, of 1000 about 5 times. Legs that hardly move have hardly an error, so what stands out
+# must also be large as it is: a share of the distance, in mm or in the picture.
+LEG_OUTLIER, LEG_SHARE_LOOK, LEG_SHARE_BAD = 5.0, 0.004, 0.01
 MIN_LEGS_FOR_OUTLIERS = 5
 # Stereo corners against the board's flat grid: good calibrations give 0.1 to 0.3 px.
 STEREO_LOOK_PX, STEREO_BAD_PX = 0.6, 1.2
@@ -47,6 +49,8 @@ SQUARE_LOOK, SQUARE_BAD = 0.01, 0.03
 RIVAL_BAD = 1.5
 # Linear against refined: the linear method's own error is up to 2 degrees, 60 mm, 5 % of the wheels at 12 stations.
 METHODS_ROTATION_DEG, METHODS_TRANSLATION_M, METHODS_WHEELS = 6.0, 0.2, 0.15
+# The two wheels of a differential drive are of one kind; tyres and load make a few per cent.
+WHEELS_APART_LOOK, WHEELS_APART_BAD = 0.05, 0.25
 # Tape measures are good to a few per cent; beyond a quarter a number is wrong by a factor (ticks, gear, diameter).
 NOMINAL_LOOK, NOMINAL_BAD = 0.05, 0.25
 REJECTED_LOOK = 0.5
@@ -119,13 +123,14 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     if not extraction.observations:
         return
     yield _rival(solution)
+    yield _wheels_apart(solution)
     yield from _nominal(solution, extraction)
     yield from _stereo(extraction)
+    if len(solution.residuals.legs):
+        yield from _legs(solution, extraction)
+        yield from _errors(solution, extraction)
     if solution.refinement is not None:
         yield _methods(solution)
-    if len(solution.residuals.legs):
-        yield from _legs(solution, station_names(extraction))
-        yield from _errors(solution, extraction)
     yield _rejected(extraction)
 
 
@@ -172,6 +177,20 @@ def _rival(solution: Solution) -> Check:
         "good" if ratio >= RIVAL_BAD else "bad",
         f"Two different answers fit almost equally well ({kept_mm:.1f} and {rival_mm:.1f} mm).",
         "Give nominal wheel sizes in rig.yaml, or record smaller turns between stops.",
+    )
+
+
+def _wheels_apart(solution: Solution) -> Check:
+    wheels = solution.parameters.wheels
+    right, left = wheels.radius_right_m, wheels.radius_left_m
+    apart = max(right, left) / min(right, left) - 1
+    return Check(
+        "the two wheels are of like size",
+        f"{right * 1e3:.1f} and {left * 1e3:.1f} mm, {100 * apart:.1f} % apart",
+        f"under {100 * WHEELS_APART_BAD:g} %",
+        _graded(apart, WHEELS_APART_LOOK, WHEELS_APART_BAD),
+        f"The right wheel's radius comes out at {right * 1e3:.1f} mm, the left one's at {left * 1e3:.1f} mm.",
+        "Check ticks_per_revolution of both wheels, and the tyres.",
     )
 
 
@@ -246,26 +265,32 @@ def _methods(solution: Solution) -> Check:
         f"{METHODS_ROTATION_DEG:g} degrees, {METHODS_TRANSLATION_M * 1e3:g} mm, {100 * METHODS_WHEELS:g} %",
         "bad" if far else "good",
         f"Two ways of solving disagree: by {apart_by}.",
-        "Record again with more stops, more head movement and more turns; the data hold too little now.",
+        "Check the head's joints for play; then record again with more stops, head movement and turns.",
     )
 
 
-def _legs(solution: Solution, names: list[str]) -> Iterator[Check]:
-    errors = solution.residuals.leg_point_rms_m
-    if len(errors) < MIN_LEGS_FOR_OUTLIERS:
+def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    residuals, names = solution.residuals, station_names(extraction)
+    if len(residuals.legs) < MIN_LEGS_FOR_OUTLIERS:
         return
-    worst, median = int(np.argmax(errors)), float(np.median(errors))
-    first, second = solution.residuals.legs[worst]
-    ratio = float(errors[worst]) / median if median > 0 else 1.0
-    yield Check(
-        "no leg stands out",
-        f"worst {errors[worst] * 1e3:.1f} mm, {ratio:.1f} times the median",
-        f"under {LEG_OUTLIER:g} times",
-        "bad" if ratio > LEG_OUTLIER else "good",
-        f"Between stations {names[first]} and {names[second]} something moved: {errors[worst] * 1e3:.1f} mm, where "
-        f"{median * 1e3:.1f} mm are usual.",
-        "Look for a slipping wheel or a board that was touched between these two, and record again.",
+    scales = (
+        (residuals.leg_point_rms_m * 1e3, board_distance_m(extraction) * 1e3, "mm"),
+        (residuals.leg_reprojection_px, float(extraction.rig.cameras.left.K[0, 0]), "px"),
     )
+    for errors, scale, unit in scales:
+        worst, median = int(np.argmax(errors)), float(np.median(errors))
+        first, second = residuals.legs[worst]
+        error, share = float(errors[worst]), float(errors[worst]) / scale
+        stands_out = error > LEG_OUTLIER * median
+        yield Check(
+            f"no leg stands out, in {unit}",
+            f"worst {error:.1f} {unit}, median {median:.1f} {unit}",
+            f"under {LEG_OUTLIER:g} times the median, or under {LEG_SHARE_BAD * scale:.1f} {unit}",
+            _graded(share, LEG_SHARE_LOOK, LEG_SHARE_BAD) if stands_out else "good",
+            f"Between stations {names[first]} and {names[second]} something moved that should not: corners "
+            f"miss by {error:.1f} {unit}, where {median:.1f} {unit} are usual.",
+            "Look for a slipping wheel or a board that was touched between these two, and record again.",
+        )
 
 
 def _errors(solution: Solution, extraction: Extraction) -> Iterator[Check]:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Nominal, Parameters, WheelGeometry
+from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.report import judge
-from tests.report.example import WHEELS, make_extraction, make_solution
+from mobilecal_cli.solvers import solve
+from tests.report.example import WHEELS, make_extraction, make_solution, project
 
 
 @pytest.fixture(scope="module")
@@ -129,9 +130,33 @@ def test_methods_that_disagree(solution, extraction):
 
 
 def test_one_leg_that_stands_out(solution, extraction):
-    errors = [0.002] * 11
-    errors[4] = 0.011
-    failing(with_legs(solution, errors), extraction, "Between stations 4 and 5 something moved: 11.0 mm")
+    errors = np.full(11, 0.002)
+    errors[4] = 0.011  # five times the others, but a small share of the distance
+    verdict = judge(with_legs(solution, errors), extraction)
+    assert verdict.level == "PASS"
+    assert "Between stations 4 and 5 something moved" in verdict.next_step
+    errors[4] = 0.022
+    failing(with_legs(solution, errors), extraction, "Between stations 4 and 5 something moved")
+    failing(with_legs(solution, errors), extraction, "miss by 22.0 mm, where 2.0 mm are usual")
+    errors[4] = 0.009
+    assert judge(with_legs(solution, errors), extraction).next_step == "Use params.yaml on the robot."
+
+
+def test_one_leg_that_stands_out_in_the_pictures_only(solution, extraction):
+    px = np.full(11, 0.5)
+    px[7] = 12.0
+    residuals = dataclasses.replace(solution.residuals, leg_reprojection_px=px)
+    failing(dataclasses.replace(solution, residuals=residuals), extraction, "12.0 px, where 0.5 px are usual")
+
+
+def test_wheels_of_two_sizes(solution, extraction):
+    half = dataclasses.replace(WHEELS, radius_left_m=WHEELS.radius_left_m / 2)
+    odd = Parameters(solution.parameters.T_h_c, half)
+    failing(
+        dataclasses.replace(solution, refinement=None, parameters=odd),
+        extraction,
+        "the left one's at 113.8 mm",
+    )
 
 
 def test_all_legs_bad(solution, extraction):
@@ -153,3 +178,66 @@ def test_many_rejections_are_worth_a_look(solution, extraction):
     verdict = judge(solution, dataclasses.replace(extraction, counts={"stations": 40}))
     assert verdict.level == "PASS"
     assert "28 of 40 stations were left out; most often: board partly hidden." in verdict.next_step
+
+
+def solved(extraction, **changes):
+    extraction = dataclasses.replace(extraction, **changes)
+    return judge(solve(extraction), extraction)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+class TestWithTheSolver:
+    """Real solutions of recordings in which one thing is wrong."""
+
+    def test_sound(self, seed):
+        assert solved(make_extraction(seed=seed)).level == "PASS"
+
+    def test_coarse_encoders_pass(self, seed):
+        extraction, step = make_extraction(seed=seed), math.radians(1.2)
+        (track,) = extraction.wheels
+        coarse = WheelTrack(
+            track.time_ns, np.round(track.right_rad / step) * step, np.round(track.left_rad / step) * step
+        )
+        assert solved(extraction, wheels=(coarse,)).level == "PASS"
+
+    def test_half_the_ticks_on_one_side(self, seed):
+        extraction = make_extraction(seed=seed)
+        (track,) = extraction.wheels
+        verdict = solved(extraction, wheels=(dataclasses.replace(track, left_rad=2 * track.left_rad),))
+        assert verdict.level == "FAIL"
+        assert "ticks_per_revolution" in verdict.next_step
+
+    def test_a_wheel_slips_once(self, seed):
+        extraction = make_extraction(seed=seed)
+        (track,) = extraction.wheels
+        slip = 0.1 * (track.time_ns > extraction.observations[5].time_ns + 10**9)
+        verdict = solved(extraction, wheels=(dataclasses.replace(track, right_rad=track.right_rad + slip),))
+        assert verdict.level == "FAIL"
+        assert "Between stations 5 and 6" in verdict.reason
+
+    def test_the_board_is_moved_once(self, seed):
+        extraction = make_extraction(seed=seed)
+        moved = list(extraction.observations)
+        for i, o in enumerate(moved[6:], 6):
+            T = o.T_c_k @ se3.transform(np.eye(3), np.array([0.05, 0, 0]))
+            points_c = se3.act(T @ se3.inverse(o.T_c_k), o.points_c)
+            moved[i] = dataclasses.replace(
+                o,
+                T_c_k=T,
+                points_c=points_c,
+                left=dataclasses.replace(o.left, pixels=project(points_c)),
+                right=dataclasses.replace(o.right, pixels=project(points_c, right=True)),
+            )
+        verdict = solved(extraction, observations=tuple(moved))
+        assert verdict.level == "FAIL"
+        assert "Between stations 5 and 6" in verdict.reason
+
+    def test_loose_head_joints(self, seed):
+        extraction, rng = make_extraction(seed=seed), np.random.default_rng(seed)
+        loose = tuple(
+            dataclasses.replace(o, joints=o.joints + rng.normal(0, math.radians(1), 2))
+            for o in extraction.observations
+        )
+        verdict = solved(extraction, observations=loose)
+        assert verdict.level == "FAIL"
+        assert "joints" in verdict.next_step
