@@ -1,0 +1,105 @@
+"""The simulated base: stretches of constant speed, integrated about the instantaneous centre of rotation.
+
+Nothing here is shared with the solver's dead reckoning.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, WheelGeometry
+
+_STRAIGHT_RADPS = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of time with constant speeds.
+
+    Attributes:
+        duration_s: how long.
+        v_mps: forward speed of the base's origin.
+        w_radps: turning speed, positive to the left.
+    """
+
+    duration_s: float
+    v_mps: float = 0.0
+    w_radps: float = 0.0
+
+
+Pose = tuple[float, float, float]
+
+
+def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
+    """Base pose (x m, y m, heading rad) after some of a stretch."""
+    x, y, heading = pose
+    if abs(stretch.w_radps) < _STRAIGHT_RADPS:
+        run = stretch.v_mps * time_s
+        return x + run * math.cos(heading), y + run * math.sin(heading), heading
+    radius = stretch.v_mps / stretch.w_radps
+    centre_x, centre_y = x - radius * math.sin(heading), y + radius * math.cos(heading)
+    heading += stretch.w_radps * time_s
+    return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
+
+
+def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]:
+    """Right and left wheel speed, rad/s: each wheel rolls where its contact point goes."""
+    half = wheels.separation_m / 2
+    right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
+    left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
+    return right, left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A whole drive.
+
+    Attributes:
+        stretches: one after the other.
+        start: first pose.
+    """
+
+    stretches: tuple[Stretch, ...]
+    start: Pose = (0.0, 0.0, 0.0)
+
+    @property
+    def breaks_s(self) -> FloatArray:
+        """(B + 1,) times between the stretches, from 0."""
+        return np.concatenate([[0.0], np.cumsum([s.duration_s for s in self.stretches])])
+
+    def poses(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3) base poses at some times."""
+        at_breaks = [self.start]
+        for stretch in self.stretches:
+            at_breaks.append(moved(at_breaks[-1], stretch, stretch.duration_s))
+        breaks = self.breaks_s
+        index = np.clip(np.searchsorted(breaks, times_s, side="right") - 1, 0, len(self.stretches) - 1)
+        return np.array(
+            [
+                moved(at_breaks[i], self.stretches[i], t - breaks[i])
+                for i, t in zip(index, times_s, strict=True)
+            ]
+        )
+
+    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry) -> FloatArray:
+        """(n, 2) rotation of the right and left wheel since the start, rad; linear within a stretch."""
+        rolled = [[0.0, 0.0]]
+        for stretch in self.stretches:
+            right, left = wheel_speeds(stretch, wheels)
+            before = rolled[-1]
+            rolled.append([before[0] + right * stretch.duration_s, before[1] + left * stretch.duration_s])
+        breaks, angles = self.breaks_s, np.array(rolled)
+        return np.stack([np.interp(times_s, breaks, angles[:, k]) for k in (0, 1)], axis=1)
+
+
+def base_in_world(poses: FloatArray) -> FloatArray:
+    """T_w_v of base poses: (n, 3) → (n, 4, 4)."""
+    T = np.zeros((len(poses), 4, 4))
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = cos, -sin, sin, cos
+    T[:, 2, 2] = T[:, 3, 3] = 1
+    T[:, 0, 3], T[:, 1, 3] = poses[:, 0], poses[:, 1]
+    return T

@@ -1,0 +1,308 @@
+"""Routes in front of the board: where the base stops, how it gets there, and where the head looks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import Board, FloatArray
+from mobilecal_cli.simulate.drive import Drive, Pose, Stretch, base_in_world, moved
+from mobilecal_cli.simulate.robot import SimulatedRobot, pose
+from mobilecal_cli.simulate.stereo import pixels
+
+Motion = Literal["standard", "head_fixed", "straight", "spin", "base_fixed", "large_turns", "moving"]
+MOTIONS: tuple[str, ...] = get_args(Motion)
+
+REST_S = 1.2
+_SPEED_MPS = 0.3
+_TURN_RADPS = 0.7
+_MARGIN_PX = 22.0
+_SMALLEST_SQUARE_PX = 11.0
+_NEAREST_M, _FARTHEST_M = 1.05, 2.5
+_TRIES = 4000
+_KNOT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A drive with the head's motion on top, and the board in front of it.
+
+    Attributes:
+        motion: what kind it is.
+        drive: the base.
+        knots_s: (K,) times at which the head's joints are set.
+        knots_rad: (K, J) joints there.
+        rests_s: (R, 2) begin and end of every rest; none on a moving route.
+        T_w_k: (4, 4) board coordinates to world coordinates.
+        board: the checkerboard; its square is known here.
+    """
+
+    motion: Motion
+    drive: Drive
+    knots_s: FloatArray
+    knots_rad: FloatArray
+    rests_s: FloatArray
+    T_w_k: FloatArray
+    board: Board
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the recording."""
+        return float(self.drive.breaks_s[-1])
+
+    def joints(self, times_s: FloatArray) -> FloatArray:
+        """(n, J) joint angles: a smooth way from knot to knot, and a standstill during rests."""
+        if self.motion == "moving":
+            return np.asarray(CubicSpline(self.knots_s, self.knots_rad)(times_s), dtype=np.float64)
+        index = np.clip(np.searchsorted(self.knots_s, times_s, side="right") - 1, 0, len(self.knots_s) - 2)
+        span = self.knots_s[index + 1] - self.knots_s[index]
+        share = np.clip((times_s - self.knots_s[index]) / span, 0, 1)
+        smooth = (share**2 * (3 - 2 * share))[:, None]
+        return np.asarray((1 - smooth) * self.knots_rad[index] + smooth * self.knots_rad[index + 1])
+
+    def corners_k(self) -> FloatArray:
+        """(M, 3) the board's corners in its own frame, m."""
+        return self.board.grid() * (self.board.square_m or 0.0)
+
+
+def board_in_world(board: Board, distance_m: float, height_m: float) -> FloatArray:
+    """T_w_k of an upright board that faces the robot, a little askew: (4, 4)."""
+    # Seen from the robot: x to the right, y down, z away.
+    facing = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    askew = Rotation.from_euler("xyz", [2.0, 6.0, -1.5], degrees=True)
+    square = board.square_m or 0.0
+    centre = square * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
+    rotation = facing * askew
+    return pose(np.array([distance_m, 0.0, height_m]) - rotation.apply(centre), rotation)
+
+
+class Planner:
+    """Plans a route for one robot; every random choice comes from one generator."""
+
+    def __init__(self, robot: SimulatedRobot, board: Board, random: np.random.Generator) -> None:
+        self._robot = robot
+        self._random = random
+        self.board = board
+        T_v_h = robot.head_pose(np.zeros(len(robot.joint_names)))
+        self.T_w_k = board_in_world(board, 2.1, float((T_v_h @ robot.T_h_c)[2, 3]) - 0.05)
+        self._corners_k = board.grid() * (board.square_m or 0.0)
+        self._centre_w = (self.T_w_k @ [*self._corners_k.mean(axis=0), 1.0])[:3]
+        names = robot.joint_names
+        self._pan, self._tilt = names.index(robot.pan), names.index(robot.tilt)
+
+    def board_in_cameras(self, base: Pose, joints_rad: FloatArray) -> Iterator[FloatArray]:
+        """(M, 3) corners in the left and in the right optical frame."""
+        T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
+        for T_c_x in (np.eye(4), self._robot.rig_cameras.T_c_r):
+            T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
+            yield self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
+
+    def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
+        """Whether both pictures hold the whole board, with squares large enough to be found."""
+        rig = self._robot.rig_cameras
+        for camera, points in zip(
+            (rig.left, rig.right), self.board_in_cameras(base, joints_rad), strict=True
+        ):
+            if points[:, 2].min() < 0.3:
+                return False
+            at = pixels(camera, points)
+            if at.min() < _MARGIN_PX or np.any(at > np.array([camera.width, camera.height]) - 1 - _MARGIN_PX):
+                return False
+            grid = at.reshape(self.board.rows, self.board.columns, 2)
+            edges = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
+            if min(edges) < _SMALLEST_SQUARE_PX:
+                return False
+        return True
+
+    def look_at(self, base: Pose, point_w: FloatArray, resting_rad: FloatArray) -> FloatArray:
+        """Joints that point the left camera at a point by pan and tilt: (J,)."""
+        T_v_w = np.linalg.inv(base_in_world(np.array([base]))[0])
+        point_v = T_v_w @ [*point_w, 1.0]
+
+        def beside(aim: FloatArray) -> FloatArray:
+            joints = self._aimed(resting_rad, aim)
+            seen = np.linalg.inv(self._robot.head_pose(joints) @ self._robot.T_h_c) @ point_v
+            return np.asarray(seen[:2] / max(float(seen[2]), 0.1))
+
+        aim = least_squares(beside, [math.atan2(point_v[1], point_v[0]), 0.0]).x
+        return self._aimed(resting_rad, aim)
+
+    def _aimed(self, resting_rad: FloatArray, aim: FloatArray) -> FloatArray:
+        joints = np.array(resting_rad)
+        joints[self._pan], joints[self._tilt] = aim
+        return joints
+
+    def _body(self) -> FloatArray:
+        """Other joints than pan and tilt: a small lean."""
+        return self._random.uniform(-0.08, 0.08, len(self._robot.joint_names))
+
+    def _within_limits(self, joints_rad: FloatArray) -> bool:
+        limits = np.array([joint.limit_rad for joint in self._robot.joints if joint.name])
+        return bool(np.all(np.abs(joints_rad) <= limits))
+
+    def gaze(self, base: Pose) -> FloatArray | None:
+        """Joints that look somewhere near the board's centre with all of it in view, None when none do."""
+        for reach in (0.30, 0.22, 0.15, 0.08):
+            point = self._centre_w + self._random.uniform(-reach, reach, 3)
+            joints = self.look_at(base, point, self._body())
+            if self._within_limits(joints) and self.sees_board(base, joints):
+                return joints
+        return None
+
+    def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
+        """Some way on from a pose: turn, drive (on an arc), turn."""
+        random = self._random
+        turn, run, bend = random.uniform(-0.7, 0.7), random.uniform(-0.9, 0.9), random.uniform(-0.5, 0.5)
+        facing = math.atan2(self._centre_w[1] - base[1], self._centre_w[0] - base[0])
+        if motion == "base_fixed":
+            return []
+        if motion == "straight":
+            return [Stretch(abs(run) / _SPEED_MPS, math.copysign(_SPEED_MPS, run))]
+        if motion == "spin":
+            aim = facing + random.uniform(-0.7, 0.7) - base[2]
+            return [Stretch(abs(aim) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, aim))]
+        first = Stretch(abs(turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, turn))
+        duration = abs(run) / _SPEED_MPS
+        arc = Stretch(duration, math.copysign(_SPEED_MPS, run), bend / duration)
+        there = moved(moved(base, first, first.duration_s), arc, arc.duration_s)
+        facing = math.atan2(self._centre_w[1] - there[1], self._centre_w[0] - there[0])
+        spread = {"head_fixed": 0.12, "large_turns": 1.1}.get(motion, 0.6)
+        last_turn = math.remainder(facing - there[2], 2 * math.pi) + random.uniform(-spread, spread)
+        if motion == "large_turns":
+            last_turn = self._long_way(base[2], there[2], last_turn)
+        last = Stretch(abs(last_turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, last_turn))
+        return [s for s in (first, arc, last) if s.duration_s > 0]
+
+    def _long_way(self, before_rad: float, there_rad: float, last_turn: float) -> float:
+        """The other way round, where that keeps the leg's turn at 300 degrees or less (so, from 60 degrees on)."""
+        total = there_rad - before_rad + last_turn
+        other = total - math.copysign(2 * math.pi, total)
+        return last_turn + other - total if abs(other) <= math.radians(300) else last_turn
+
+    def allowed(self, base: Pose) -> bool:
+        """Whether a pose is a good place to stop at."""
+        distance = math.hypot(self._centre_w[0] - base[0], self._centre_w[1] - base[1])
+        return (
+            _NEAREST_M < distance < _FARTHEST_M and abs(base[1]) < 0.9 and base[0] < self._centre_w[0] - 0.9
+        )
+
+
+def plan_stops(planner: Planner, motion: Motion, stations: int, robot: SimulatedRobot) -> Route:
+    """A route that stops at every station.
+
+    Raises:
+        ConfigError: the board cannot be kept in view (a robot or board far from the usual size).
+    """
+    base: Pose = (0.0, 0.0, 0.0)
+    fixed = planner.look_at(base, planner._centre_w, np.zeros(len(robot.joint_names)))
+    stretches: list[Stretch] = [Stretch(REST_S)]
+    first = fixed if motion == "head_fixed" else planner.gaze(base)
+    if first is None:
+        raise ConfigError(
+            "the simulated robot does not see the whole board from its start", "use a smaller board"
+        )
+    clock, knots_s, knots, rests = REST_S, [0.0, REST_S], [first, first], [(0.0, REST_S)]
+    tries = 0
+    while len(rests) < stations:
+        tries += 1
+        if tries > _TRIES:
+            raise ConfigError(
+                f"no route for motion {motion!r}: after {tries} tries only {len(rests)} of {stations} stations "
+                "see the whole board",
+                "use fewer stations or a smaller board",
+            )
+        way = planner.leg(base, motion)
+        there = base
+        for stretch in way:
+            there = moved(there, stretch, stretch.duration_s)
+        if not planner.allowed(there):
+            continue
+        joints = fixed if motion == "head_fixed" else planner.gaze(there)
+        if joints is None or not planner.sees_board(there, joints):
+            continue
+        if not way:
+            way = [Stretch(1.5)]
+        duration = sum(stretch.duration_s for stretch in way)
+        stretches += [*way, Stretch(REST_S)]
+        rests.append((clock + duration, clock + duration + REST_S))
+        knots_s += [clock + duration, clock + duration + REST_S]
+        knots += [joints, joints]
+        clock += duration + REST_S
+        base = there
+    return Route(
+        motion,
+        Drive(tuple(stretches)),
+        np.array(knots_s),
+        np.array(knots),
+        np.array(rests),
+        planner.T_w_k,
+        planner.board,
+    )
+
+
+def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator) -> Route:
+    """A route that never rests: the base weaves on arcs, the head follows the board and looks around on it."""
+    base: Pose = (0.0, 0.0, 0.0)
+    stretches: list[Stretch] = []
+    clock, joints = 0.0, []
+    knots_s = []
+    while clock < duration_s:
+        for _ in range(200):
+            stretch = Stretch(
+                _KNOT_S, random.choice([-1, 1]) * random.uniform(0.08, 0.25), random.uniform(-0.45, 0.45)
+            )
+            there = moved(base, stretch, _KNOT_S)
+            gaze = planner.gaze(base) if planner.allowed(there) and abs(there[2]) < 0.9 else None
+            if gaze is not None:
+                break
+        else:
+            raise ConfigError("no moving route keeps the board in view", "use a smaller board")
+        stretches.append(stretch)
+        knots_s.append(clock)
+        joints.append(gaze)
+        clock, base = clock + _KNOT_S, there
+    knots_s.append(clock)
+    joints.append(joints[-1])
+    return Route(
+        "moving",
+        Drive(tuple(stretches)),
+        np.array(knots_s),
+        np.array(joints),
+        np.zeros((0, 2)),
+        planner.T_w_k,
+        planner.board,
+    )
+
+
+def plan_route(
+    robot: SimulatedRobot,
+    motion: Motion = "standard",
+    stations: int = 12,
+    board: Board | None = None,
+    seed: int = 0,
+) -> Route:
+    """Plan a route that keeps the board in view.
+
+    Args:
+        robot: who drives.
+        motion: "standard", or one that leaves something unseen, or "moving", which never rests.
+        stations: number of stops; a moving route lasts three seconds for each.
+        board: 9x6 corners with squares of 80 mm by default.
+        seed: of all random choices.
+
+    Raises:
+        ConfigError: the board cannot be kept in view.
+    """
+    random = np.random.default_rng([seed, 1])
+    planner = Planner(robot, board or Board(9, 6, 0.08), random)
+    if motion == "moving":
+        return plan_moving(planner, 3.0 * stations, random)
+    return plan_stops(planner, motion, stations, robot)

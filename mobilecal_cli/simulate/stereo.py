@@ -1,0 +1,100 @@
+"""The simulated stereo pair: two cameras that differ a little, with the rectification a ROS driver would state."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli.model import Camera, CameraInfo, FloatArray, StereoRig
+
+WIDTH, HEIGHT = 640, 480
+BASELINE_M = 0.12
+
+
+def stereo_infos(
+    prefix: str, focal_px: float = 550.0, shift_px: float = 0.0
+) -> tuple[CameraInfo, CameraInfo]:
+    """Left and right calibration of a 640x480 pair with 0.12 m baseline and moderate plumb_bob distortion.
+
+    Args:
+        prefix: of the frame names, "<prefix>_left_optical" and "<prefix>_right_optical".
+        focal_px: about the focal length of both.
+        shift_px: moves the principal points, so that two robots do not share their cameras.
+
+    Returns:
+        R and P rectify as ROS does: P[0, 3] of the right camera is -f * baseline.
+    """
+    K_left = np.array([[focal_px, 0, 322.4 + shift_px], [0, focal_px + 0.8, 236.1 - shift_px], [0, 0, 1]])
+    K_right = np.array(
+        [[focal_px + 2.9, 0, 316.8 - shift_px], [0, focal_px + 3.3, 243.5 + shift_px], [0, 0, 1]]
+    )
+    D_left = np.array([-0.268, 0.087, 0.0006, -0.0004, 0.0])
+    D_right = np.array([-0.274, 0.094, -0.0003, 0.0007, 0.0])
+    R_c_r = Rotation.from_rotvec([0.0063, -0.0081, 0.0047])
+    p_c_r = np.array([BASELINE_M, -0.0011, 0.0018])
+    p_c_r *= BASELINE_M / np.linalg.norm(p_c_r)
+    # Rectified axes: x along the baseline, z midway between the two optical axes as far as x allows.
+    x = p_c_r / np.linalg.norm(p_c_r)
+    forward = np.array([0.0, 0.0, 1.0]) + R_c_r.as_matrix()[:, 2]
+    y = np.cross(forward, x)
+    y /= np.linalg.norm(y)
+    R_rect_c = np.stack([x, y, np.cross(x, y)])
+    P_left = np.array([[focal_px, 0, 320.0, 0], [0, focal_px, 240.0, 0], [0, 0, 1, 0]])
+    P_right = P_left.copy()
+    P_right[0, 3] = -focal_px * BASELINE_M
+    left = CameraInfo(f"{prefix}_left_optical", WIDTH, HEIGHT, K_left, D_left, "plumb_bob", R_rect_c, P_left)
+    R_rect_r = R_rect_c @ R_c_r.as_matrix()
+    right = CameraInfo(
+        f"{prefix}_right_optical", WIDTH, HEIGHT, K_right, D_right, "plumb_bob", R_rect_r, P_right
+    )
+    return left, right
+
+
+def stereo_rig(left: CameraInfo, right: CameraInfo) -> StereoRig:
+    """The pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+    T_c_r = np.eye(4)
+    T_c_r[:3, :3] = left.R.T @ right.R
+    T_c_r[:3, 3] = left.R.T @ np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
+    cameras = [
+        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
+        for info in (left, right)
+    ]
+    return StereoRig(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
+
+
+def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
+    """plumb_bob: z = 1 coordinates (..., 2) → distorted ones. The simulator's own, written from the definition."""
+    k1, k2, p1, p2, k3 = D
+    x, y = flat[..., 0], flat[..., 1]
+    r2 = x**2 + y**2
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
+            y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatArray:
+    """Inverse of `distort` by fixed-point iteration, which contracts for lenses like these."""
+    flat = distorted
+    for _ in range(rounds):
+        flat = flat + (distorted - distort(D, flat))
+    return flat
+
+
+def pixels(camera: Camera, points: FloatArray) -> FloatArray:
+    """Points in the camera's optical frame (..., 3) → (..., 2) px, by the simulator's own projection."""
+    flat = points[..., :2] / points[..., 2:]
+    if np.any(camera.D):
+        flat = distort(camera.D, flat)
+    result: FloatArray = flat @ camera.K[:2, :2].T + camera.K[:2, 2]
+    return result
+
+
+def rays(camera: Camera, at: FloatArray, rounds: int = 40) -> FloatArray:
+    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
+    flat = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
+    return undistort(camera.D, flat, rounds) if np.any(camera.D) else flat
