@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray
 
+_LOCKED = 1e-12  # cos(ay) below it: gimbal lock to rounding
 _SMALL_ANGLE_RAD = 1e-3  # below it the series' error (angle^6) is under one ulp
 
 
@@ -153,7 +154,7 @@ def from_rpy(rpy_rad: FloatArray) -> FloatArray:
 
 def to_rpy(rotation: FloatArray) -> FloatArray:
     """Roll, pitch, yaw with `from_rpy(to_rpy(R))` = R: (3, 3) → (3,), rad."""
-    return np.radians(np.array(euler_zyx_deg(rotation)))
+    return np.asarray(np.radians(euler_zyx_deg(rotation)), dtype=np.float64)
 
 
 def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
@@ -163,8 +164,10 @@ def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
     """
     R = np.asarray(rotation)
     ay = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    ax = np.arctan2(R[2, 1], R[2, 2])
-    az = np.arctan2(R[1, 0], R[0, 0])
+    if np.hypot(R[0, 0], R[1, 0]) < _LOCKED:
+        ax, az = 0.0, np.arctan2(-R[0, 1], R[1, 1])  # only their sum or difference is left: give it to az
+    else:
+        ax, az = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
     return float(np.degrees(ax)), float(np.degrees(ay)), float(np.degrees(az))
 
 

@@ -85,6 +85,12 @@ def test_euler_angles_as_in_table_1():
     assert se3.gimbal_margin_deg(R) == pytest.approx(0.62, abs=1e-9)
 
 
+@pytest.mark.parametrize("pitch", [0.3, np.pi / 2, -np.pi / 2])
+def test_angles_give_the_rotation_back_also_at_the_lock(pitch):
+    R = se3.from_rpy(np.array([0.4, pitch, -1.1]))
+    assert se3.from_rpy(se3.to_rpy(R)) == pytest.approx(R, abs=1e-12)
+
+
 def test_roll_pitch_yaw_as_urdf_means_them():
     R = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
     assert se3.from_rpy(np.array([0.1, 0.2, 0.3])) == pytest.approx(R)

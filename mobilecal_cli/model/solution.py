@@ -137,7 +137,6 @@ class Solution:
         residuals: at `parameters`.
         point_rms_m: square root of eq. 19 at `parameters`, m.
         reprojection_rms_px: rms distance of carried to detected corners over all legs, px.
-        notes: whole sentences that a user should know ("the camera's Euler angles are near gimbal lock").
         motion: what the log's motion was: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
     """
 
@@ -148,7 +147,6 @@ class Solution:
     residuals: Residuals
     point_rms_m: float
     reprojection_rms_px: float
-    notes: tuple[str, ...]
     motion: Mapping[str, float]
 
 

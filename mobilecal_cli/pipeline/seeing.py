@@ -87,7 +87,7 @@ def first_pictures(
 
 def board_size(recording: Recording, sources: Sources, stations: Sequence[Station]) -> tuple[int, int] | None:
     """The board's inner corners as a few pictures show them, None where they show none."""
-    return identify_size(first_pictures(recording, sources, stations))
+    return identify_size(first_pictures(recording, sources, stations)).size
 
 
 def look(

@@ -51,7 +51,7 @@ def report_json(solution: Solution, extraction: Extraction, provenance: Provenan
             "items": [asdict(item) for item in extraction.rejections],
         },
         "counts": dict(extraction.counts),
-        "notes": {"reading": list(extraction.notes), "solving": list(solution.notes)},
+        "notes": list(extraction.notes),
         "settled_by": dict(extraction.rig.settled_by),
         "provenance": {
             "tool": "mobilecal",

@@ -80,7 +80,7 @@ def report_html(
             for item in extraction.rejections[:_MOST_REJECTIONS]
         ],
         rejections_hidden=max(0, len(extraction.rejections) - _MOST_REJECTIONS),
-        notes=(*solution.notes, *extraction.notes),
+        notes=extraction.notes,
         motion=solution.motion,
         counts=extraction.counts,
         board=extraction.board,

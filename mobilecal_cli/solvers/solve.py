@@ -6,18 +6,13 @@ import math
 
 import numpy as np
 
-from mobilecal_cli import se3
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.model import Extraction, FloatArray, LinearEstimate, Method, Refinement, Solution
+from mobilecal_cli.model import Extraction, FloatArray, Method, Solution
 from mobilecal_cli.solvers.linear import linear_estimate
 from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of
 from mobilecal_cli.solvers.signs import check_signs
-
-_GIMBAL_MARGIN_DEG = 5.0
-_RIVAL = 1.5  # an answer whose error is within this factor explains the log almost equally well
-_NOMINAL_OFF = 0.05
 
 
 def _motion(
@@ -37,36 +32,6 @@ def _motion(
         "largest_turn_deg": float(np.degrees(np.max(np.abs(solution_psi)))),
         "driven_m": path_m,
     }
-
-
-def _notes(extraction: Extraction, linear: LinearEstimate, refinement: Refinement | None) -> list[str]:
-    parameters = (refinement or linear).parameters
-    notes = []
-    margin = se3.gimbal_margin_deg((parameters.T_h_c @ extraction.rig.cameras.T_c_reference)[:3, :3])
-    if margin < _GIMBAL_MARGIN_DEG:
-        notes.append(
-            f"The Euler angle y is {90 - margin:.2f} degrees, near gimbal lock: x and z have no meaning one by "
-            "one there, only the rotation as a whole has (see the quaternion)."
-        )
-    if linear.rival_point_rms_m < _RIVAL * linear.point_rms_m:
-        notes.append(
-            f"Two answers explain this log almost equally well ({linear.point_rms_m * 1e3:.2f} and "
-            f"{linear.rival_point_rms_m * 1e3:.2f} mm): give nominal wheels in rig.yaml, or record smaller turns "
-            "between stations."
-        )
-    nominal = extraction.rig.nominal.wheels
-    if nominal is not None:
-        for name, value, prior in (
-            ("right wheel radius", parameters.wheels.radius_right_m, nominal.radius_right_m),
-            ("left wheel radius", parameters.wheels.radius_left_m, nominal.radius_left_m),
-            ("wheel separation", parameters.wheels.separation_m, nominal.separation_m),
-        ):
-            if abs(value / prior - 1) > _NOMINAL_OFF:
-                size = "about half of" if abs(value / prior - 0.5) < 0.05 else f"{value / prior:.2f} times"
-                notes.append(
-                    f"The {name} comes out as {value * 1e3:.1f} mm, {size} its nominal {prior * 1e3:.1f} mm."
-                )
-    return notes
 
 
 def solve(extraction: Extraction, method: Method = "lm", start_ratios: FloatArray | None = None) -> Solution:
@@ -99,6 +64,5 @@ def solve(extraction: Extraction, method: Method = "lm", start_ratios: FloatArra
         residuals=residuals,
         point_rms_m=best.point_rms_m,
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        notes=tuple(_notes(extraction, linear, refinement)),
         motion=_motion(extraction, loops, psi, float(np.sum(np.abs(path)))),
     )

@@ -265,7 +265,6 @@ def make_solution(extraction: Extraction, refined: bool = True) -> Solution:
         residuals=residuals,
         point_rms_m=rms if refined else 0.01094,
         reprojection_rms_px=float(np.sqrt(np.mean(residuals.leg_reprojection_px**2))) if len(legs) else 0.0,
-        notes=("The camera's height was seen through the tilt joint alone.",),
         motion={"pan_range_deg": 61.2, "tilt_range_deg": 24.9, "turned_deg": 143.0, "driven_m": 2.31},
     )
 

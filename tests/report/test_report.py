@@ -161,7 +161,7 @@ def test_a_broken_picture_is_said(extraction):
 
 def test_hostile_strings_stay_text(extraction):
     hostile = make_hostile(extraction)
-    solution = dataclasses.replace(make_solution(hostile), notes=(HOSTILE,), motion={HOSTILE: 1.0})
+    solution = dataclasses.replace(make_solution(hostile), motion={HOSTILE: 1.0})
     html = page_of(
         hostile,
         solution,
@@ -300,4 +300,4 @@ def test_json_takes_hostile_strings(extraction):
     solution = make_solution(hostile)
     text = report_json(solution, hostile, make_provenance(hostile), judge(solution, hostile))
     assert text.isascii()
-    assert json.loads(text)["notes"]["reading"] == [HOSTILE]
+    assert json.loads(text)["notes"] == [HOSTILE]
