@@ -1,0 +1,86 @@
+"""The whole solver on simulated drives with known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+
+
+def errors(parameters, robot):
+    """Rotation rad, translation relative to its length, wheels relative."""
+    turn = se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3])
+    move = (parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3]) / np.linalg.norm(robot.T_h_c[:3, 3])
+    found, true = parameters.wheels, robot.wheels
+    wheels = [
+        found.radius_right_m / true.radius_right_m - 1,
+        found.radius_left_m / true.radius_left_m - 1,
+        found.separation_m / true.separation_m - 1,
+    ]
+    return np.concatenate([turn, move, wheels])
+
+
+@pytest.mark.parametrize("method", ["linear", "lm", "paper"])
+@pytest.mark.parametrize("name", ["paper", "tick"])
+def test_exact_data_gives_the_truth(name, method):
+    robot = ROBOTS[name]()
+    extraction = ideal_extraction(robot, plan_route(robot), nominal=False)
+    solution = solve(extraction, method)
+    assert np.abs(errors(solution.parameters, robot)).max() < 1e-9
+    assert solution.reprojection_rms_px < 1e-9
+    assert (solution.refinement is None) == (method == "linear")
+
+
+@pytest.mark.parametrize("motion", ["large_turns", "moving"])
+def test_other_motions_give_the_truth(motion):
+    robot = ROBOTS["paper"]()
+    extraction = ideal_extraction(robot, plan_route(robot, motion), nominal=False)
+    solution = solve(extraction)
+    # Stamps are whole nanoseconds: 0.5 ns at 5 rad/s of a turning wheel is what is left in motion.
+    assert np.abs(errors(solution.parameters, robot)).max() < (1e-9 if motion == "large_turns" else 1e-7)
+
+
+def test_residuals_and_the_world_fit_together():
+    robot = ROBOTS["paper"]()
+    route = plan_route(robot)
+    extraction = ideal_extraction(robot, route, Noise(pixel_px=0.2), seed=1)
+    solution = solve(extraction)
+    residuals = solution.residuals
+    whole = np.sqrt(np.mean(residuals.leg_point_rms_m**2))
+    assert whole == pytest.approx(solution.point_rms_m)
+    assert np.sqrt(np.mean(residuals.leg_reprojection_px**2)) == pytest.approx(solution.reprojection_rms_px)
+    # The world is the base at the first station, which the simulator has at its own origin.
+    assert residuals.T_w_k[:, :3, 3] == pytest.approx(np.tile(route.T_w_k[:3, 3], (12, 1)), abs=0.1)
+    poses = route.drive.poses(route.rests_s.mean(axis=1))
+    assert residuals.T_w_v[:, :2, 3] == pytest.approx(poses[:, :2], abs=0.05)
+
+
+def test_noise_of_the_paper_s_robot_stays_near_the_reference():
+    """method.md's order of magnitude for the linear method with reprojected poses; a wide gate, eight runs."""
+    robot = ROBOTS["paper"]()
+    noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=np.radians(0.05))
+    squares = []
+    for seed in range(8):
+        route = plan_route(robot, seed=seed)
+        parameters = solve(ideal_extraction(robot, route, noise, seed), "linear").parameters
+        turn = np.degrees(np.linalg.norm(se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3])))
+        move = 1e3 * np.linalg.norm(parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3])
+        b = 1e3 * (parameters.wheels.separation_m - robot.wheels.separation_m)
+        squares.append(np.square([turn, move, b]))
+    turn, move, b = np.sqrt(np.mean(squares, axis=0))
+    assert 0.05 < turn < 1.0
+    assert 2 < move < 40
+    assert 0.2 < b < 6
+
+
+def test_motion_is_told():
+    robot = ROBOTS["paper"]()
+    motion = solve(ideal_extraction(robot, plan_route(robot))).motion
+    assert set(motion) == {"pan_range_deg", "tilt_range_deg", "turned_deg", "largest_turn_deg", "driven_m"}
+    assert 40 < motion["pan_range_deg"] < 150
+    assert 2 < motion["driven_m"] < 20

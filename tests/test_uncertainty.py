@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mobilecal_cli.errors import ObservationError, SolveError
+from mobilecal_cli.model import Rejection
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.uncertainty import motion_gaps, require_observable
+
+
+def extraction(motion, noise=None):
+    robot = paper_robot()
+    return ideal_extraction(robot, plan_route(robot, motion), noise)
+
+
+@pytest.mark.parametrize("motion", ["standard", "large_turns", "moving"])
+def test_enough_motion_has_no_gap(motion):
+    assert motion_gaps(extraction(motion)) == ()
+    require_observable(extraction(motion))
+
+
+@pytest.mark.parametrize(
+    ("motion", "parameters", "because", "cure"),
+    [
+        ("head_fixed", "t along the vertical", "the head's tilt spans only 0.", "tilt the head up and down"),
+        ("straight", "separation", "only drives straight", "turn the base"),
+        ("spin", "common scale", "only turns on the spot", "drive forward or back"),
+        (
+            "base_fixed",
+            "radius_right, radius_left, separation",
+            "the base stands still",
+            "drive and turn the base",
+        ),
+    ],
+)
+@pytest.mark.parametrize("noise", [None, Noise(0.2, 0.003, 0.0209, 0.001)])
+def test_missing_motion_is_named(motion, parameters, because, cure, noise):
+    with pytest.raises(SolveError) as caught:
+        require_observable(extraction(motion, noise))
+    assert f"not observable: {parameters}" in caught.value.message
+    assert because in caught.value.message
+    assert cure in caught.value.hint
+
+
+def test_too_few_stations_count_the_reasons():
+    whole = extraction("standard")
+    lost = [Rejection("vision", "blurred", "edge 5 px", 0)] * 5 + [Rejection("vision", "no board", "", 0)] * 4
+    few = replace(whole, observations=whole.observations[:3], rejections=tuple(lost))
+    with pytest.raises(ObservationError, match="at 3 of 12 stations, 4 are needed") as caught:
+        require_observable(few)
+    assert "left out: 5 x blurred, 4 x no board" in caught.value.message
