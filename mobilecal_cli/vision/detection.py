@@ -8,7 +8,8 @@ import numpy as np
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.gate import check_polarity, check_sharpness
 from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smallest_edge_px
-from mobilecal_cli.vision.growing import grow_any, refine
+from mobilecal_cli.vision.growing import grow_any
+from mobilecal_cli.vision.refinement import refine_grid
 from mobilecal_cli.vision.values import Detection, Miss
 
 _LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
@@ -51,7 +52,7 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     edge = smallest_edge_px(grid)
     if edge < _MIN_EDGE_PX:
         return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
-    grid = refine(image, grid.reshape(-1, 2), edge).reshape(grid.shape)
+    grid = refine_grid(image, grid, edge)
     grid_map = fit_grid(grid)
     edge = smallest_edge_px(grid)
     if edge < _MIN_EDGE_PX:
@@ -136,6 +137,8 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
         seen_rows, seen_columns = seen_columns, seen_rows
     if (seen_columns, seen_rows) == (columns, rows):
         return _judge(image, grid)
+    if grown.open_sides == 0:
+        return first or _other_size(grown.grid, grown.open_sides, columns, rows)
     adaptive = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     again = _classic(image, columns, rows, adaptive, 0.5 if image.shape[1] >= _LARGE else 1.0)
     if again is not None:

@@ -10,8 +10,8 @@ import numpy as np
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.gate import sample
 from mobilecal_cli.vision.grid import fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.refinement import refine
 
-_WINDOW = 0.38  # of the shortest edge, to either side: printed boards often have narrow outer squares
 _SEEDS = ((3, 3), (5, 4))
 _MIN_EDGE_PX = 4.0
 _MIN_STRENGTH_GREY = 8.0
@@ -32,25 +32,6 @@ class Grown:
 
     grid: FloatArray
     open_sides: int
-
-
-def refine(image: GrayImage, pixels: FloatArray, edge_px: float) -> FloatArray:
-    """Sub-pixel corners with a window that stays inside the squares next to a corner.
-
-    Args:
-        image: (height, width) grey.
-        pixels: (M, 2) px.
-        edge_px: shortest distance between corners, px.
-
-    Returns:
-        (M, 2) px.
-    """
-    half = int(np.clip(round(_WINDOW * edge_px - 0.5), 2, 11))
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
-    corners = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
-    return (
-        cv2.cornerSubPix(image, corners, (half, half), (-1, -1), criteria).reshape(-1, 2).astype(np.float64)
-    )
 
 
 def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:

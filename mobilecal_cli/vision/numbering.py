@@ -22,6 +22,7 @@ from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
 _ROUNDS = 100
+_SETTLED = 20  # rounds that A and n are given to follow the turns
 _CLEAR_RAD = 0.15  # how much worse than the best numbering the second best must fit
 _CLEAR_FACTOR = 3.0  # the same in units of the rms misfit
 _RIVAL_RAD = 0.02
@@ -81,7 +82,7 @@ def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k
     """Alternate between A, n and the turns from a start: R_c_k is (turns, N, 3, 3)."""
     stations = np.arange(len(vertical_h))
     misfit = np.zeros((len(stations), len(R_c_k)))
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         A = _rotation_between(R_c_k[choice, stations] @ vertical_k, vertical_h)
         vertical_c = vertical_h @ A.T
         backward = np.einsum("nji,nj->ni", R_c_k[choice, stations], vertical_c).mean(axis=0)
@@ -89,7 +90,7 @@ def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k
         cosine = np.einsum("tnij,j,ni->nt", R_c_k, vertical_k, vertical_c)
         misfit = np.arccos(np.clip(cosine, -1, 1))
         best = np.argmin(misfit, axis=1)
-        if np.array_equal(best, choice) and _ > 20:
+        if np.array_equal(best, choice) and round_ > _SETTLED:
             break
         choice = best
     return _Fit(choice, misfit)

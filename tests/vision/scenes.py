@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import cv2
 import numpy as np
 
@@ -106,25 +108,35 @@ def render(
     The outer square diagonally next to corner 0 is dark. Outer squares are `outer` squares wide, and a light
     margin of one square surrounds them. With `picture` the board is painted over it.
     """
-    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
-    u = (np.arange(camera.width)[:, None] + offset).ravel()
-    v = (np.arange(camera.height)[:, None] + offset).ravel()
-    uu, vv = np.meshgrid(u, v)
-    ray = _rays(camera, uu, vv)
+    # Rays through the centres of pixels; those between are interpolated (error below 0.001 px for these lenses).
+    u, v = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
+    rays = _rays(camera, u, v)
     H = np.linalg.inv(np.column_stack([T_camera_k[:3, 0], T_camera_k[:3, 1], T_camera_k[:3, 3]]))
-    h = ray @ H[:, :2].T + H[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = h[..., 0] / h[..., 2] / square_m, h[..., 1] / h[..., 2] / square_m
-    ahead = h[..., 2] > 0
-    squares = (x > -outer) & (x < board.columns - 1 + outer) & (y > -outer) & (y < board.rows - 1 + outer)
-    margin = (x > -outer - 1) & (x < board.columns + outer) & (y > -outer - 1) & (y < board.rows + outer)
-    is_dark = squares & ((np.floor(x) + np.floor(y)) % 2 == 0)
-    shape = (camera.height, supersample, camera.width, supersample)
-    paint = np.where(is_dark, dark, light).reshape(shape).mean(axis=(1, 3))
-    cover = (margin & ahead).reshape(shape).mean(axis=(1, 3))
+    reach = max(board.columns, board.rows) / 2 + outer + 2
+    middle = square_m * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
+    x, y, z = T_camera_k[:3, :3] @ middle + T_camera_k[:3, 3]
+    radius = 1.2 * reach * square_m
+    near = (np.hypot(rays[..., 0] * z - x, rays[..., 1] * z - y) < 1.6 * radius)[1:-1, 1:-1]
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    (v0, v1), (u0, u1) = (rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1)
+    paint = np.full((camera.height, camera.width), float(light))
+    cover = np.zeros((camera.height, camera.width))
+    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
+    for dv, du in product(offset, offset):
+        a, b = int(np.sign(du)), int(np.sign(dv))
+        window = [rays[v0 + 1 + j : v1 + 1 + j, u0 + 1 + i : u1 + 1 + i] for j in (0, b) for i in (0, a)]
+        p, q = abs(du), abs(dv)
+        ray = (1 - q) * ((1 - p) * window[0] + p * window[1]) + q * ((1 - p) * window[2] + p * window[3])
+        h = ray @ H[:, :2].T + H[:, 2]
+        X, Y = h[..., 0] / h[..., 2] / square_m, h[..., 1] / h[..., 2] / square_m
+        squares = (-outer < X) & (board.columns - 1 + outer > X) & (-outer < Y) & (board.rows - 1 + outer > Y)
+        margin = (-outer - 1 < X) & (board.columns + outer > X) & (-outer - 1 < Y) & (board.rows + outer > Y)
+        is_dark = squares & ((np.floor(X) + np.floor(Y)) % 2 == 0)
+        paint[v0:v1, u0:u1] += np.where(is_dark, dark - light, 0.0) / supersample**2
+        cover[v0:v1, u0:u1] += (margin & (h[..., 2] > 0)) / supersample**2
     # Light mixes in a pixel in proportion to the area: exact because paint is constant where cover is not 1.
     base = np.full(paint.shape, background) if picture is None else picture.astype(np.float64)
-    mixed = cover * np.where(cover == 1, paint, light) + (1 - cover) * base
+    mixed = cover * np.where(cover > 1 - 1e-9, paint, light) + (1 - cover) * base
     if blur_px:
         mixed = cv2.GaussianBlur(mixed, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
     if noise:

@@ -1,0 +1,55 @@
+"""Sub-pixel corners."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, GrayImage
+
+# Half windows in units of the shortest edge. Printed boards often have outer squares of less than half the width,
+# and a window that reaches past them pulls the corner away by pixels.
+_OUTER_WINDOW = 0.28
+_INNER_WINDOW = 0.45
+_MIN_HALF, _MAX_HALF = 2, 11
+# Smoothing takes the pixel grid out of the gradients: it halves the error on pictures without noise (0.024 to
+# 0.015 px rms) and takes a tenth off on noisy ones. Small squares stand less of it.
+_SMOOTHING = 0.075  # of the shortest edge
+_MIN_SMOOTHING_PX, _MAX_SMOOTHING_PX = 0.6, 0.9
+
+
+def refine_grid(image: GrayImage, grid: FloatArray, edge_px: float) -> FloatArray:
+    """Refine a whole board, (rows, columns, 2) px: inner corners with a larger window than outer ones."""
+    refined = refine(image, grid.reshape(-1, 2), edge_px).reshape(grid.shape)
+    inner = refined[1:-1, 1:-1]
+    if inner.size:
+        refined[1:-1, 1:-1] = refine(image, inner.reshape(-1, 2), edge_px, _INNER_WINDOW).reshape(inner.shape)
+    return refined
+
+
+def refine(image: GrayImage, pixels: FloatArray, edge_px: float, window: float = _OUTER_WINDOW) -> FloatArray:
+    """Corners where the gradients in a window around them meet (Foerstner and Guelch 1987, as OpenCV iterates it).
+
+    The window stays inside the squares next to a corner.
+
+    Args:
+        image: (height, width) grey.
+        pixels: (M, 2) in the picture, px.
+        edge_px: shortest distance between corners, px.
+        window: how far it reaches to either side, in units of that distance.
+
+    Returns:
+        (M, 2) px.
+    """
+    half = int(np.clip(round(window * edge_px - 0.5), _MIN_HALF, _MAX_HALF))
+    smoothing_px = float(np.clip(_SMOOTHING * edge_px, _MIN_SMOOTHING_PX, _MAX_SMOOTHING_PX))
+    margin = 2 * half + 4
+    height, width = image.shape
+    corner = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
+    x0, y0 = corner
+    x1, y1 = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin + 1, [width, height])
+    part = cv2.GaussianBlur(image[y0:y1, x0:x1], (0, 0), smoothing_px)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
+    start = np.ascontiguousarray(pixels - corner, dtype=np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(part, start, (half, half), (-1, -1), criteria).reshape(-1, 2)
+    return np.asarray(refined + corner, dtype=np.float64)

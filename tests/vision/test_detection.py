@@ -1,0 +1,252 @@
+"""Boards found, refused and told apart, in rendered and in real pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board
+from mobilecal_cli.vision import Detection, Miss, detect, identify_size
+from mobilecal_cli.vision.grid import smallest_edge_px
+from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
+
+BOARD = Board(9, 6)
+SQUARE_M = 0.05
+CAMERA = stereo_rig("rectified").left
+FACING = pose(0.01, -0.02, 0.9, (0.25, -0.3, 0.1), BOARD, SQUARE_M)
+
+
+def truth(T_c_k: np.ndarray, board: Board = BOARD, camera=CAMERA) -> np.ndarray:
+    return opencv_pixels(camera, se3.act(T_c_k, SQUARE_M * board.grid()))
+
+
+def missed(result: Detection | Miss) -> Miss:
+    assert isinstance(result, Miss)
+    return result
+
+
+def real(folder: Path, pattern: str) -> list[Path]:
+    files = sorted(folder.rglob(pattern))
+    assert files
+    return files
+
+
+def grey(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image.setflags(write=False)
+    return image
+
+
+@pytest.fixture(scope="module")
+def boards(shared_data: Path) -> list[Path]:
+    """Every real picture of a 9 x 6 board: OpenCV's 14, MRPT's 8, and left10."""
+    stereo = shared_data / "stereo"
+    return [
+        *real(stereo / "opencv_samples", "*.jpg"),
+        *real(stereo / "mrpt_stereo_calib", "*.jpg"),
+        *real(stereo / "unpaired", "*.jpg"),
+    ]
+
+
+class TestRendered:
+    @pytest.mark.parametrize("kind", ["rectified", "raw"])
+    def test_accuracy_without_noise(self, kind: str) -> None:
+        camera = stereo_rig(kind).left
+        rng = np.random.default_rng(11)
+        squares, claims, biases = [], [], []
+        for _ in range(5):
+            z = rng.uniform(0.7, 1.5)
+            tilt = (*rng.uniform(-0.6, 0.6, 2), rng.uniform(-3.1, 3.1))
+            T_c_k = pose(0.05 * z, -0.04 * z, z, tilt, BOARD, SQUARE_M)
+            expected = truth(T_c_k, camera=camera)
+            assert smallest_edge_px(expected.reshape(6, 9, 2)) > 12
+            found = detect(render(camera, T_c_k, BOARD, SQUARE_M, blur_px=0.6, supersample=6), 9, 6)
+            assert isinstance(found, Detection)
+            error = found.pixels - expected
+            squares.append(error**2)
+            biases.append(error.mean(axis=0))
+            claims.append(found.sigma_px)
+        rms = np.sqrt(np.mean(squares))
+        assert rms < 0.02
+        assert np.abs(np.mean(biases, axis=0)).max() < 0.004
+        assert np.sqrt(np.mean(np.square(claims))) == pytest.approx(rms, rel=0.3)
+
+    def test_claimed_noise_is_the_noise(self) -> None:
+        errors, claims = [], []
+        for seed in range(5):
+            found = detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, noise=5, seed=seed), 9, 6)
+            assert isinstance(found, Detection)
+            errors.append(found.pixels - truth(FACING))
+            claims.append(found.sigma_px)
+        assert np.mean(claims) == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.25)
+
+    @pytest.mark.parametrize(("columns", "rows"), [(9, 6), (6, 9), (8, 6), (7, 7), (8, 8), (11, 8), (4, 3)])
+    def test_every_roll_gives_a_right_handed_numbering(self, columns: int, rows: int) -> None:
+        board = Board(columns, rows)
+        for roll in np.radians([0, 50, 95, 140, 185, 230, 275, 320]):
+            T_c_k = pose(0.0, 0.0, 1.0, (0, 0, roll), board, SQUARE_M)
+            T_c_k[:3, :3] = se3.exp_so3(np.array([0.3, -0.2, 0.0])) @ T_c_k[:3, :3]
+            found = detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
+            assert isinstance(found, Detection)
+            expected = truth(T_c_k, board).reshape(rows, columns, 2)
+            # Settled by the squares' colours alone, or as far as they can.
+            possible = {(8, 8): (0, 1, 2, 3), (8, 6): (0, 2), (7, 7): (0, 2)}.get((columns, rows), (0,))
+            errors = [np.abs(found.pixels - np.rot90(expected, k).reshape(-1, 2)).max() for k in possible]
+            assert min(errors) < 0.5
+
+    @pytest.mark.parametrize("wanted", [(8, 6), (9, 5), (7, 6), (7, 4)])
+    def test_part_of_a_larger_board_is_refused(self, wanted: tuple[int, int]) -> None:
+        for roll in (0.0, 1.5):
+            T_c_k = pose(0.0, 0.0, 0.9, (0, 0, roll), BOARD, SQUARE_M)
+            miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), *wanted))
+            assert miss.reason == "board continues beyond the grid"
+
+    def test_narrow_outer_squares(self) -> None:
+        found = detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, outer=0.4), 9, 6)
+        assert isinstance(found, Detection)
+        assert np.abs(found.pixels - truth(FACING)).max() < 0.12
+
+    def test_low_contrast(self) -> None:
+        image = render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, dark=100, light=118, noise=0.7)
+        found = detect(image, 9, 6)
+        assert isinstance(found, Detection)
+        assert np.abs(found.pixels - truth(FACING)).max() < 0.3
+
+    def test_second_board_of_the_same_size(self) -> None:
+        near = pose(-0.18, -0.05, 0.9, (0.1, 0.2, 0.0), BOARD, 0.03)
+        far = pose(0.2, 0.1, 0.95, (0.1, -0.2, 0.3), BOARD, 0.03)
+        image = render(CAMERA, near, BOARD, 0.03, blur_px=0.7)
+        assert isinstance(detect(image, 9, 6), Detection)
+        miss = missed(detect(render(CAMERA, far, BOARD, 0.03, picture=image), 9, 6))
+        assert miss.reason == "second board in view"
+        assert miss.detail.startswith("boards of 9 x 6 at (")
+
+    def test_second_board_of_another_size_is_left_alone(self) -> None:
+        other = Board(5, 4)
+        T_c_k = pose(0.25, 0.15, 0.95, (0.1, -0.2, 0.3), other, 0.03)
+        near = pose(-0.18, -0.05, 0.9, (0.1, 0.2, 0.0), BOARD, 0.03)
+        image = render(CAMERA, T_c_k, other, 0.03, picture=render(CAMERA, near, BOARD, 0.03, blur_px=0.7))
+        found = detect(image, 9, 6)
+        assert isinstance(found, Detection)
+        assert np.abs(found.pixels - opencv_pixels(CAMERA, se3.act(near, 0.03 * BOARD.grid()))).max() < 0.2
+
+    @pytest.mark.parametrize(("x", "y"), [(-0.32, 0.0), (0.34, 0.0), (0.0, 0.3)])
+    def test_cut_off_by_the_border(self, x: float, y: float) -> None:
+        T_c_k = pose(x, y, 0.9, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
+        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), 9, 6))
+        assert miss.reason == "board partly hidden or cut off by the border"
+
+    @pytest.mark.parametrize("cover", [(0, 2), (0, 0), (4, 3), (8, 5)])
+    def test_hidden_corners(self, cover: tuple[int, int]) -> None:
+        image = np.array(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7))
+        x, y = truth(FACING).reshape(6, 9, 2)[cover[1], cover[0]]
+        cv2.circle(image, (int(x), int(y)), 24, 110, -1)
+        assert isinstance(detect(image, 9, 6), Miss)
+
+    def test_far_away(self) -> None:
+        T_c_k = pose(0.0, 0.0, 5.2, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
+        assert missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6)).reason in (
+            "squares too small",
+            "no board",
+        )
+        T_c_k = pose(0.0, 0.0, 4.1, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
+        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6))
+        assert miss.reason == "squares too small"
+        assert "need 7 px" in miss.detail
+
+    def test_blurred(self) -> None:
+        sharp = render(CAMERA, FACING, BOARD, SQUARE_M)
+        drag = np.full((1, 29), 1 / 29)
+        miss = missed(detect(cv2.filter2D(sharp, -1, drag), 9, 6))
+        assert miss.reason == "blurred"
+        assert "squares wide" in miss.detail
+        assert missed(detect(cv2.GaussianBlur(sharp, (0, 0), 9), 9, 6)).reason == "blurred"
+
+    def test_strides_and_read_only_pictures(self) -> None:
+        image = render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7)
+        padded = np.zeros((480, 704), dtype=np.uint8)
+        padded[:, :640] = image
+        padded.setflags(write=False)
+        plain, strided = detect(image, 9, 6), detect(padded[:, :640], 9, 6)
+        assert isinstance(plain, Detection)
+        assert isinstance(strided, Detection)
+        np.testing.assert_array_equal(plain.pixels, strided.pixels)
+
+    def test_large_picture(self) -> None:
+        image = cv2.resize(
+            render(CAMERA, FACING, BOARD, SQUARE_M), (1280, 960), interpolation=cv2.INTER_CUBIC
+        )
+        found = detect(image, 9, 6)
+        assert isinstance(found, Detection)
+        assert np.abs(found.pixels - ((truth(FACING) + 0.5) * 2 - 0.5)).max() < 0.25
+
+    def test_nothing_there(self) -> None:
+        rng = np.random.default_rng(0)
+        noise = rng.integers(0, 255, (480, 640), dtype=np.uint8)
+        for image in (noise, np.zeros((480, 640), np.uint8), np.zeros((20, 20), np.uint8)):
+            assert missed(detect(image, 9, 6)).reason == "no board"
+
+
+class TestReal:
+    def test_every_picture_that_opencv_finds(self, boards: list[Path]) -> None:
+        assert len(boards) == 23
+        for path in boards:
+            image = grey(path)
+            agreed, corners = cv2.findChessboardCorners(image, (9, 6))
+            assert agreed, path.name
+            found = detect(image, 9, 6)
+            assert isinstance(found, Detection), (path.name, found)
+            assert found.sigma_px < 0.2
+            distance = np.linalg.norm(found.pixels[:, None] - corners.reshape(1, -1, 2), axis=-1)
+            assert distance.min(axis=1).max() < 3
+            assert len(set(distance.argmin(axis=1))) == 54
+
+    @pytest.mark.parametrize("wanted", [(8, 6), (9, 5), (7, 5), (10, 6)])
+    def test_wrong_size_is_refused(self, boards: list[Path], wanted: tuple[int, int]) -> None:
+        for path in boards if wanted == (8, 6) else boards[::4]:
+            miss = missed(detect(grey(path), *wanted))
+            expected = ("board of another size", "board partly hidden or cut off by the border")
+            if wanted[0] < 10:
+                expected = ("board continues beyond the grid",)
+            assert miss.reason in expected, path.name
+
+    def test_negatives(self, shared_data: Path) -> None:
+        paths = real(shared_data / "stereo" / "negatives_no_board", "*.*g")
+        assert len(paths) == 8
+        for path in paths:
+            for size in ((9, 6), (7, 5), (4, 3)):
+                assert isinstance(detect(grey(path), *size), Miss), (path.name, size)
+            assert identify_size([grey(path)]).size is None, path.name
+
+
+class TestSize:
+    def test_every_real_picture_votes_right(self, boards: list[Path]) -> None:
+        vote = identify_size(grey(path) for path in boards)
+        assert vote.size == (9, 6)
+        assert vote.votes == {(9, 6): 23}
+        assert vote.pictures == 23
+
+    @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 7), (11, 8), (4, 3), (6, 5)])
+    def test_rendered(self, columns: int, rows: int) -> None:
+        board = Board(columns, rows)
+        images = []
+        for roll in (0.1, 1.4, 3.3):
+            T_c_k = pose(0.0, 0.0, 1.1, (0.0, 0.0, roll), board, 0.04)
+            T_c_k[:3, :3] = se3.exp_so3(np.array([0.3, -0.2, 0.0])) @ T_c_k[:3, :3]
+            images.append(render(CAMERA, T_c_k, board, 0.04, blur_px=0.7, supersample=2, noise=2))
+        vote = identify_size(images)
+        assert vote.size == (columns, rows)
+        assert vote.votes == {(columns, rows): 3}
+
+    def test_pictures_that_do_not_agree(self) -> None:
+        images = []
+        for board in (Board(9, 6), Board(8, 6)):
+            T_c_k = pose(0.0, 0.0, 1.1, (0.2, 0.0, 0.0), board, 0.04)
+            images.append(render(CAMERA, T_c_k, board, 0.04, blur_px=0.7, supersample=2))
+        vote = identify_size(images)
+        assert vote.size is None
+        assert vote.votes == {(9, 6): 1, (8, 6): 1}

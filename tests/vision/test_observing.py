@@ -1,0 +1,212 @@
+"""Stations: real pairs against Bouguet's calibration, and every way in which shots can disagree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board, Camera, Observation, Rejection, Shot, Station, StereoRig
+from mobilecal_cli.vision import Detection, Miss, detect, observe, snapshot_jpeg
+from mobilecal_cli.vision.grid import turned
+from tests.vision.scenes import pose, render, seen, stereo_rig
+
+BOARD = Board(9, 6)
+SQUARE_M = 0.06
+RIG = stereo_rig("raw")
+T_C_K = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
+
+
+def station(shots: int = 1) -> Station:
+    pairs = tuple(Shot(1000 + i, 1000 + i) for i in range(shots))
+    return Station(3, True, pairs, 1000, np.array([0.1, -0.2]), np.zeros(2))
+
+
+def shots(
+    count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K, seed: int = 0
+) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
+    rng = np.random.default_rng(seed)
+    _, left, right = seen(RIG, T_c_k, board, SQUARE_M)
+    return tuple(
+        [Detection(p + sigma_px * rng.standard_normal(p.shape), sigma_px) for _ in range(count)]
+        for p in (left, right)
+    )
+
+
+def observed(result: Observation | Rejection) -> Observation:
+    assert isinstance(result, Observation), result
+    return result
+
+
+def rejected(result: Observation | Rejection) -> Rejection:
+    assert isinstance(result, Rejection)
+    assert (result.stage, result.time_ns, result.station) == ("vision", 1000, 3)
+    return result
+
+
+@pytest.mark.parametrize("square_m", [None, SQUARE_M])
+def test_exact_corners(square_m: float | None) -> None:
+    found = observed(observe(2, station(), *shots(1, 0.0), RIG, BOARD, square_m))
+    np.testing.assert_allclose(found.T_c_k, T_C_K, atol=1e-9)
+    assert found.square_m == pytest.approx(SQUARE_M, rel=1e-9)
+    assert found.reprojection_px < 1e-8
+    assert (found.log, found.station, found.time_ns, found.at_rest) == (2, 3, 1000, True)
+    np.testing.assert_array_equal(found.joints, [0.1, -0.2])
+
+
+def test_noise_averages_and_is_measured() -> None:
+    found = observed(observe(0, station(16), *shots(16, 0.2), RIG, BOARD, SQUARE_M))
+    truth = seen(RIG, T_C_K, BOARD, SQUARE_M)
+    for corners, expected in ((found.left, truth[1]), (found.right, truth[2])):
+        assert corners.pictures == 16
+        assert corners.sigma_px == pytest.approx(0.05, rel=0.2)
+        assert np.sqrt(np.mean((corners.pixels - expected) ** 2)) == pytest.approx(0.05, rel=0.2)
+    delta = se3.log(found.T_c_k @ se3.inverse(T_C_K))
+    assert delta @ np.linalg.solve(found.T_c_k_cov, delta) < 25  # chi-squared with 6 degrees of freedom
+
+
+def test_errors_common_to_all_shots_are_no_smaller_for_averaging() -> None:
+    left, right = shots(1, 0.2)
+    found = observed(observe(0, station(9), left * 9, right * 9, RIG, BOARD, SQUARE_M))
+    assert found.left.sigma_px == pytest.approx(0.2, rel=0.3)
+
+
+def test_shots_missing_in_one_picture_are_left_out() -> None:
+    left, right = shots(4, 0.1)
+    left[1] = Miss("blurred", "borders are 0.8 squares wide")
+    found = observed(observe(0, station(4), left, right, RIG, BOARD, SQUARE_M))
+    assert found.left.pictures == found.right.pictures == 3
+
+
+def test_no_pair() -> None:
+    left, right = shots(3, 0.1)
+    hidden = Miss("board partly hidden or cut off by the border", "7 x 6 seen")
+    result = rejected(
+        observe(
+            0,
+            station(3),
+            [hidden, left[1], hidden],
+            [right[0], Miss("no board", "none"), hidden],
+            RIG,
+            BOARD,
+            0.06,
+        )
+    )
+    assert result.reason == "board partly hidden or cut off by the border"
+    assert result.detail == (
+        "3 shots; left: 2 x board partly hidden or cut off by the border (7 x 6 seen); "
+        "right: 1 x no board (none); 1 x board partly hidden or cut off by the border (7 x 6 seen)"
+    )
+
+
+def test_a_shot_that_moved_is_left_out() -> None:
+    left, right = shots(5, 0.05)
+    left[4] = Detection(left[4].pixels + 2.0, 0.05)
+    found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
+    assert found.left.pictures == 4
+
+
+def test_a_rest_that_is_none() -> None:
+    left, right = shots(6, 0.05)
+    drifting = [Detection(d.pixels + 3.0 * i, 0.05) for i, d in enumerate(left)]
+    result = rejected(observe(0, station(6), drifting, right, RIG, BOARD, SQUARE_M))
+    assert result.reason == "board or robot moved during the rest"
+    assert "drift by up to 7.5" in result.detail
+
+
+def test_left_and_right_of_different_boards() -> None:
+    other = pose(0.05, 0.1, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
+    result = rejected(
+        observe(0, station(), shots(1, 0.05)[0], shots(1, 0.05, T_c_k=other)[1], RIG, BOARD, SQUARE_M)
+    )
+    assert result.reason == "left and right do not fit together"
+    assert "px" in result.detail
+
+
+def test_wrong_square() -> None:
+    result = rejected(observe(0, station(), *shots(1, 0.05), RIG, BOARD, 0.08))
+    assert result.reason == "squares of another size"
+    assert result.detail == "triangulated squares are 60.0 mm wide, 80.0 mm are said to be"
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 7), (8, 8)])
+def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, rows: int) -> None:
+    board = Board(columns, rows)
+    T_c_k = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), board, SQUARE_M)
+    left, right = shots(3, 0.02, board, T_c_k)
+    right = [Detection(turned(d.pixels, columns, rows, 2), 0.02) for d in right]
+    left[2] = Detection(turned(left[2].pixels, columns, rows, 2), 0.02)
+    found = observed(observe(0, station(3), left, right, RIG, board, SQUARE_M))
+    np.testing.assert_allclose(found.T_c_k, T_c_k, atol=2e-3)
+    assert found.reprojection_px < 0.1
+
+
+def test_from_pictures_to_pose() -> None:
+    board = Board(8, 6)
+    T_c_k = pose(0.05, 0.0, 0.9, (0.3, -0.2, 0.1), board, 0.05)
+    pictures = [
+        render(camera, T, board, 0.05, blur_px=0.7, noise=1.5, supersample=4)
+        for camera, T in ((RIG.left, T_c_k), (RIG.right, np.linalg.inv(RIG.T_c_r) @ T_c_k))
+    ]
+    left, right = ([detect(image, 8, 6)] for image in pictures)
+    found = observed(observe(0, station(), left, right, RIG, board, None))
+    assert found.square_m == pytest.approx(0.05, rel=2e-3)
+    assert found.reprojection_px < 0.06
+    delta = se3.log(found.T_c_k @ se3.inverse(T_c_k))
+    assert np.linalg.norm(delta[:3]) < np.radians(0.15)
+    assert np.linalg.norm(delta[3:]) < 2e-3
+
+
+def test_snapshot() -> None:
+    image = render(RIG.left, T_C_K, BOARD, SQUARE_M)
+    decoded = cv2.imdecode(np.frombuffer(snapshot_jpeg(image[:, 5:]), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded.shape == (480, 635)
+    assert np.abs(decoded.astype(int) - image[:, 5:]).mean() < 2
+
+
+def bouguet() -> StereoRig:
+    """Bouguet's published calibration of the OpenCV samples' cameras."""
+    left = Camera(
+        "left",
+        640,
+        480,
+        [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]],
+        [-0.288, 0.097, 0.001, -0.0003, 0],
+        "plumb_bob",
+    )
+    right = Camera(
+        "right",
+        640,
+        480,
+        [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]],
+        [-0.289, 0.107, 0.001, -0.0001, 0],
+        "plumb_bob",
+    )
+    T_r_c = se3.transform(
+        se3.exp_so3(np.array([0.00669, 0.00452, -0.00350])), np.array([-0.099802, 0.001124, 0.00005])
+    )
+    return StereoRig(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+
+
+def test_real_pairs_show_squares_of_30_mm(shared_data: Path) -> None:
+    sides_mm = []
+    for i in range(1, 8):
+        left, right = (
+            detect(
+                cv2.imread(str(shared_data / f"stereo/opencv_samples/{side}0{i}.jpg"), cv2.IMREAD_GRAYSCALE),
+                9,
+                6,
+            )
+            for side in ("left", "right")
+        )
+        found = observed(observe(0, station(), [left], [right], bouguet(), BOARD, None))
+        assert found.square_m == pytest.approx(0.030, abs=0.05e-3)
+        assert found.reprojection_px < 0.2
+        grid = 1e3 * found.points_c.reshape(6, 9, 3)
+        sides_mm += [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
+    side_mm = np.concatenate(sides_mm)
+    assert abs(side_mm.mean() - 30) < 0.03
+    assert side_mm.std() < 0.19
