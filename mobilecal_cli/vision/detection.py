@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
-from mobilecal_cli.vision.gate import check_polarity, check_sharpness
-from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
+from mobilecal_cli.vision.grid import GridMap, canonical, fit_grid, right_handed, smallest_edge_px
 from mobilecal_cli.vision.growing import grow_any
-from mobilecal_cli.vision.refinement import refine_grid
+from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.values import Detection, Miss
 
 _LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
@@ -52,22 +52,36 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     edge = smallest_edge_px(grid)
     if edge < _MIN_EDGE_PX:
         return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
-    grid = refine_grid(image, grid, edge)
-    grid_map = fit_grid(grid)
+    limit = max(0.6, 0.12 * edge)
+    for _ in range(2):
+        grid = refine(image, grid.reshape(-1, 2), edge).reshape(grid.shape)
+        grid_map = fit_grid(grid)
+        if _worst_px(grid_map) <= limit:
+            break
+        grid = (
+            grid - grid_map.residual
+        )  # a corner that was led astray starts again from where the others want it
     edge = smallest_edge_px(grid)
     if edge < _MIN_EDGE_PX:
         return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
-    worst = float(np.linalg.norm(grid_map.residual, axis=-1).max())
-    limit = max(0.6, 0.12 * edge)
+    grid = refine_widely(image, grid, edge, outer_squares_whole(image, grid_map, columns, rows))
+    grid_map = fit_grid(grid)
+    worst = _worst_px(grid_map)
     polarity = check_polarity(image, grid_map, columns, rows)
-    if isinstance(polarity, Miss):
-        return polarity
     blurred = check_sharpness(image, grid_map, columns, rows)
+    if isinstance(polarity, Miss):
+        # Blur washes the outer squares out first: where both complain it is the blur that is to blame.
+        washed_out = polarity.reason == "board partly hidden or cut off by the border"
+        return blurred if blurred is not None and washed_out else polarity
     if blurred is not None:
         return blurred
     if worst > limit:
         return Miss("corners off the board's grid", f"worst corner {worst:.2f} px, limit {limit:.2f} px")
     return Detection(canonical(grid, polarity.dark_at_origin), max(grid_map.sigma_px, _FLOOR_PX))
+
+
+def _worst_px(grid_map: GridMap) -> float:
+    return float(np.linalg.norm(grid_map.residual, axis=-1).max())
 
 
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:

@@ -16,6 +16,7 @@ from mobilecal_cli.vision.values import Miss
 
 # The outer squares are sampled near the corners, because printed boards often have them narrower than the rest.
 _OUTER = 0.24
+_WHOLE = 0.6
 _SPREAD = 0.12
 _WEAKEST = 0.15  # least contrast of a pair of neighbours, in units of the board's
 _BEYOND = 0.35  # contrast that a pair beyond the outer squares needs to count as board
@@ -150,6 +151,18 @@ def _goes_on(image: GrayImage, grid_map: GridMap, columns: int, rows: int, contr
                 f"{columns} x {rows} grid's {side} side alternate too",
             )
     return None
+
+
+def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool:
+    """Do the outer squares still alternate where a board with narrow ones has its margin?"""
+    values, _, inside = _square_means(image, grid_map, _centres(columns, _WHOLE), _centres(rows, _WHOLE))
+    j, i = np.indices(values.shape)
+    signed = np.where((i + j) % 2 == 0, 1.0, -1.0) * values
+    inner = signed[1:-1, 1:-2] + signed[1:-1, 2:-1]
+    contrast = float(np.median(inner))
+    lines = signed[0], signed[-1], signed[:, 0], signed[:, -1]
+    ring = np.concatenate([line[1:] + line[:-1] for line in lines])
+    return bool(inside.all() and np.all(ring * np.sign(contrast) > 0.5 * abs(contrast)))
 
 
 def edge_width(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> float:

@@ -9,8 +9,8 @@ from mobilecal_cli.model import FloatArray, GrayImage
 
 # Half windows in units of the shortest edge. Printed boards often have outer squares of less than half the width,
 # and a window that reaches past them pulls the corner away by pixels.
-_OUTER_WINDOW = 0.28
-_INNER_WINDOW = 0.45
+_NARROW = 0.28
+_WIDE = 0.45
 _MIN_HALF, _MAX_HALF = 2, 11
 # Smoothing takes the pixel grid out of the gradients: it halves the error on pictures without noise (0.024 to
 # 0.015 px rms) and takes a tenth off on noisy ones. Small squares stand less of it.
@@ -18,16 +18,26 @@ _SMOOTHING = 0.075  # of the shortest edge
 _MIN_SMOOTHING_PX, _MAX_SMOOTHING_PX = 0.6, 0.9
 
 
-def refine_grid(image: GrayImage, grid: FloatArray, edge_px: float) -> FloatArray:
-    """Refine a whole board, (rows, columns, 2) px: inner corners with a larger window than outer ones."""
-    refined = refine(image, grid.reshape(-1, 2), edge_px).reshape(grid.shape)
-    inner = refined[1:-1, 1:-1]
-    if inner.size:
-        refined[1:-1, 1:-1] = refine(image, inner.reshape(-1, 2), edge_px, _INNER_WINDOW).reshape(inner.shape)
+def refine_widely(image: GrayImage, grid: FloatArray, edge_px: float, outer_whole: bool) -> FloatArray:
+    """Refine again with a larger window where there is room for it.
+
+    Args:
+        image: (height, width) grey.
+        grid: (rows, columns, 2) refined corners of a whole board, px.
+        edge_px: shortest distance between corners, px.
+        outer_whole: the outer squares are about as wide as the others, so that outer corners have room too.
+
+    Returns:
+        (rows, columns, 2) px.
+    """
+    refined = grid.copy()
+    part = refined if outer_whole else refined[1:-1, 1:-1]
+    if part.size:
+        part[:] = refine(image, part.reshape(-1, 2), edge_px, _WIDE).reshape(part.shape)
     return refined
 
 
-def refine(image: GrayImage, pixels: FloatArray, edge_px: float, window: float = _OUTER_WINDOW) -> FloatArray:
+def refine(image: GrayImage, pixels: FloatArray, edge_px: float, window: float = _NARROW) -> FloatArray:
     """Corners where the gradients in a window around them meet (Foerstner and Guelch 1987, as OpenCV iterates it).
 
     The window stays inside the squares next to a corner.
