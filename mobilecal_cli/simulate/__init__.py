@@ -1,1 +1,1 @@
-"""TODO"""
+"""Robots with known truth: their drives, and recordings of them in every container."""

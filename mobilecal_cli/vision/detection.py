@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
+from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
 from mobilecal_cli.vision.grid import GridMap, canonical, fit_grid, right_handed, smallest_edge_px
 from mobilecal_cli.vision.growing import grow_any
@@ -64,7 +65,9 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     edge = smallest_edge_px(grid)
     if edge < _MIN_EDGE_PX:
         return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
-    grid = refine_widely(image, grid, edge, outer_squares_whole(image, grid_map, columns, rows))
+    outer_whole = outer_squares_whole(image, grid_map, columns, rows)
+    grid = refine_widely(image, grid, edge, outer_whole)
+    grid = fit_corners(image, grid, outer_whole).pixels.reshape(grid.shape)
     grid_map = fit_grid(grid)
     worst = _worst_px(grid_map)
     polarity = check_polarity(image, grid_map, columns, rows)

@@ -1,0 +1,108 @@
+"""Pictures of the board, with edges that are where geometry puts them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import Board, Camera, FloatArray
+from mobilecal_cli.simulate.stereo import pixels, rays
+
+_SUB = 2  # subpixels each way; an edge is shaded over one of them, so it is not bound to their grid
+_DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0
+_MARGIN_SQUARES = 1.0
+_PAD_PX = 6
+_SHADE = 0.10  # how much the light falls off over the picture's width
+_INVERSE_ROUNDS = 25
+
+
+def _width(position: FloatArray) -> FloatArray:
+    """How far a board coordinate moves over one subpixel."""
+    rise, run = np.gradient(position)
+    return np.asarray(np.hypot(rise, run) + 1e-12)
+
+
+def _edge_wave(position: FloatArray, width: FloatArray) -> FloatArray:
+    """A wave that changes sign at every whole number, +1 from 0 to 1, shaded over a subpixel at each change."""
+    nearest = np.round(position)
+    sign = np.where(nearest % 2 == 0, 1.0, -1.0)
+    return np.asarray(sign * np.clip(2 * (position - nearest) / width, -1, 1))
+
+
+def _covered(position: FloatArray, width: FloatArray, low: float, high: float) -> FloatArray:
+    """Share of a subpixel that lies between two lines of the board."""
+    above = np.clip((position - low) / width + 0.5, 0, 1)
+    return np.asarray(above * np.clip((high - position) / width + 0.5, 0, 1))
+
+
+class BoardRenderer:
+    """Draws one board into one camera's pictures.
+
+    Args:
+        camera: pinhole, with plumb_bob distortion or none.
+        board: its square given.
+        blur_px: sigma of the lens' blur.
+        random: for the background.
+    """
+
+    def __init__(self, camera: Camera, board: Board, blur_px: float, random: np.random.Generator) -> None:
+        self._camera, self._board, self._blur_px = camera, board, blur_px
+        height, width = camera.height, camera.width
+        pixel_rays = rays(
+            camera, np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1), _INVERSE_ROUNDS
+        )
+        # Rays bend by 0.0002 px between two pixels, so linear interpolation gives those of the subpixels.
+        fine = (width * _SUB, height * _SUB)
+        self._rays = np.asarray(cv2.resize(pixel_rays, fine, interpolation=cv2.INTER_LINEAR), dtype=np.float64)
+        self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
+        self._background = self._clutter(random)
+
+    def _clutter(self, random: np.random.Generator) -> FloatArray:
+        """A wall with blurred boxes and stripes on it."""
+        height, width = self._camera.height, self._camera.width
+        wall = np.full((height, width), 120.0)
+        for _ in range(14):
+            x, y = random.integers(0, width), random.integers(0, height)
+            w, h = random.integers(20, 160), random.integers(20, 120)
+            wall[y : y + h, x : x + w] = random.uniform(60, 180)
+        return np.asarray(cv2.GaussianBlur(wall, (0, 0), 3.0), dtype=np.float64)
+
+    def picture(self, T_x_k: FloatArray) -> FloatArray:
+        """The noise-free picture (height, width), in grey levels, of a board at T_x_k in the camera's frame."""
+        image = self._background.copy()
+        squares = self._board.square_m or 1.0
+        columns, rows = self._board.columns, self._board.rows
+        border = 1 + _MARGIN_SQUARES
+        outline = np.array(
+            [
+                [x, y, 0.0]
+                for x in np.linspace(-border, columns - 1 + border, 12)
+                for y in np.linspace(-border, rows - 1 + border, 12)
+            ]
+        )
+        at = pixels(self._camera, outline * squares @ T_x_k[:3, :3].T + T_x_k[:3, 3])
+        limit = [self._camera.width, self._camera.height]
+        x0, y0 = np.clip(np.floor(at.min(axis=0)).astype(int) - _PAD_PX, 0, limit)
+        x1, y1 = np.clip(np.ceil(at.max(axis=0)).astype(int) + _PAD_PX, 0, limit)
+        if x1 > x0 and y1 > y0:
+            part = self._rays[y0 * _SUB : y1 * _SUB, x0 * _SUB : x1 * _SUB]
+            normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
+            depth = (normal @ origin) / (part @ normal[:2] + normal[2])
+            scaled = T_x_k[:3, :2] / squares
+            x, y = (
+                depth * (part @ column[:2] + column[2]) - origin @ column
+                for column in np.moveaxis(scaled, 1, 0)
+            )
+            wide_x, wide_y = _width(x), _width(y)
+            middle, swing = (_DARK + _LIGHT) / 2, (_LIGHT - _DARK) / 2
+            # The square outside corner 0, from -1 to 0 both ways, is dark.
+            pattern = middle - swing * _edge_wave(x, wide_x) * _edge_wave(y, wide_y)
+            on_pattern = _covered(x, wide_x, -1, columns) * _covered(y, wide_y, -1, rows)
+            on_paper = _covered(x, wide_x, -border, columns - 1 + border)
+            on_paper *= _covered(y, wide_y, -border, rows - 1 + border)
+            behind = np.repeat(np.repeat(image[y0:y1, x0:x1], _SUB, axis=0), _SUB, axis=1)
+            fine = on_paper * (on_pattern * pattern + (1 - on_pattern) * _PAPER) + (1 - on_paper) * behind
+            # The lens blurs before the pixels sample: after it, edges would move with their place in a pixel.
+            fine = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
+            image[y0:y1, x0:x1] = fine.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
+        return np.asarray(image * self._light)

@@ -1,0 +1,32 @@
+"""`make logs`: the recordings in sample_logs/, from their seeds."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mobilecal_cli.model import Board
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.scenario import Scenario
+
+_SMALL_BOARD = Board(9, 6, 0.07)
+SAMPLES: dict[str, Scenario] = {
+    "paper_robot.mcap": Scenario(),
+    "paper_robot.bag": Scenario(container="bag"),
+    "paper_robot_rosbag2": Scenario(container="rosbag2"),
+    "tick_robot.mcap": Scenario(robot="tick", board=_SMALL_BOARD, seed=1),
+    "head_fixed.mcap": Scenario(motion="head_fixed", stations=10),
+    "straight.mcap": Scenario(motion="straight", stations=10),
+}
+
+
+def main(directory: Path) -> None:
+    """Write every sample into a directory, over what is there."""
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, scenario in SAMPLES.items():
+        simulate(scenario, directory / name, force=True)
+        print(f"written: {directory / name}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

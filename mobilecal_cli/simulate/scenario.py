@@ -1,0 +1,127 @@
+"""What is to be simulated, and the truth that is written beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board
+from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.route import Motion, Route, plan_route
+
+Container = Literal[
+    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
+]
+CONTAINERS: tuple[str, ...] = get_args(Container)
+Pictures = Literal["jpeg", "png", "mono8"]
+_BOARD = Board(9, 6, 0.08)
+_MOVING_HZ = 10.0
+_REST_MARGIN_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A recording to be made.
+
+    Attributes:
+        robot: a name in `ROBOTS`.
+        motion: how base and head move.
+        seed: of every random choice.
+        stations: number of stops; a moving route lasts three seconds for each.
+        container: kind of recording.
+        pictures: how images are stored.
+        jpeg_quality: of JPEGs.
+        pictures_per_rest: stereo pairs at each stop.
+        board: the checkerboard, its square given.
+        exact: no noise at all, encoders without steps, pictures without loss.
+        pixel_noise_grey: sigma of the sensor's noise, grey levels.
+        blur_px: sigma of the lens' blur, px.
+        wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
+    """
+
+    robot: str = "paper"
+    motion: Motion = "standard"
+    seed: int = 0
+    stations: int = 12
+    container: Container = "mcap"
+    pictures: Pictures = "jpeg"
+    jpeg_quality: int = 92
+    pictures_per_rest: int = 2
+    board: Board = _BOARD
+    exact: bool = False
+    pixel_noise_grey: float = 2.0
+    blur_px: float = 0.6
+    wheel_noise_rad_per_sqrt_rad: float = 0.003
+
+    def plan(self) -> tuple[SimulatedRobot, Route]:
+        """The robot and its route.
+
+        Raises:
+            ConfigError: no route keeps the board in view.
+        """
+        robot = ROBOTS[self.robot]()
+        return robot, plan_route(robot, self.motion, self.stations, self.board, self.seed)
+
+    def picture_times_s(self, route: Route) -> list[float]:
+        """Moments of the stereo pairs: inside the rests, or ten a second where there are none."""
+        if not len(route.rests_s):
+            return [float(t) for t in np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)]
+        return [
+            float(t)
+            for begin, end in route.rests_s
+            for t in np.linspace(begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest)
+        ]
+
+
+def _plain(value: float) -> str:
+    """A plain decimal, which every YAML loader reads as a number."""
+    return np.format_float_positional(value, precision=13, unique=True, fractional=False, trim="0")
+
+
+def _row(values: object) -> str:
+    return "[" + ", ".join(_plain(float(value)) for value in np.asarray(values).ravel()) + "]"
+
+
+def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
+    """The text of truth.yaml: the nine numbers under the keys of params.yaml, and where the robot stood."""
+    quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
+    lines = [
+        "# What a calibration of this simulated recording should find. Lengths in m, angles in rad, times in s.",
+        "schema_version: 1",
+        "head_eye:",
+        f"  parent_frame: {robot.head_frame}",
+        f"  child_frame: {robot.infos[0].frame_id}",
+        f"  translation_m: {_row(robot.T_h_c[:3, 3])}",
+        f"  quaternion_xyzw: {_row(quaternion)}",
+        "wheels:",
+        f"  radius_left_m: {_plain(robot.wheels.radius_left_m)}",
+        f"  radius_right_m: {_plain(robot.wheels.radius_right_m)}",
+        f"  separation_m: {_plain(robot.wheels.separation_m)}",
+        "board:",
+        f"  columns: {scenario.board.columns}",
+        f"  rows: {scenario.board.rows}",
+        f"  square_m: {_plain(scenario.board.square_m or 0.0)}",
+        "scenario:",
+        f"  robot: {scenario.robot}",
+        f"  motion: {scenario.motion}",
+        f"  seed: {scenario.seed}",
+        f"  exact: {str(scenario.exact).lower()}",
+        f"  pixel_noise_grey: {_plain(0.0 if scenario.exact else scenario.pixel_noise_grey)}",
+        f"  blur_px: {_plain(scenario.blur_px)}",
+        f"  wheel_noise_rad_per_sqrt_rad: {_plain(0.0 if scenario.exact else scenario.wheel_noise_rad_per_sqrt_rad)}",
+        f"  encoder_step_rad: {_plain(0.0 if scenario.exact else robot.encoder_step_rad)}",
+        f"  joint_noise_rad: {_plain(0.0 if scenario.exact else robot.joint_noise_rad)}",
+        f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k",
+    ]
+    if len(route.rests_s):
+        times = route.rests_s.mean(axis=1)
+        lines.append(f"joints: [{', '.join(robot.joint_names)}]")
+        lines.append("stations:  # base: x m, y m, heading rad, in the world, which is the base at the start")
+        lines += [
+            f"  - {{time_s: {_plain(t)}, base: {_row(base)}, joints_rad: {_row(joints)}}}"
+            for t, base, joints in zip(times, route.drive.poses(times), route.joints(times), strict=True)
+        ]
+    return "\n".join(lines) + "\n"
