@@ -10,7 +10,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from mobilecal_cli import __version__
-from mobilecal_cli.errors import ConfigError, MobilecalError
+from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
 
 app = typer.Typer(
     name="mobilecal",
@@ -117,6 +117,11 @@ def calibrate(
     if not quiet:
         typer.echo(summary_table(result.solution, result.extraction, result.verdict))
         typer.echo(f"written: {result.directory / 'params.yaml'}, {result.directory / 'report.html'}")
+    if result.verdict.level != "PASS":
+        raise QualityError(
+            f"{result.verdict.level}: {result.verdict.reason}",
+            f"{result.verdict.next_step} (see {result.directory / 'report.html'})",
+        )
 
 
 @app.command()
@@ -138,6 +143,90 @@ def init(
         return
     pipeline.write_draft(log, output, force)
     typer.echo(f"written: {output}")
+
+
+class RobotName(StrEnum):
+    """Robots of known truth."""
+
+    paper = "paper"
+    tick = "tick"
+
+
+class MotionName(StrEnum):
+    """How a simulated robot moves."""
+
+    standard = "standard"
+    head_fixed = "head_fixed"
+    straight = "straight"
+    spin = "spin"
+    base_fixed = "base_fixed"
+    large_turns = "large_turns"
+    moving = "moving"
+
+
+class ContainerName(StrEnum):
+    """Kinds of recordings."""
+
+    mcap = "mcap"
+    mcap_lz4 = "mcap-lz4"
+    mcap_zstd = "mcap-zstd"
+    mcap_ros1 = "mcap-ros1"
+    rosbag2 = "rosbag2"
+    rosbag2_mcap = "rosbag2-mcap"
+    bag = "bag"
+    bag_lz4 = "bag-lz4"
+    bag_bz2 = "bag-bz2"
+
+
+class PictureName(StrEnum):
+    """How a simulated recording stores pictures."""
+
+    jpeg = "jpeg"
+    png = "png"
+    mono8 = "mono8"
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Recording to write: a file, or a directory for rosbag2.")],
+    robot: Annotated[
+        RobotName, typer.Option(help="paper: the paper's; tick: pan-tilt with tick counters.")
+    ] = (RobotName.paper),
+    motion: Annotated[MotionName, typer.Option(help="How base and head move.")] = MotionName.standard,
+    seed: Annotated[int, typer.Option(min=0, help="Of every random choice.")] = 0,
+    stations: Annotated[int, typer.Option(min=2, help="Stops; without stops, three seconds each.")] = 12,
+    container: Annotated[
+        ContainerName | None, typer.Option(help="Kind of recording. [default: by the name's ending]")
+    ] = None,
+    pictures: Annotated[PictureName, typer.Option(help="How images are stored.")] = PictureName.jpeg,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="No noise, encoders without steps (use with png).")
+    ] = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a simulated robot with known truth, which is written beside it.
+
+    Example: mobilecal simulate drive.mcap --robot paper --seed 7
+    """
+    from mobilecal_cli.simulate.record import simulate as record
+    from mobilecal_cli.simulate.scenario import Scenario
+    from mobilecal_cli.terminal import progress_bar
+
+    kind = container.value if container else {".mcap": "mcap", ".bag": "bag"}.get(out.suffix, "rosbag2")
+    scenario = Scenario(
+        robot=robot.value,
+        motion=cast(Any, motion.value),
+        seed=seed,
+        stations=stations,
+        container=cast(Any, kind),
+        pictures=cast(Any, pictures.value),
+        exact=exact,
+    )
+    with progress_bar(quiet) as progress:
+        truth = record(scenario, out, force, progress)
+    if not quiet:
+        typer.echo(f"written: {out}, {truth}")
 
 
 def main() -> None:

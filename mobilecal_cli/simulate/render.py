@@ -53,7 +53,9 @@ class BoardRenderer:
         )
         # Rays bend by 0.0002 px between two pixels, so linear interpolation gives those of the subpixels.
         fine = (width * _SUB, height * _SUB)
-        self._rays = np.asarray(cv2.resize(pixel_rays, fine, interpolation=cv2.INTER_LINEAR), dtype=np.float64)
+        self._rays = np.asarray(
+            cv2.resize(pixel_rays, fine, interpolation=cv2.INTER_LINEAR), dtype=np.float64
+        )
         self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
         self._background = self._clutter(random)
 
@@ -103,6 +105,6 @@ class BoardRenderer:
             behind = np.repeat(np.repeat(image[y0:y1, x0:x1], _SUB, axis=0), _SUB, axis=1)
             fine = on_paper * (on_pattern * pattern + (1 - on_pattern) * _PAPER) + (1 - on_paper) * behind
             # The lens blurs before the pixels sample: after it, edges would move with their place in a pixel.
-            fine = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
-            image[y0:y1, x0:x1] = fine.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
+            blurred = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
+            image[y0:y1, x0:x1] = blurred.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
         return np.asarray(image * self._light)

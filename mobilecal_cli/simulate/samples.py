@@ -20,9 +20,19 @@ SAMPLES: dict[str, Scenario] = {
 }
 
 
+# A counter of unknown resolution is the one thing that no log tells.
+TICK_RIG = """# What the log of the tick robot does not tell: how its wheels are counted.
+schema_version: 1
+wheels:
+  left:  {topic: /wheel_ticks/left,  field: data, ticks_per_revolution: 4096, bits: 16}
+  right: {topic: /wheel_ticks/right, field: data, ticks_per_revolution: 4096, bits: 16}
+"""
+
+
 def main(directory: Path) -> None:
     """Write every sample into a directory, over what is there."""
     directory.mkdir(parents=True, exist_ok=True)
+    (directory / "tick_robot.rig.yaml").write_text(TICK_RIG, encoding="utf-8")
     for name, scenario in SAMPLES.items():
         simulate(scenario, directory / name, force=True)
         print(f"written: {directory / name}")
