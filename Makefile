@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := demo_calibration
 
-.PHONY: demo test check lint types layers logs slow bench docs clean
+.PHONY: demo test check lint types layers logs slow bench clean
 
 $(VENV)/.run: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -20,10 +20,13 @@ demo: $(VENV)/.run  ## install, then calibrate the paper's robot from its sample
 	$(BIN)/mobilecal calibrate sample_logs/paper_robot.mcap --output $(DEMO) --force
 
 test: $(VENV)/.dev  ## install, then run every test
-	$(BIN)/python -m pytest -n 2 -m 'not slow'
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow'
 
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
+
+bench: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew
+	$(BIN)/python -m tests.bench.table1
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -1,0 +1,106 @@
+"""`make bench`: the paper's Table 1 on the sample log, and a Monte Carlo of the same robot, as Markdown."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy
+
+from mobilecal_cli import __version__, se3
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.model import Parameters
+from mobilecal_cli.pipeline import extract
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+
+_RUNS = 40
+_SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"
+
+
+def errors(parameters: Parameters, robot: SimulatedRobot) -> np.ndarray:
+    """Rotation in the camera's frame (deg), translation and wheels (mm)."""
+    turn = np.degrees(se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3]))
+    move = 1e3 * (parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3])
+    found, true = parameters.wheels, robot.wheels
+    wheels = [
+        1e3 * (found.radius_right_m - true.radius_right_m),
+        1e3 * (found.radius_left_m - true.radius_left_m),
+        1e3 * (found.separation_m - true.separation_m),
+    ]
+    return np.concatenate([turn, move, wheels])
+
+
+def row(name: str, values: np.ndarray, extra: str = "") -> str:
+    """One line of the table."""
+    return f"| {name} | " + " | ".join(f"{value:.2f}" for value in values) + f" |{extra}"
+
+
+def wheel_rounds(history: tuple[Parameters, ...]) -> int:
+    """The round after which neither radius nor the separation had moved by more than 0.1 %."""
+    wheels = np.array(
+        [[p.wheels.radius_right_m, p.wheels.radius_left_m, p.wheels.separation_m] for p in history]
+    )
+    steps = np.max(np.abs(np.diff(wheels, axis=0) / wheels[1:]), axis=1)
+    return int(np.argmax(steps < 1e-3)) + 2
+
+
+def sample() -> None:
+    """The sample log, by the paper's own method."""
+    robot = paper_robot()
+    extraction, _ = extract([_SAMPLE], load_rig(None))
+    solutions = {method: solve(extraction, method) for method in ("linear", "paper", "lm")}
+    linear = solutions["linear"].linear
+    print(
+        f"Sample log, {len(extraction.observations)} stations. Within 0.1 %: the wheels after round", end=" "
+    )
+    print(
+        f"{wheel_rounds(linear.history)}, all parameters after {linear.rounds_to_tolerance}; fixed after {linear.rounds}.\n"
+    )
+    print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) | Error (mm) |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for method, solution in solutions.items():
+        print(row(method, errors(solution.parameters, robot), f" {1e3 * solution.point_rms_m:.2f} |"))
+
+
+def monte_carlo() -> None:
+    """method.md's noise: 0.2 px, 0.003 rad per sqrt(rad), joints 0.05 degrees; a new route and new noise each run."""
+    robot = paper_robot()
+    noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=np.radians(0.05))
+    found: dict[str, list[np.ndarray]] = {"linear": [], "lm": []}
+    rounds = []
+    for seed in range(_RUNS):
+        extraction = ideal_extraction(robot, plan_route(robot, seed=seed), noise, seed)
+        for method, results in found.items():
+            solution = solve(extraction, method)  # type: ignore[arg-type]
+            results.append(errors(solution.parameters, robot))
+        rounds.append(solution.linear.rounds_to_tolerance)
+    print(
+        f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, most {max(rounds)}.\n"
+    )
+    print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for method, results in found.items():
+        print(row(method, np.sqrt(np.mean(np.square(results), axis=0))))
+
+
+def main() -> None:
+    """Print both."""
+    versions = f"numpy {np.__version__}, scipy {scipy.__version__}, opencv {cv2.__version__}"
+    print(
+        f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {platform.machine()}, ",
+        end="",
+    )
+    print(f"{datetime.now(UTC):%Y-%m-%d}\n")
+    sample()
+    monte_carlo()
+
+
+if __name__ == "__main__":
+    main()
