@@ -92,6 +92,7 @@ class Rejection:
         detail: the numbers of this one.
         time_ns: when in the log.
         station: index of the station it belongs to, -1 where none.
+        log: index of the recording.
     """
 
     stage: str
@@ -99,3 +100,4 @@ class Rejection:
     detail: str
     time_ns: int
     station: int = -1
+    log: int = 0

@@ -166,7 +166,8 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     for log, one in enumerate(seen):
         found, missed = _observations(log, one, square_m)
         observations += found
-        rejections += [*one.plan.rejections, *(r for looks in one.looks for r in looks.rejections), *missed]
+        lost = (rejection for looks in one.looks for rejection in looks.rejections)
+        rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
         settled, unsettled = settle_numbering(observations, R_v_h, board)
@@ -180,7 +181,7 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     }
     extraction = Extraction(
         rig=rig,
-        board=replace(board, square_m=board.square_m),
+        board=board,
         observations=tuple(observations),
         wheels=wheels,
         rejections=tuple(rejections),

@@ -18,6 +18,7 @@ from mobilecal_cli.report.numbers import (
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
+    rejected_station,
     rejection_counts,
     stations_looked_at,
     visible,
@@ -76,7 +77,7 @@ def report_html(
         leg_views=overlays.leg_views(solution, extraction, snapshots),
         rejection_counts=rejection_counts(extraction),
         rejections=[
-            (item.stage, item.reason, item.detail, item.station, _moment(item.time_ns))
+            (item.reason, item.detail, rejected_station(item, extraction), _moment(item.time_ns))
             for item in extraction.rejections[:_MOST_REJECTIONS]
         ],
         rejections_hidden=max(0, len(extraction.rejections) - _MOST_REJECTIONS),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, FloatArray, Parameters, Solution, StereoRig
+from mobilecal_cli.model import Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
 
@@ -90,6 +90,13 @@ def board_distance_m(extraction: Extraction) -> float:
 def stations_looked_at(extraction: Extraction) -> int:
     """How many stations there were, used or not."""
     return max(extraction.counts.get("stations", 0), len(extraction.observations))
+
+
+def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
+    """The station of a rejection, after its log's index where there are several logs; "" where it has none."""
+    if rejection.station < 0:
+        return ""
+    return f"{rejection.log}:{rejection.station}" if len(extraction.wheels) > 1 else str(rejection.station)
 
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
