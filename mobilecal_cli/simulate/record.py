@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import shutil
+import sqlite3
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
@@ -12,17 +13,13 @@ from mobilecal_cli.simulate.containers import WRITERS, ros_of
 from mobilecal_cli.simulate.messages import Publisher, published
 from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
 
+_DIRECTORIES = ("rosbag2", "rosbag2-mcap")
+_IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
+
 
 def truth_path(out: Path) -> Path:
     """Where the truth of a recording is: `<name>.truth.yaml` beside it."""
     return out.with_name(f"{out.stem if out.suffix in ('.mcap', '.bag') else out.name}.truth.yaml")
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progress = silent) -> Path:
@@ -42,11 +39,8 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
-    for path in (out, truth):
-        if path.is_symlink() or (path.exists() and not force):
-            raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another name")
-    if out.is_dir() and not (out / "metadata.yaml").is_file() and any(out.iterdir()):
-        raise OutputError(f"{out}: is a directory, but no recording", "choose another name")
+    _check(out, scenario.container in _DIRECTORIES, force)
+    _check(truth, False, force)
     robot, route = scenario.plan()
     publisher = Publisher(ros_of(scenario.container))
     messages = published(
@@ -58,11 +52,49 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
         partial.mkdir()
         WRITERS[scenario.container](partial / out.name, messages, publisher)
         (partial / truth.name).write_text(truth_yaml(scenario, robot, route), encoding="utf-8")
-        for path in (out, truth):
-            _remove(path)
-            (partial / path.name).rename(path)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be written: {error.strerror}", "choose another place") from error
+        _put_in_place(partial, (truth, out))
+    except (OSError, sqlite3.Error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"{out}: cannot be written: {reason}", "choose another place") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return truth
+
+
+def _check(path: Path, directory: bool, force: bool) -> None:
+    """Find out before the long work whether a path may be written, and what is there be replaced."""
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"{path}: {path.parent} is not a directory", "make it first, or choose another place"
+        )
+    if path.is_symlink() or (path.exists() and not force):
+        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another name")
+    if not path.exists():
+        return
+    if directory != path.is_dir() or not (directory or path.is_file()):
+        kind = "a directory" if path.is_dir() else "no directory"
+        raise OutputError(f"{path}: exists and is {kind}", "choose another name")
+    # Nothing is ever deleted that no simulation wrote.
+    for entry in sorted(path.iterdir()) if directory else ():
+        if entry.name != "metadata.yaml" and not (entry.is_file() and entry.suffix in _IN_ROSBAG2):
+            raise OutputError(f"{path}: is no recording: it holds {entry.name!r}", "choose another name")
+
+
+def _put_in_place(partial: Path, targets: tuple[Path, ...]) -> None:
+    """Move all to its place; what was there steps aside first, and comes back should a move fail."""
+    aside = partial / "old"
+    aside.mkdir()
+    done: list[Path] = []
+    try:
+        for target in targets:
+            if target.exists():
+                target.rename(aside / target.name)
+            done.append(target)
+            (partial / target.name).rename(target)
+    except BaseException:
+        for target in done:
+            if target.exists():
+                target.rename(partial / target.name)
+            if (aside / target.name).exists():
+                (aside / target.name).rename(target)
+        raise

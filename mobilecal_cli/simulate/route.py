@@ -28,6 +28,7 @@ _MARGIN_PX = 22.0
 _SMALLEST_SQUARE_PX = 11.0
 _NEAREST_M, _FARTHEST_M = 1.05, 2.5
 _TRIES = 4000
+_LARGE_TURN_PLANS = 40  # about a third of the plans hold no large turn
 _KNOT_S = 1.0
 
 
@@ -305,4 +306,17 @@ def plan_route(
     planner = Planner(robot, board or Board(9, 6, 0.08), random)
     if motion == "moving":
         return plan_moving(planner, 3.0 * stations, random)
-    return plan_stops(planner, motion, stations, robot)
+    for _ in range(_LARGE_TURN_PLANS):
+        route = plan_stops(planner, motion, stations, robot)
+        if motion != "large_turns" or largest_turn_rad(route) > math.pi:
+            return route
+    raise ConfigError(
+        f"no route of {stations} stations turns by more than half a turn between two of them",
+        "use more stations",
+    )
+
+
+def largest_turn_rad(route: Route) -> float:
+    """By how much the base turns at most from one rest to the next."""
+    headings = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
+    return float(np.abs(np.diff(headings)).max(initial=0.0))

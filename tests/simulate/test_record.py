@@ -1,0 +1,262 @@
+"""Recordings: the same values in every container, the same bytes from the same seed, and nothing by halves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from mobilecal_cli.errors import OutputError
+from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
+from mobilecal_cli.se3 import from_quaternion_xyzw
+from mobilecal_cli.simulate import record
+from mobilecal_cli.simulate.drive import base_in_world
+from mobilecal_cli.simulate.ideal import START_NS
+from mobilecal_cli.simulate.record import simulate, truth_path
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.scenario import CONTAINERS, Scenario
+
+SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
+SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
+
+
+def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
+    out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
+    simulate(scenario, out)
+    return out
+
+
+def contents(path: Path, scenario: Scenario):
+    """Everything that a calibration reads: prelude, signals and decoded pictures."""
+    robot = ROBOTS[scenario.robot]()
+    sources = robot.topics(compressed=scenario.pictures != "mono8")
+    with open_recording([path]) as recording:
+        prelude = read_prelude(recording)
+        signals = read_signals(recording, sources, robot.joint_names)
+        wanted = {side: [int(stamp) for stamp in stamps] for side, stamps in signals.image_ns.items()}
+        pictures = {
+            f"{side} {stamp}": image for side, stamp, image in read_images(recording, sources.image, wanted)
+        }
+    return prelude, signals, pictures
+
+
+def flat(value):
+    """A nested value as (name, array or plain value) pairs."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from ((f"{key}.{name}", part) for name, part in flat(inner))
+    elif isinstance(value, list | tuple):
+        for i, inner in enumerate(value):
+            yield from ((f"{i}.{name}", part) for name, part in flat(inner))
+    elif hasattr(value, "__dataclass_fields__"):
+        yield from flat({name: getattr(value, name) for name in value.__dataclass_fields__})
+    else:
+        yield "", value
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    path = recorded(tmp_path_factory.mktemp("reference"), SMALL)
+    return contents(path, SMALL)
+
+
+@pytest.mark.parametrize("container", [container for container in CONTAINERS if container != "mcap"])
+def test_every_container_holds_the_same_values(tmp_path, reference, container):
+    scenario = replace(SMALL, container=container)
+    prelude, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
+    for found, expected in (
+        (prelude.infos, reference[0].infos),
+        (signals, reference[1]),
+        (pictures, reference[2]),
+    ):
+        pairs, wanted = list(flat(found)), list(flat(expected))
+        assert [name for name, _ in pairs] == [name for name, _ in wanted]
+        for (name, value), (_, same) in zip(pairs, wanted, strict=True):
+            assert np.array_equal(value, same), name
+    assert prelude.urdfs == reference[0].urdfs
+    assert signals.notes == ()
+
+
+@pytest.mark.parametrize("container", ["mcap", "bag", "rosbag2"])
+def test_the_same_scenario_gives_the_same_bytes(tmp_path, container):
+    scenario = replace(SMALL, container=container)
+    both = []
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
+        recorded(tmp_path / name, scenario)
+        files = sorted(file for file in (tmp_path / name).rglob("*") if file.is_file())
+        both.append({str(file.relative_to(tmp_path / name)): file.read_bytes() for file in files})
+    assert both[0] == both[1]
+
+
+def test_readings_are_the_truth_within_the_stated_noise(reference):
+    robot, route = SMALL.plan()
+    _, signals, _ = reference
+    wheels_of = {"right": 0, "left": 1}
+    for i, name in enumerate(robot.joint_names):
+        track = signals.joints[name]
+        error = track.value - route.joints((track.time_ns - START_NS) / 1e9)[:, i]
+        assert np.std(error) == pytest.approx(robot.joint_noise_rad, rel=0.15)
+        assert abs(np.mean(error)) < 4 * robot.joint_noise_rad / np.sqrt(len(error))
+    for side, column in wheels_of.items():
+        track = signals.wheels[side]
+        steps = track.value / robot.encoder_step_rad
+        assert steps == pytest.approx(np.round(steps), abs=1e-6)
+        exact = route.drive.wheel_angles((track.time_ns - START_NS) / 1e9, robot.wheels)[:, column]
+        travelled = np.sum(np.abs(np.diff(exact)))
+        error = track.value - exact
+        assert np.ptp(error) < robot.encoder_step_rad + 8 * 0.003 * np.sqrt(travelled)
+    begin, end = route.rests_s.T
+    for side in wheels_of:
+        times_s = (signals.image_ns[side] - START_NS) / 1e9
+        assert np.all(np.any((times_s[:, None] > begin + 0.2) & (times_s[:, None] < end - 0.2), axis=1))
+
+
+def test_an_exact_recording_has_the_exact_readings(tmp_path):
+    scenario = replace(SMALL, exact=True, pictures="mono8")
+    robot, route = scenario.plan()
+    _, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
+    for i, name in enumerate(robot.joint_names):
+        track = signals.joints[name]
+        assert track.value == pytest.approx(route.joints((track.time_ns - START_NS) / 1e9)[:, i], abs=1e-8)
+    for side, column in (("right", 0), ("left", 1)):
+        track = signals.wheels[side]
+        exact = route.drive.wheel_angles((track.time_ns - START_NS) / 1e9, robot.wheels)[:, column]
+        assert track.value == pytest.approx(exact, abs=1e-6)
+        # Every change of speed is among the readings: 1e9 ns a second, stamps rounded to 1 ns.
+        breaks_ns = START_NS + np.round(route.drive.breaks_s * 1e9).astype(np.int64)
+        assert np.all(np.isin(breaks_ns[:-1], track.time_ns))
+    assert len(pictures) == 2 * len(route.rests_s)
+
+
+def test_tick_counters_wrap_and_are_read_as_the_wheels_angles(tmp_path):
+    scenario = replace(SMALL, robot="tick")
+    robot, route = scenario.plan()
+    path = recorded(tmp_path, scenario)
+    with open_recording([path]) as recording:
+        counts = [m.decode().data for m in recording.messages(["/wheel_ticks/left"])]
+    _, signals, _ = contents(path, scenario)
+    assert all(0 <= count < 2**16 for count in counts)
+    track = signals.wheels["left"]
+    exact = route.drive.wheel_angles((track.time_ns - START_NS) / 1e9, robot.wheels)[:, 1]
+    travelled = np.sum(np.abs(np.diff(exact)))
+    assert np.abs(track.value - exact).max() < 2 * robot.encoder_step_rad + 8 * 0.003 * np.sqrt(travelled)
+    # 500 ticks below the wrap: it comes within an eighth of a turn forward.
+    assert (np.max(np.abs(np.diff(counts))) > 2**15) == (exact.max() - exact[0] > 0.78)
+
+
+def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp_path):
+    scenario = Scenario(motion="moving", stations=1)
+    _, signals, _ = contents(recorded(tmp_path, scenario), scenario)
+    left, right = (signals.image_ns[side] for side in ("left", "right"))
+    assert np.array_equal(left, right)
+    assert np.diff(left) == pytest.approx(1e8, abs=1)
+    assert len(left) >= 20  # three seconds, less half a second at each end
+    for side in ("left", "right"):
+        track = signals.wheels[side]
+        assert track.value[-1] != track.value[0]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(tmp_path, name):
+    scenario = replace(SMALL, robot=name)
+    robot, _ = scenario.plan()
+    prelude, _, _ = contents(recorded(tmp_path, scenario), scenario)
+    urdf = parse_urdf(prelude.urdfs["/robot_description"])
+    path = urdf.path(robot.base_frame, robot.head_frame)
+    assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
+    nominal = robot.nominal_wheels
+    radii = {
+        side: urdf.cylinder_radius_m[urdf.joints[f"wheel_{side}_joint"].child] for side in ("left", "right")
+    }
+    assert radii == {"left": nominal.radius_left_m, "right": nominal.radius_right_m}
+
+
+def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
+    robot, route = SMALL.plan()
+    out = recorded(tmp_path, SMALL)
+    truth = YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
+    assert truth["schema_version"] == 1
+    assert truth["head_eye"]["parent_frame"] == "head_link"
+    assert truth["head_eye"]["child_frame"] == "stereo_left_optical"
+    assert truth["head_eye"]["translation_m"] == pytest.approx(robot.T_h_c[:3, 3], abs=1e-12)
+    rotation = from_quaternion_xyzw(np.array(truth["head_eye"]["quaternion_xyzw"]))
+    assert rotation == pytest.approx(robot.T_h_c[:3, :3], abs=1e-11)
+    # The paper's Table 1.
+    assert truth["wheels"] == {"radius_left_m": 0.22767, "radius_right_m": 0.2233, "separation_m": 0.5087}
+    assert truth["board"] == {"columns": 9, "rows": 6, "square_m": 0.08}
+    assert truth["scenario"]["seed"] == 4
+    assert len(truth["stations"]) == len(route.rests_s)
+    # The stations explain themselves: the board stays where it is.
+    T_w_k = np.vstack([np.reshape(truth["board_in_world"], (3, 4)), [0, 0, 0, 1]])
+    for station, times in zip(truth["stations"], route.rests_s, strict=True):
+        assert times[0] < station["time_s"] < times[1]
+        base = base_in_world(np.array([station["base"]]))[0]
+        seen = np.linalg.inv(base @ robot.head_pose(np.array(station["joints_rad"])) @ robot.T_h_c) @ T_w_k
+        assert 1 < seen[2, 3] < 3
+
+
+def test_what_is_there_is_refused_before_any_work(tmp_path):
+    out = tmp_path / "log.mcap"
+    out.write_bytes(b"precious")
+    with pytest.raises(OutputError, match="exists already"):
+        simulate(SMALL, out)
+    out.unlink()
+    truth_path(out).write_text("precious")
+    with pytest.raises(OutputError, match=r"log\.truth\.yaml: exists already"):
+        simulate(SMALL, out)
+    with pytest.raises(OutputError, match="is not a directory"):
+        simulate(SMALL, tmp_path / "absent" / "log.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["log.truth.yaml"]
+
+
+def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):
+    scenario = replace(SMALL, container="rosbag2")
+    out = recorded(tmp_path, scenario)
+    before = truth_path(out).read_bytes()
+    simulate(replace(scenario, seed=5), out, force=True)
+    assert truth_path(out).read_bytes() != before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "log.truth.yaml"]
+    (out / "thesis.tex").write_text("precious")
+    with pytest.raises(OutputError, match=r"thesis\.tex"):
+        simulate(scenario, out, force=True)
+    with pytest.raises(OutputError, match="is a directory"):
+        simulate(SMALL, out, force=True)
+    assert (out / "thesis.tex").read_text() == "precious"
+
+
+@pytest.mark.parametrize(("container", "existing"), [("mcap", True), ("bag", False), ("rosbag2", True)])
+def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container, existing):
+    scenario = replace(SMALL, container=container)
+    if existing:
+        recorded(tmp_path, scenario)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def full(*_: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(record, "truth_yaml", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        simulate(scenario, tmp_path / f"log{SUFFIXES[container]}", force=True)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_failing_last_move_brings_the_old_recording_back(tmp_path, monkeypatch):
+    out = recorded(tmp_path, SMALL)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    rename = Path.rename
+
+    def refuse(self: Path, target: Path) -> Path:
+        if self.parent.name.endswith(".partial") and Path(target) == out:
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OutputError, match="Input/output error"):
+        simulate(replace(SMALL, seed=5), out, force=True)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
