@@ -17,9 +17,9 @@ _INVERSE_ROUNDS = 25
 
 
 def _width(position: FloatArray) -> FloatArray:
-    """How far a board coordinate moves over one subpixel."""
+    """How far a board coordinate spreads over one subpixel, from corner to opposite corner."""
     rise, run = np.gradient(position)
-    return np.asarray(np.hypot(rise, run) + 1e-12)
+    return np.asarray(np.abs(rise) + np.abs(run) + 1e-12)
 
 
 def _edge_wave(position: FloatArray, width: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from mobilecal_cli.vision.values import Detection, Miss
 _LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
 _MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
 _SMALLEST_PICTURE = 64
-_FLOOR_PX = 0.01
+_FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 _TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the board
 
 

@@ -150,6 +150,7 @@ def settle_numbering(
             f"the motion prefers one numbering by {np.degrees(g):.1f} degrees, need {np.degrees(needed):.1f}",
             o.time_ns,
             o.station,
+            o.log,
         )
         for o, g, good in zip(observations, gap, told, strict=True)
         if not good

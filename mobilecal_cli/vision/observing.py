@@ -21,7 +21,7 @@ _MAX_EPIPOLAR_RMS_PX = (
 _MAX_REPROJECTION_PX = 3.0
 _SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
-_FLOOR_PX = 0.01
+_FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -111,7 +111,7 @@ def observe(
     """
 
     def rejected(reason: str, detail: str) -> Rejection:
-        return Rejection("vision", reason, detail, station.time_ns, station.index)
+        return Rejection("vision", reason, detail, station.time_ns, station.index, log)
 
     pairs = [
         (a, b)

@@ -40,9 +40,7 @@ def info(side="left", baseline=0.12, **changes):
     return CameraInfo(**(values | changes))
 
 
-def prelude(
-    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes
-):
+def prelude(images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes):
     infos = {"/stereo/left/camera_info": info("left"), "/stereo/right/camera_info": info("right")}
     topics = [TopicInfo(name, "sensor_msgs/msg/Image", 10) for name in images]
     topics += [TopicInfo(name, "sensor_msgs/msg/CameraInfo", 10) for name in infos]

@@ -71,9 +71,10 @@ class TestRendered:
             biases.append(error.mean(axis=0))
             claims.append(found.sigma_px)
         rms = np.sqrt(np.mean(squares))
-        assert rms < 0.02
+        assert rms < 0.008
         assert np.abs(np.mean(biases, axis=0)).max() < 0.004
-        assert np.sqrt(np.mean(np.square(claims))) == pytest.approx(rms, rel=0.3)
+        # At this level the smooth grid's own misfit to the lens (0.004 px) adds to what is claimed, never takes away.
+        assert 0.7 * rms < np.sqrt(np.mean(np.square(claims))) < 1.5 * rms
 
     def test_claimed_noise_is_the_noise(self) -> None:
         errors, claims = [], []
