@@ -22,6 +22,9 @@ app = typer.Typer(
 )
 
 
+_INTERRUPTED = 130
+
+
 class MethodName(StrEnum):
     """How the nine numbers are solved for."""
 
@@ -238,6 +241,7 @@ def main() -> None:
         if error.hint:
             print(f"hint: {error.hint}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("interrupted: nothing was written", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as leaving:
+        if leaving.code == _INTERRUPTED:  # typer has turned Ctrl-C into an exit by now
+            print("interrupted: nothing was written", file=sys.stderr)
+        raise

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -213,3 +217,22 @@ def test_force_replaces_an_earlier_output(first, workplace, sample_logs):
         run("calibrate", npz, "--output", "twice", "--force", "--method", "linear", cwd=workplace).code == 0
     )
     assert (workplace / "twice/params.yaml").read_text() != before
+
+
+def test_ctrl_c_leaves_nothing(sample_logs, tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "mobilecal_cli",
+        "calibrate",
+        str(sample_logs / "paper_robot.mcap"),
+        "-o",
+        "out",
+    ]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    time.sleep(3)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "interrupted: nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
