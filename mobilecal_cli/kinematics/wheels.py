@@ -107,20 +107,38 @@ def _headings(steps: Increments, turn: FloatArray) -> tuple[FloatArray, FloatArr
     return before - start[steps.leg], steps.total(turn)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Arcs:
+    """Each step as an arc, (n,), and each leg's heading change, (L,)."""
+
+    turn: FloatArray
+    ds: FloatArray
+    along: FloatArray
+    chord: FloatArray
+    slope: FloatArray
+    psi: FloatArray
+
+    def motion(self, steps: Increments) -> LegMotion:
+        run = self.ds * self.chord
+        x, y = steps.total(run * np.cos(self.along)), steps.total(run * np.sin(self.along))
+        return LegMotion(self.psi, np.stack([x, y], axis=1))
+
+
+def _arcs(steps: Increments, wheels: WheelGeometry) -> _Arcs:
+    right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+    turn = (right - left) / wheels.separation_m
+    theta, psi = _headings(steps, turn)
+    chord, slope = _arc(turn / 2)
+    return _Arcs(turn, (right + left) / 2, theta + turn / 2, chord, slope, psi)
+
+
 def integrate(steps: Increments, wheels: WheelGeometry) -> LegMotion:
     """Dead reckoning along circular arcs (eqs. 10 and 14; exact for constant rates within a step).
 
     ``psi = (rR dphiR - rL dphiL) / b`` and each step moves the base by the chord
     ``ds sin(h)/h`` in the direction ``theta + h``, with ``h = dpsi/2``.
     """
-    r_right, r_left, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
-    turn = (r_right * steps.right_rad - r_left * steps.left_rad) / b
-    ds = (r_right * steps.right_rad + r_left * steps.left_rad) / 2
-    theta, psi = _headings(steps, turn)
-    chord, _ = _arc(turn / 2)
-    along = theta + turn / 2
-    t = np.stack([steps.total(ds * chord * np.cos(along)), steps.total(ds * chord * np.sin(along))], axis=1)
-    return LegMotion(psi, t)
+    return _arcs(steps, wheels).motion(steps)
 
 
 def integrate_with_jacobian(
@@ -131,24 +149,18 @@ def integrate_with_jacobian(
     Returns:
         The motion, d psi (L, 3) in rad/m and d t (L, 2, 3) in m/m.
     """
-    r_right, r_left, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
-    turn = (r_right * steps.right_rad - r_left * steps.left_rad) / b
-    ds = (r_right * steps.right_rad + r_left * steps.left_rad) / 2
-    theta, psi = _headings(steps, turn)
-    chord, slope = _arc(turn / 2)
-    along = theta + turn / 2
-    direction = np.stack([np.cos(along), np.sin(along)])
+    arcs, b = _arcs(steps, wheels), wheels.separation_m
+    direction = np.stack([np.cos(arcs.along), np.sin(arcs.along)])
     normal = np.stack([-direction[1], direction[0]])
-    t = np.stack([steps.total(row) for row in ds * chord * direction], axis=1)
 
-    d_ds = (steps.right_rad / 2, steps.left_rad / 2, np.zeros_like(ds))
-    d_turn = (steps.right_rad / b, -steps.left_rad / b, -turn / b)
+    d_ds = (steps.right_rad / 2, steps.left_rad / 2, np.zeros_like(arcs.ds))
+    d_turn = (steps.right_rad / b, -steps.left_rad / b, -arcs.turn / b)
     d_psi = np.empty((steps.legs, 3))
     d_t = np.empty((steps.legs, 2, 3))
     for k in range(3):
         d_theta, d_psi[:, k] = _headings(steps, d_turn[k])
-        d_step = (d_ds[k] * chord + ds * slope * d_turn[k] / 2) * direction + (
-            ds * chord * (d_theta + d_turn[k] / 2)
-        ) * normal
+        stretched = d_ds[k] * arcs.chord + arcs.ds * arcs.slope * d_turn[k] / 2
+        swung = arcs.ds * arcs.chord * (d_theta + d_turn[k] / 2)
+        d_step = stretched * direction + swung * normal
         d_t[:, :, k] = np.stack([steps.total(row) for row in d_step], axis=1)
-    return LegMotion(psi, t), d_psi, d_t
+    return arcs.motion(steps), d_psi, d_t
