@@ -22,6 +22,7 @@ _ROUNDS = 4
 _DAMPING = 1e-4
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0
 _LEAST_PIXELS = 20
+_LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; below it there is no corner
 _LARGEST_MOVE = 0.15  # in units of the edge, from where cornerSubPix left it
 _UNKNOWNS = 9
 
@@ -196,6 +197,7 @@ def fit_corners(image: GrayImage, grid: FloatArray, outer_whole: bool) -> Fitted
     covariance = np.linalg.inv(information)[:, :2, :2] * variance[:, None, None]
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     fitted = (used >= _LEAST_PIXELS) & (np.linalg.norm(pixels - start, axis=1) < _LARGEST_MOVE * edge)
+    fitted &= np.abs(unknowns[:, 5]) > np.maximum(_LEAST_CONTRAST_GREY, 3 * np.sqrt(variance))
     fitted &= np.isfinite(sigma) & (sigma < _LARGEST_MOVE * edge)
     return FittedCorners(
         np.where(fitted[:, None], pixels, start), np.where(fitted, sigma, _LARGEST_MOVE * edge), fitted
