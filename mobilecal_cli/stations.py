@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
@@ -129,19 +130,13 @@ class _Channel:
         return float(np.ptp(np.concatenate([ends, self.track.value[lo:hi]])))
 
 
-def _encoder_step(track: Track) -> float:
-    steps = np.abs(np.diff(track.value))
-    moved = steps[steps > 1e-9]
-    return float(moved.min()) if len(moved) else 0.0
-
-
 def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
     joints = [
         _Channel(name, track, STILL_PRISMATIC_M if name in prismatic else STILL_REVOLUTE_RAD)
         for name, track in signals.joints.items()
     ]
     wheels = [
-        _Channel(f"{side} wheel", track, max(STILL_WHEEL_RAD, 1.1 * _encoder_step(track)))
+        _Channel(f"{side} wheel", track, max(STILL_WHEEL_RAD, 1.1 * encoder_step_rad(track.value)))
         for side, track in signals.wheels.items()
     ]
     return joints + wheels

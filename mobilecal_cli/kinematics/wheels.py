@@ -8,6 +8,7 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
 
+_ROUNDING_RAD = 1e-9
 _SMALL = 1e-4  # below it the series' error (x^4) is under one ulp
 
 
@@ -41,6 +42,13 @@ class Increments:
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
         return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs))
+
+
+def encoder_step_rad(readings_rad: FloatArray) -> float:
+    """Resolution of an encoder: the smallest change between two readings, (n,) → rad; 0 where nothing changes."""
+    changes = np.abs(np.diff(readings_rad))
+    changes = changes[changes > _ROUNDING_RAD]
+    return float(changes.min()) if len(changes) else 0.0
 
 
 def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
@@ -85,6 +86,15 @@ def board_distance_m(extraction: Extraction) -> float:
     """Median distance from camera to corners, m; 0 without observations."""
     seen = extraction.observations
     return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in seen])) if seen else 0.0
+
+
+def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
+    """Heading that is lost when both wheels' encoders are wrong by one step, rad."""
+    wheels = solution.parameters.wheels
+    tracks = extraction.wheels
+    right = max((encoder_step_rad(track.right_rad) for track in tracks), default=0.0)
+    left = max((encoder_step_rad(track.left_rad) for track in tracks), default=0.0)
+    return (wheels.radius_right_m * right + wheels.radius_left_m * left) / wheels.separation_m
 
 
 def stations_looked_at(extraction: Extraction) -> int:

@@ -17,6 +17,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report.numbers import (
     board_distance_m,
+    encoder_heading_rad,
     predicted_point_rms_m,
     rejection_counts,
     station_names,
@@ -41,6 +42,8 @@ PIXEL_ERROR_BAD = 0.015
 # must also be large as it is: a share of the distance, in mm or in the picture.
 LEG_OUTLIER, LEG_SHARE_LOOK, LEG_SHARE_BAD = 5.0, 0.004, 0.01
 MIN_LEGS_FOR_OUTLIERS = 5
+# Coarse encoders: both wheels wrong by a whole step turn a leg by so much, and the joints add a little.
+ENCODER_STEPS_EXCUSED = 1.5
 # Stereo corners against the board's flat grid: good calibrations give 0.1 to 0.3 px.
 STEREO_LOOK_PX, STEREO_BAD_PX = 0.6, 1.2
 # A stated square against the one that the stereo pair measures: a scale error of all nine numbers' lengths.
@@ -277,6 +280,8 @@ def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         (residuals.leg_point_rms_m * 1e3, board_distance_m(extraction) * 1e3, "mm"),
         (residuals.leg_reprojection_px, float(extraction.rig.cameras.left.K[0, 0]), "px"),
     )
+    excused = ENCODER_STEPS_EXCUSED * encoder_heading_rad(solution, extraction)
+    share_look, share_bad = max(LEG_SHARE_LOOK, excused), max(LEG_SHARE_BAD, excused)
     for errors, scale, unit in scales:
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = residuals.legs[worst]
@@ -285,8 +290,8 @@ def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         yield Check(
             f"no leg stands out, in {unit}",
             f"worst {error:.1f} {unit}, median {median:.1f} {unit}",
-            f"under {LEG_OUTLIER:g} times the median, or under {LEG_SHARE_BAD * scale:.1f} {unit}",
-            _graded(share, LEG_SHARE_LOOK, LEG_SHARE_BAD) if stands_out else "good",
+            f"under {LEG_OUTLIER:g} times the median, or under {share_bad * scale:.1f} {unit}",
+            _graded(share, share_look, share_bad) if stands_out else "good",
             f"Between stations {names[first]} and {names[second]} something moved that should not: corners "
             f"miss by {error:.1f} {unit}, where {median:.1f} {unit} are usual.",
             "Look for a slipping wheel or a board that was touched between these two, and record again.",
