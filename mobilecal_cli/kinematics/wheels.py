@@ -9,6 +9,7 @@ import numpy as np
 from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
 
 _ROUNDING_RAD = 1e-9
+_WHOLE_STEPS = 0.01
 _SMALL = 1e-4  # below it the series' error (x^4) is under one ulp
 
 
@@ -45,10 +46,13 @@ class Increments:
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
-    """Resolution of an encoder: the smallest change between two readings, (n,) → rad; 0 where nothing changes."""
+    """Resolution of an encoder: the change of which all changes are multiples, (n,) → rad; 0 where there is none."""
     changes = np.abs(np.diff(readings_rad))
     changes = changes[changes > _ROUNDING_RAD]
-    return float(changes.min()) if len(changes) else 0.0
+    if not len(changes):
+        return 0.0
+    steps = changes / changes.min()
+    return float(changes.min()) if np.abs(steps - np.round(steps)).max() < _WHOLE_STEPS else 0.0
 
 
 def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mobilecal_cli.kinematics import Increments, cut_at, integrate, integrate_with_jacobian, join
+from mobilecal_cli.kinematics import (
+    Increments,
+    cut_at,
+    encoder_step_rad,
+    integrate,
+    integrate_with_jacobian,
+    join,
+)
 from mobilecal_cli.model import WheelGeometry, WheelTrack
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
@@ -112,3 +119,11 @@ def test_a_leg_without_motion_stands_still():
     motion = integrate(steps, WHEELS)
     assert np.all(motion.t_m[[0, 2]] == 0)
     assert np.all(motion.psi_rad[[0, 2]] == 0)
+
+
+def test_the_step_of_an_encoder():
+    random = np.random.default_rng(0)
+    smooth = np.cumsum(random.uniform(0, 0.1, 500))
+    assert encoder_step_rad(np.floor(smooth / 0.021) * 0.021) == pytest.approx(0.021)
+    assert encoder_step_rad(smooth) == 0.0
+    assert encoder_step_rad(np.zeros(5)) == 0.0
