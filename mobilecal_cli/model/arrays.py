@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -50,13 +49,3 @@ def freeze(
         array.setflags(write=False)
         object.__setattr__(value, name, array)
     return sizes
-
-
-def frozen_mapping(mapping: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
-    """A copy of a mapping to arrays, each read-only float64."""
-    result = {}
-    for key, value in mapping.items():
-        array = np.array(value, dtype=np.float64)
-        array.setflags(write=False)
-        result[key] = array
-    return result
