@@ -31,6 +31,7 @@ class MethodName(StrEnum):
     linear = "linear"
     paper = "paper"
     lm = "lm"
+    ml = "ml"
 
 
 Logs = Annotated[list[Path], typer.Argument(help="Recordings of one robot: MCAP, rosbag2, .db3, ROS 1 .bag.")]
@@ -82,8 +83,10 @@ def calibrate(
     ] = None,
     method: Annotated[
         MethodName,
-        typer.Option(help="linear: iterative linear; paper: eq. 19 by Powell; lm: by Levenberg-Marquardt."),
-    ] = MethodName.lm,
+        typer.Option(
+            help="ml: maximum likelihood; linear: iterative linear; paper: eq. 19; lm: eq. 19, faster."
+        ),
+    ] = MethodName.ml,
     board: Annotated[
         str | None, typer.Option(help="Inner corners, such as 9x6. [default: found by itself]")
     ] = None,
@@ -92,6 +95,14 @@ def calibrate(
     ] = None,
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME or NAME=VALUE (m, rad): hold it there; also head_eye, wheels."),
+    ] = None,
+    prior: Annotated[list[str] | None, typer.Option(help="NAME=VALUE±SIGMA: what is known of it.")] = None,
+    estimate: Annotated[
+        list[str] | None, typer.Option(help="NAME,...: numbers beside the nine, such as pan_zero or mount.")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -104,9 +115,11 @@ def calibrate(
     """
     from mobilecal_cli import pipeline
     from mobilecal_cli.report import summary_table
+    from mobilecal_cli.solvers import asked_of
     from mobilecal_cli.terminal import progress_bar
 
     flags = _flags(board, square_m, setting or [])
+    asked = asked_of(fix or [], prior or [], estimate or [], {})
     with progress_bar(quiet) as progress:
         result = pipeline.calibrate(
             logs,
@@ -114,6 +127,7 @@ def calibrate(
             config_path=config,
             flags=flags,
             method=cast(Any, method.value),
+            asked=asked,
             force=force,
             progress=progress,
         )

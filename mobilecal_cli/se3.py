@@ -142,7 +142,13 @@ def rotation_about(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:
 
 def rotation_z(angle_rad: FloatArray) -> FloatArray:
     """Rz(psi): (...) → (..., 3, 3)."""
-    return rotation_about(np.array([0.0, 0.0, 1.0]), angle_rad)
+    angle = np.asarray(angle_rad)
+    R = np.zeros((*angle.shape, 3, 3))
+    R[..., 0, 0] = R[..., 1, 1] = np.cos(angle)
+    R[..., 1, 0] = np.sin(angle)
+    R[..., 0, 1] = -R[..., 1, 0]
+    R[..., 2, 2] = 1
+    return R
 
 
 def from_rpy(rpy_rad: FloatArray) -> FloatArray:

@@ -88,12 +88,11 @@ def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
     return tuple(gaps)
 
 
-def require_observable(extraction: Extraction) -> None:
-    """Refuse an extraction that cannot show all nine numbers.
+def require_stations(extraction: Extraction) -> None:
+    """Refuse an extraction of too few stations.
 
     Raises:
         ObservationError: fewer than four stations; says how many, and counts the rejections by reason.
-        SolveError: naming the parameters and the motion that would show them.
     """
     have = len(extraction.observations)
     if have < FEWEST_STATIONS:
@@ -106,6 +105,14 @@ def require_observable(extraction: Extraction) -> None:
             f"{FEWEST_STATIONS} are needed" + (f"; left out: {counted}" if counted else ""),
             "keep the whole board in both pictures, at rest, in good light, with squares of 7 pixels or more",
         )
+
+
+def require_observable(extraction: Extraction) -> None:
+    """Refuse an extraction that cannot show all nine numbers: for methods that hold nothing at nominal values.
+
+    Raises:
+        SolveError: naming the parameters and the motion that would show them.
+    """
     gaps = motion_gaps(extraction)
     if gaps:
         raise SolveError(

@@ -9,7 +9,7 @@ from mobilecal_cli.model import Rejection
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.uncertainty import motion_gaps, require_observable
+from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 
 def extraction(motion, noise=None):
@@ -51,5 +51,5 @@ def test_too_few_stations_count_the_reasons():
     lost = [Rejection("vision", "blurred", "edge 5 px", 0)] * 5 + [Rejection("vision", "no board", "", 0)] * 4
     few = replace(whole, observations=whole.observations[:3], rejections=tuple(lost))
     with pytest.raises(ObservationError, match="at 3 of 12 stations, 4 are needed") as caught:
-        require_observable(few)
+        require_stations(few)
     assert "left out: 5 x blurred, 4 x no board" in caught.value.message

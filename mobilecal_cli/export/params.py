@@ -20,8 +20,8 @@ from ruamel.yaml.error import YAMLError
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.yaml_text import decimal, decimals, dump, quoted
-from mobilecal_cli.model import Extraction, FloatArray, Provenance, Solution, StereoRig, WheelGeometry
+from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.model import NINE, Extraction, FloatArray, Provenance, Solution, StereoRig, WheelGeometry
 from mobilecal_cli.model.arrays import freeze
 
 GIMBAL_WARNING_DEG = (
@@ -68,9 +68,40 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         "  # rms distance of board corners carried from station to station, mm",
         f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # the same in the pictures, pixels",
         "",
+        *_uncertainty_lines(solution, cameras),
         *_provenance_lines(provenance),
     ]
     return "\n".join(blocks) + "\n"
+
+
+def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
+    """The contract's block; none for the methods that know no uncertainty."""
+    found = solution.uncertainty
+    if found is None:
+        return []
+    covariance = found.referred(solution.parameters.T_h_c, cameras.T_c_reference)
+    covariance = (covariance + covariance.T) / 2
+    std = np.sqrt(np.diag(covariance))
+    seen = found.observable
+    shown = ", ".join(
+        f"{n}: {exponential(s) if ok else 'null'}" for n, s, ok in zip(NINE, std, seen, strict=True)
+    )
+    levels = found.noise
+    return [
+        "# How well the numbers are known: r is a small rotation vector in the head's frame, rad; lengths in m.",
+        "# A number that is not observable is held at its nominal value: its std is null, and the covariance does",
+        "# not speak of it.",
+        "uncertainty:",
+        f"  order: [{', '.join(NINE)}]",
+        f"  std: {{{shown}}}",
+        "  covariance:",
+        *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
+        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in zip(NINE, seen, strict=True))}}}",
+        f"  noise: {{pixel_px: {exponential(levels.pixel_px)}, "
+        f"wheel_rad_per_sqrt_rad: {exponential(levels.wheel_rad_per_sqrt_rad)}, "
+        f"joint_rad: {exponential(levels.joint_rad)}, estimated: {str(bool(levels.estimated)).lower()}}}",
+        "",
+    ]
 
 
 def _head_eye_comment(cameras: StereoRig) -> list[str]:

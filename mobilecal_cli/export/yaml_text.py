@@ -32,6 +32,17 @@ def decimal(value: float) -> str:
     return np.format_float_positional(value, precision=_DIGITS, fractional=False, trim="0")
 
 
+def exponential(value: float) -> str:
+    """A number of any size, as every YAML version reads it: 1.25e-06 with a point and a signed exponent.
+
+    Raises:
+        ValueError: the value is not finite.
+    """
+    if not np.isfinite(value):
+        raise ValueError(f"{value} cannot be written as a number")
+    return np.format_float_scientific(value + 0.0, precision=9, trim="0", exp_digits=2)
+
+
 def decimals(values: Iterable[float]) -> str:
     """A flow sequence of plain decimals."""
     return "[" + ", ".join(decimal(float(value)) for value in values) + "]"

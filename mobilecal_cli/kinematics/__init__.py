@@ -9,6 +9,7 @@ from mobilecal_cli.kinematics.wheels import (
     integrate,
     integrate_with_jacobian,
     join,
+    step_sensitivity,
 )
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "integrate",
     "integrate_with_jacobian",
     "join",
+    "step_sensitivity",
 ]

@@ -44,6 +44,15 @@ class Increments:
         kept = number[self.leg] >= 0
         return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs))
 
+    def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
+        """One more step at the start and one at the end of every leg: (legs, 2) each, right and left, rad."""
+        legs = np.arange(self.legs)
+        leg = np.concatenate([legs, self.leg, legs])
+        order = np.argsort(leg, kind="stable")
+        right = np.concatenate([start_rad[:, 0], self.right_rad, end_rad[:, 0]])
+        left = np.concatenate([start_rad[:, 1], self.left_rad, end_rad[:, 1]])
+        return Increments(right[order], left[order], leg[order], self.legs)
+
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
     """Resolution of an encoder: the change of which all changes are multiples, (n,) → rad; 0 where there is none."""
@@ -110,13 +119,18 @@ def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     return chord, slope
 
 
-def _headings(steps: Increments, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Heading before each step, relative to its leg's start, and each leg's sum, of turns (n,)."""
-    total = np.cumsum(turn)
-    before = total - turn
+def _before(steps: Increments, amount: FloatArray) -> FloatArray:
+    """Sum of a quantity over the steps of the same leg before each step, (n,) → (n,)."""
+    total = np.cumsum(amount)
+    before = total - amount
     first = np.searchsorted(steps.leg, np.arange(steps.legs))
     start = np.append(before, total[-1] if len(total) else 0.0)[first]
-    return before - start[steps.leg], steps.total(turn)
+    return np.asarray(before - start[steps.leg])
+
+
+def _headings(steps: Increments, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Heading before each step, relative to its leg's start, and each leg's sum, of turns (n,)."""
+    return _before(steps, turn), steps.total(turn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,3 +190,29 @@ def integrate_with_jacobian(
         d_step = stretched * direction + swung * normal
         d_t[:, :, k] = np.stack([steps.total(row) for row in d_step], axis=1)
     return arcs.motion(steps), d_psi, d_t
+
+
+def step_sensitivity(steps: Increments, wheels: WheelGeometry) -> FloatArray:
+    """How each step's wheel rotations move the end of its leg.
+
+    Returns:
+        (n, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
+        m/rad and rad/rad: the step's own chord, and the swing of all that follows it.
+    """
+    arcs = _arcs(steps, wheels)
+    direction = np.stack([np.cos(arcs.along), np.sin(arcs.along)], axis=-1)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    walked = (arcs.ds * arcs.chord)[:, None] * direction
+    end = np.stack([steps.total(walked[:, 0]), steps.total(walked[:, 1])], axis=-1)
+    before = np.stack([_before(steps, walked[:, 0]), _before(steps, walked[:, 1])], axis=-1)
+    rest = end[steps.leg] - before - walked
+    swung = np.stack([-rest[:, 1], rest[:, 0]], axis=-1)
+    out = np.empty((len(arcs.ds), 3, 2))
+    sides = ((wheels.radius_right_m, 1.0), (wheels.radius_left_m, -1.0))
+    for column, (radius, sign) in enumerate(sides):
+        turn = sign * radius / wheels.separation_m
+        stretched = radius / 2 * arcs.chord + arcs.ds * arcs.slope * turn / 2
+        own = stretched[:, None] * direction + (arcs.ds * arcs.chord * turn / 2)[:, None] * normal
+        out[:, :2, column] = own + turn * swung
+        out[:, 2, column] = turn
+    return out

@@ -28,17 +28,22 @@ from mobilecal_cli.model.rig import (
 )
 from mobilecal_cli.model.signals import Rejection, Shot, Signals, Station, Track
 from mobilecal_cli.model.solution import (
+    NINE,
     LinearEstimate,
     Method,
+    NoiseLevels,
+    Outlier,
     Parameters,
     Provenance,
     Refinement,
     Residuals,
     Setting,
     Solution,
+    Uncertainty,
 )
 
 __all__ = [
+    "NINE",
     "Board",
     "BoolArray",
     "Camera",
@@ -55,8 +60,10 @@ __all__ = [
     "LinearEstimate",
     "LogSource",
     "Method",
+    "NoiseLevels",
     "Nominal",
     "Observation",
+    "Outlier",
     "Parameters",
     "Prelude",
     "Provenance",
@@ -75,6 +82,7 @@ __all__ = [
     "StereoRig",
     "TopicInfo",
     "Track",
+    "Uncertainty",
     "WheelGeometry",
     "WheelSource",
     "WheelTrack",

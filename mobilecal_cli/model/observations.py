@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
 from mobilecal_cli.model.rig import Board, Rig
-from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.signals import Rejection, Track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,6 +125,8 @@ class Extraction:
         notes: whole sentences about the reading, for the report.
         logs: the recordings.
         counts: what was looked at: "stations", "pictures", ...
+        joint_tracks: the head's joints over time, one tuple a log in the order of `HeadChain.joints`; empty where
+            they are not known, and then neither a clock's offset nor backlash can be seen.
     """
 
     rig: Rig
@@ -135,6 +137,7 @@ class Extraction:
     notes: tuple[str, ...]
     logs: tuple[LogSource, ...]
     counts: Mapping[str, int]
+    joint_tracks: tuple[tuple[Track, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

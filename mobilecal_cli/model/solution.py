@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
 from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import WheelGeometry
 
-Method = Literal["linear", "paper", "lm"]
+Method = Literal["linear", "paper", "lm", "ml"]
+NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str, Setting] | None"
 
 
@@ -71,7 +72,7 @@ class Refinement:
     """A nonlinear refinement of the linear solution.
 
     Attributes:
-        method: "paper" (eq. 19 by Powell) or "lm" (eq. 19 by Levenberg-Marquardt).
+        method: "paper" (eq. 19 by Powell), "lm" (eq. 19 by Levenberg-Marquardt) or "ml" (maximum likelihood).
         parameters: at the minimum.
         point_rms_history_m: (n,) square root of eq. 19 after each iteration, from the start on, m.
         point_rms_m: the last of them.
@@ -86,6 +87,85 @@ class Refinement:
 
     def __post_init__(self) -> None:
         freeze(self, point_rms_history_m=("n",))
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevels:
+    """Standard deviations of the measurements.
+
+    Attributes:
+        pixel_px: of one corner coordinate.
+        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
+        encoder_rad: of one encoder reading (its step over the square root of 12); 0 without steps.
+        joint_rad: of one joint reading.
+        estimated: names of the levels that come from the residuals; the others were given.
+        redundancy: estimated level → how many residuals it rests on.
+    """
+
+    pixel_px: float
+    wheel_rad_per_sqrt_rad: float
+    encoder_rad: float
+    joint_rad: float
+    estimated: tuple[str, ...]
+    redundancy: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How well the nine numbers are known: the inverse of the normal matrix (Cramer-Rao bound).
+
+    Attributes:
+        covariance: (9, 9) in the order of `NINE`: small rotation vector and translation of the left camera in the
+            head's frame (rad, m), wheels (m). Held directions have none.
+        observable: (9,) false for numbers that a plausible error of what is held would shift by more than their
+            own sigma: they are as good as the nominal value, and `covariance` does not speak of them.
+        held: (K, 9) held directions, in units of `scales`, unit length.
+        scales: (9,) rad, m.
+        singular_values: falling, of the whitened, scaled Jacobian: scale over sigma along each direction.
+        noise: levels.
+    """
+
+    covariance: FloatArray
+    observable: BoolArray
+    held: FloatArray
+    scales: FloatArray
+    singular_values: FloatArray
+    noise: NoiseLevels
+
+    def __post_init__(self) -> None:
+        freeze(self, covariance=(9, 9), held=("K", 9), scales=(9,), singular_values=("D",))
+        freeze(self, np.bool_, observable=(9,))
+
+    @property
+    def std(self) -> FloatArray:
+        """(9,) standard deviations, rad and m; 0 in held directions."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def referred(self, T_h_c: FloatArray, T_c_reference: FloatArray) -> FloatArray:
+        """(9, 9) covariance of the reference camera's numbers: its position also moves with the rotation."""
+        J = np.eye(9)
+        J[3:6, :3] = np.cross(np.eye(3), T_h_c[:3, :3] @ T_c_reference[:3, 3]).T
+        C: FloatArray = J @ self.covariance @ J.T
+        return C
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A measurement that does not belong, and was left out.
+
+    Attributes:
+        kind: "corners", "station", "slip" or "joint".
+        log: index of the recording.
+        observations: the observation, or the two that a slip lies between.
+        time_ns: when.
+        text: a whole sentence with the numbers.
+    """
+
+    kind: Literal["corners", "station", "slip", "joint"]
+    log: int
+    observations: tuple[int, ...]
+    time_ns: int
+    text: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +218,9 @@ class Solution:
         point_rms_m: square root of eq. 19 at `parameters`, m.
         reprojection_rms_px: rms distance of carried to detected corners over all legs, px.
         motion: what the log's motion was: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
+        uncertainty: of the nine numbers; None for the methods that know none.
+        outliers: what was left out of the maximum-likelihood estimate.
+        extras: what was estimated beside the nine: name → value and standard deviation.
     """
 
     method: Method
@@ -148,6 +231,9 @@ class Solution:
     point_rms_m: float
     reprojection_rms_px: float
     motion: Mapping[str, float]
+    uncertainty: Uncertainty | None = None
+    outliers: tuple[Outlier, ...] = ()
+    extras: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import (
     check_output,
     extraction_from_npz,
@@ -25,8 +25,8 @@ from mobilecal_cli.pipeline.extract import extract
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import Verdict, judge, report_html, report_json
-from mobilecal_cli.solvers import solve
-from mobilecal_cli.uncertainty import require_observable
+from mobilecal_cli.solvers import Asked, solve
+from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,13 +81,26 @@ def load(
     return extraction_from_npz(logs[0]), ()
 
 
+def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solution:
+    """Solve; where that fails for want of motion, say which."""
+    try:
+        return solve(extraction, method, asked=asked)
+    except SolveError as error:
+        gaps = motion_gaps(extraction)
+        if not gaps:
+            raise
+        because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
+        raise SolveError(f"{error.message}: {because}", f"{cures}; or: {error.hint}") from error
+
+
 def calibrate(
     logs: Sequence[Path],
     output: Path | None = None,
     *,
     config_path: Path | None = None,
     flags: Mapping[str, Any] | None = None,
-    method: Method = "lm",
+    method: Method = "ml",
+    asked: Asked | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> Calibration:
@@ -99,6 +112,7 @@ def calibrate(
         config_path: rig.yaml.
         flags: dotted key → value, over the file.
         method: see `solvers.solve`.
+        asked: what is fixed, what has a prior and what is estimated beside the nine; for the method "ml".
         force: replace an output directory that is there.
         progress: told how far it is.
 
@@ -108,9 +122,11 @@ def calibrate(
     directory = output if output is not None else default_output(logs[0])
     check_output(directory, force)
     extraction, snapshots = load(logs, config_path, flags or {}, progress)
-    require_observable(extraction)
+    require_stations(extraction)
+    if method != "ml":
+        require_observable(extraction)
     progress("solving", 0, None)
-    solution = solve(extraction, method)
+    solution = _solved(extraction, method, asked)
     verdict = judge(solution, extraction)
     provenance = Provenance(__version__, _created(), method, extraction.logs, settings_of(extraction))
     progress("writing the report", 0, None)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.model import NINE, Extraction, Parameters, Provenance, Solution, StereoRig
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     board_distance_m,
@@ -40,6 +40,9 @@ def report_json(solution: Solution, extraction: Extraction, provenance: Provenan
         "linear": _linear(solution, cameras),
         "refinement": _refinement(solution, cameras),
         "legs": _legs(solution),
+        "uncertainty": _uncertainty(solution, cameras),
+        "outliers": [asdict(outlier) for outlier in solution.outliers],
+        "extras": {name: {"value": value, "std": std} for name, (value, std) in solution.extras.items()},
         "stations": _stations(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),
@@ -139,6 +142,26 @@ def _legs(solution: Solution) -> list[dict[str, Any]]:
         }
         for leg, (first, second) in enumerate(residuals.legs.tolist())
     ]
+
+
+def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | None:
+    found = solution.uncertainty
+    if found is None:
+        return None
+    covariance = found.referred(solution.parameters.T_h_c, cameras.T_c_reference)
+    std = np.sqrt(np.diag(covariance))
+    known = np.where(std > 0, std, 1.0)
+    return {
+        "order": NINE,
+        "std": {n: s if ok else None for n, s, ok in zip(NINE, std, found.observable, strict=True)},
+        "covariance": covariance,
+        "correlation": covariance / np.outer(known, known),
+        "observable": dict(zip(NINE, found.observable.tolist(), strict=True)),
+        "held_directions": found.held,
+        "scales": found.scales,
+        "singular_values": found.singular_values,
+        "noise": asdict(found.noise),
+    }
 
 
 def _stations(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, Provenance, Setting, Snapshot, Solution
+from mobilecal_cli.model import NINE, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.numbers import (
@@ -20,8 +20,10 @@ from mobilecal_cli.report.numbers import (
     reference_pose,
     rejected_station,
     rejection_counts,
+    sigmas,
     stations_looked_at,
     visible,
+    written,
 )
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
 
@@ -63,6 +65,11 @@ def report_html(
         lock_deg=se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
         quaternion=se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
         linear=solution.linear,
+        sigmas=[(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
+        noise=solution.uncertainty.noise if solution.uncertainty is not None else None,
+        correlations=_correlations(solution),
+        outliers=solution.outliers,
+        extras=solution.extras,
         error_mm=solution.point_rms_m * 1e3,
         linear_error_mm=solution.linear.point_rms_m * 1e3,
         predicted_mm=predicted_point_rms_m(extraction, solution) * 1e3,
@@ -125,6 +132,26 @@ def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any
             "final": f"{after:.{quantity.digits}f}",
         }
         for quantity, before, after in zip(QUANTITIES, linear, final, strict=True)
+    ]
+
+
+def _correlations(solution: Solution) -> list[tuple[str, list[str]]]:
+    """Rows of the correlation matrix, "" where a number is held."""
+    found = solution.uncertainty
+    if found is None:
+        return []
+    std = found.std
+    return [
+        (
+            name,
+            [
+                f"{found.covariance[i, j] / (std[i] * std[j]):+.2f}"
+                if found.observable[i] and found.observable[j]
+                else ""
+                for j in range(len(NINE))
+            ],
+        )
+        for i, name in enumerate(NINE)
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_step_rad
-from mobilecal_cli.model import Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
+from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
 
@@ -73,6 +73,47 @@ def nine_numbers(parameters: Parameters, cameras: StereoRig) -> FloatArray:
     wheels = parameters.wheels
     lengths_m = [*T[:3, 3], wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
     return np.array([*se3.euler_zyx_deg(T[:3, :3]), *(1e3 * length for length in lengths_m)])
+
+
+@dataclass(frozen=True, slots=True)
+class Sigma:
+    """How well one of the nine numbers is known.
+
+    Attributes:
+        name: as in params.yaml.
+        meaning: in words.
+        value: one standard deviation, None where the number is held at its nominal value.
+        unit: "deg" or "mm".
+    """
+
+    name: str
+    meaning: str
+    value: float | None
+    unit: str
+
+
+def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
+    """Standard deviations in degrees and mm; none for methods that know none."""
+    found = solution.uncertainty
+    if found is None:
+        return ()
+    std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
+    meanings = [
+        *(f"camera's rotation about the head's {axis}" for axis in "xyz"),
+        *(quantity.meaning for quantity in QUANTITIES[3:]),
+    ]
+    units = [("deg", float(np.degrees(1.0)))] * 3 + [("mm", 1e3)] * 6
+    return tuple(
+        Sigma(name, meaning, float(s * factor) if ok else None, unit)
+        for name, meaning, s, ok, (unit, factor) in zip(
+            NINE, meanings, std, found.observable, units, strict=True
+        )
+    )
+
+
+def written(sigma: Sigma) -> str:
+    """A standard deviation for people."""
+    return "held" if sigma.value is None else f"{sigma.value:.3f}"
 
 
 def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:

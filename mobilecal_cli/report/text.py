@@ -10,8 +10,10 @@ from mobilecal_cli.report.numbers import (
     nine_numbers,
     reference_frame,
     reference_pose,
+    sigmas,
     stations_looked_at,
     visible,
+    written,
 )
 from mobilecal_cli.report.verdict import Verdict
 
@@ -41,6 +43,16 @@ def summary_table(solution: Solution, extraction: Extraction, verdict: Verdict) 
         _row("point error, linear's", _pair(solution.point_rms_m, solution.linear.point_rms_m), "mm"),
         _row("reprojection error", (f"{solution.reprojection_rms_px:.2f}", "", ""), "px"),
     ]
+    known = [written(sigma) for sigma in sigmas(solution, rig.cameras)]
+    if known:
+        lines += [
+            "One standard deviation",
+            _row("rotation about x, y, z", (known[0], known[1], known[2]), "deg"),
+            _row("translation x, y, z", (known[3], known[4], known[5]), "mm"),
+            _row("radii, separation", (known[6], known[7], known[8]), "mm"),
+        ]
+    for outlier in solution.outliers:
+        lines += textwrap.wrap(f"Left out: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
     head = f"{verdict.level}: {verdict.reason}"
     lines += ["", *textwrap.wrap(head, _WIDTH), *textwrap.wrap(f"Next: {verdict.next_step}", _WIDTH)]
     return "\n".join(lines) + "\n"

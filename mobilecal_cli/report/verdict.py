@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model import NINE, Extraction, Solution
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -57,6 +57,10 @@ WHEELS_APART_LOOK, WHEELS_APART_BAD = 0.05, 0.25
 # Tape measures are good to a few per cent; beyond a quarter a number is wrong by a factor (ticks, gear, diameter).
 NOMINAL_LOOK, NOMINAL_BAD = 0.05, 0.25
 REJECTED_LOOK = 0.5
+# Sigmas: beyond the first a number is worth improving, beyond the second a ruler does as well.
+# Bad stations and slips that an estimate survives; beyond it most may be wrong. Noise of no sound robot.
+LEFT_OUT_BAD, JOINT_NOISE_BAD_DEG, WHEEL_NOISE_BAD = 0.3, 0.4, 0.03
+SIGMA_ROTATION_DEG, SIGMA_TRANSLATION_MM, SIGMA_WHEELS = (0.3, 1.5), (6.0, 25.0), (0.01, 0.04)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +113,12 @@ def judge(solution: Solution, extraction: Extraction) -> Verdict:
         f"{len(extraction.observations)} stations agree with one another to "
         f"{solution.point_rms_m * 1e3:.1f} mm, {share:.1f} % of the distance to the board."
     )
+    if solution.uncertainty is not None:
+        std = solution.uncertainty.std
+        reason += (
+            f" The camera is known to {np.degrees(std[:3].max()):.2g} degrees and {std[3:6].max() * 1e3:.2g} mm, "
+            f"the wheels to {std[6:].max() * 1e3:.2g} mm (one standard deviation)."
+        )
     look = [check for check in checks if check.outcome == "look"]
     next_step = "Use params.yaml on the robot."
     if look:
@@ -134,6 +144,8 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         yield from _errors(solution, extraction)
     if solution.refinement is not None:
         yield _methods(solution)
+    yield from _sigmas(solution)
+    yield from _believed(solution, extraction)
     yield _rejected(extraction)
 
 
@@ -270,6 +282,72 @@ def _methods(solution: Solution) -> Check:
         f"Two ways of solving disagree: by {apart_by}.",
         "Check the head's joints for play; then record again with more stops, head movement and turns.",
     )
+
+
+def _believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """What was left out of the estimate, and noise that no sound robot has."""
+    found = solution.uncertainty
+    if found is None:
+        return
+    gross = [o for o in solution.outliers if o.kind != "corners"]
+    share = len(gross) / max(1, len(extraction.observations))
+    first = gross[0].text if gross else ""
+    yield Check(
+        "nothing had to be left out",
+        f"{len(gross)} of {len(extraction.observations)} stations and the legs between them",
+        f"under {100 * LEFT_OUT_BAD:g} %",
+        "bad" if share > LEFT_OUT_BAD else "look" if gross else "good",
+        f"{first}" + (f" ({len(gross) - 1} more.)" if len(gross) > 1 else ""),
+        "Look for the cause; the numbers rest on what is left.",
+    )
+    joints, wheels = float(np.degrees(found.noise.joint_rad)), found.noise.wheel_rad_per_sqrt_rad
+    for name, level, unit, bad, cause in (
+        ("joint readings", joints, "degrees", JOINT_NOISE_BAD_DEG, "the head's joints for play"),
+        ("wheels", wheels, "rad per root of rad", WHEEL_NOISE_BAD, "the wheels for slip"),
+    ):
+        yield Check(
+            f"noise of the {name}",
+            f"{level:.2g} {unit}",
+            f"under {bad:g} {unit}",
+            _graded(level, bad / 2, bad),
+            f"The {name} are off by {level:.2g} {unit}, more than on any sound robot.",
+            f"Check {cause}, and that the chain in the URDF is right; then record again.",
+        )
+
+
+def _sigmas(solution: Solution) -> Iterator[Check]:
+    found = solution.uncertainty
+    if found is None:
+        return
+    wheels, std = solution.parameters.wheels, found.std
+    relative = std[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
+    for name, values, seen, limits, unit in (
+        ("camera's rotation", np.degrees(std[:3]), found.observable[:3], SIGMA_ROTATION_DEG, "degrees"),
+        ("camera's position", std[3:6] * 1e3, found.observable[3:6], SIGMA_TRANSLATION_MM, "mm"),
+        ("wheels", relative * 100, found.observable[6:], tuple(100 * x for x in SIGMA_WHEELS), "%"),
+    ):
+        if not seen.any():
+            continue
+        worst = float(values[seen].max())
+        outcome: Outcome = "short" if worst > limits[1] else "look" if worst > limits[0] else "good"
+        yield Check(
+            f"standard deviation of the {name}",
+            f"at most {worst:.2g} {unit}",
+            f"under {limits[1]:g} {unit}",
+            outcome,
+            f"The {name} is known to {worst:.2g} {unit} only (one standard deviation).",
+            "Record again with more stops, more head movement and more turns.",
+        )
+    hidden = [n for n, ok in zip(NINE, found.observable, strict=True) if not ok]
+    if hidden:
+        yield Check(
+            "all nine numbers are visible",
+            f"{len(hidden)} held at nominal values",
+            "all",
+            "short",
+            f"The recording does not show {', '.join(hidden)}: held at the nominal value.",
+            "Record again with the missing motion: tilt and pan the head, turn and drive the base.",
+        )
 
 
 def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:

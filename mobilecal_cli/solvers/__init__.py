@@ -1,5 +1,6 @@
-"""From observations to the nine numbers: the iterative linear method and its refinements."""
+"""From observations to the nine numbers: the iterative linear method, its refinements, maximum likelihood."""
 
+from mobilecal_cli.solvers.asked import Asked, asked_of
 from mobilecal_cli.solvers.solve import solve
 
-__all__ = ["solve"]
+__all__ = ["Asked", "asked_of", "solve"]

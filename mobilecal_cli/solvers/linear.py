@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ _SCOUT_LEGS = 40
 _SCOUT_ROUNDS = 40
 _SAME_ANSWER = 1e-3
 _CLEARLY_BETTER = 0.5
+_UNAMBIGUOUS_RAD = math.radians(150)  # a guess that is wrong by less than a fifth unwraps it rightly
+_NEAR_NOMINAL = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +133,18 @@ class _Rounds:
             yield self.translation(R_h_c, ratios)
 
 
+def linear_from(loops: Loops, wheels: WheelGeometry, rounds: int = 3) -> Parameters:
+    """The iterative linear solution of a few legs from wheels that are nearly right.
+
+    Raises:
+        SolveError: the iteration breaks down.
+    """
+    history = list(itertools.islice(_Rounds(loops).run(ratios_of(wheels)), rounds))
+    if len(history) < rounds:
+        raise SolveError("the iterative linear method breaks down on these legs")
+    return history[-1]
+
+
 def _wheel_vector(wheels: WheelGeometry) -> FloatArray:
     return np.array([wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m])
 
@@ -199,6 +214,13 @@ def _answers(loops: Loops, starts: list[Start]) -> list[_Answer]:
     return answers
 
 
+def _beyond_doubt(loops: Loops, nominal: WheelGeometry, answer: _Answer) -> bool:
+    """Whether an answer is near the nominal wheels, and no leg turns so far that it could be unwrapped otherwise."""
+    turns = np.abs(loops.steps.totals_rad @ ratios_of(nominal))
+    apart = _wheel_vector(answer.parameters.wheels) / _wheel_vector(nominal) - 1
+    return bool(turns.max(initial=0.0) < _UNAMBIGUOUS_RAD and np.abs(apart).max() < _NEAR_NOMINAL)
+
+
 def linear_estimate(
     loops: Loops, nominal: WheelGeometry | None = None, given: FloatArray | None = None
 ) -> LinearEstimate:
@@ -206,7 +228,8 @@ def linear_estimate(
 
     A leg's turn is seen only modulo 360 degrees, so a bad guess of the wheels unwraps large turns wrongly
     and the iteration settles elsewhere. Every start is therefore tried, first on the legs that turn least;
-    the answer that explains all legs best is kept, one with positive wheels before its mirror images.
+    the answer that explains all legs best is kept, one with positive wheels before its mirror images. Where
+    the nominal wheels leave no doubt about any turn, and the answer is near them, they are the only start.
 
     Args:
         loops: at least three legs.
@@ -221,7 +244,9 @@ def linear_estimate(
         starts.append(Start(given, "given"))
     if nominal is not None:
         starts.append(Start(ratios_of(nominal), "nominal"))
-    answers = _answers(loops, [*starts, *_scouted(loops, starts + grid_of_starts())[:4]])
+    answers = _answers(loops, starts)
+    if nominal is None or not any(_beyond_doubt(loops, nominal, answer) for answer in answers):
+        answers += _answers(loops, _scouted(loops, starts + grid_of_starts())[:4])
     if not answers:
         raise SolveError(
             f"the iterative linear method found no answer on {len(loops.legs)} legs between stations",

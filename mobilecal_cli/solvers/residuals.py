@@ -7,7 +7,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.model import Extraction, FloatArray, Parameters, Residuals
+from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
 from mobilecal_cli.solvers.carry import base_motion, camera_motion
 from mobilecal_cli.solvers.loops import Loops
 
@@ -21,11 +21,20 @@ def dead_reckoned(loops: Loops, parameters: Parameters) -> FloatArray:
     return T_w_v
 
 
-def residuals_of(extraction: Extraction, loops: Loops, parameters: Parameters) -> Residuals:
-    """Carry every station's corners into the station before (eq. 18) and compare, in m and in px."""
-    i, j = loops.legs.T
+def residuals_of(
+    extraction: Extraction, loops: Loops, parameters: Parameters, believed: BoolArray | None = None
+) -> Residuals:
+    """Carry every station's corners into the station before (eq. 18) and compare, in m and in px.
+
+    Args:
+        extraction, loops: the observations and the legs between them.
+        parameters: to carry with.
+        believed: (L,) legs to compare; all by default.
+    """
+    kept = np.arange(len(loops.legs)) if believed is None else np.flatnonzero(believed)
+    i, j = loops.legs[kept].T
     cameras = extraction.rig.cameras
-    carried_c = se3.act(camera_motion(loops, parameters), loops.points_c[j])
+    carried_c = se3.act(camera_motion(loops, parameters)[kept], loops.points_c[j])
     carried_r = se3.act(se3.inverse(cameras.T_c_r), carried_c)
     predicted = {"left": project(cameras.left, carried_c), "right": project(cameras.right, carried_r)}
     seen = {
@@ -35,7 +44,7 @@ def residuals_of(extraction: Extraction, loops: Loops, parameters: Parameters) -
     squares = [np.sum((predicted[side] - seen[side]) ** 2, axis=-1) for side in ("left", "right")]
     T_w_v = dead_reckoned(loops, parameters)
     return Residuals(
-        legs=loops.legs,
+        legs=loops.legs[kept],
         leg_point_rms_m=np.sqrt(np.mean(np.sum((carried_c - loops.points_c[i]) ** 2, axis=-1), axis=-1)),
         predicted_left_px=predicted["left"],
         predicted_right_px=predicted["right"],

@@ -3,13 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.model import Extraction, FloatArray, Method, Solution
-from mobilecal_cli.solvers.linear import linear_estimate
+from mobilecal_cli.likelihood.observability import tainted
+from mobilecal_cli.model import (
+    BoolArray,
+    Extraction,
+    FloatArray,
+    LinearEstimate,
+    Method,
+    NoiseLevels,
+    Parameters,
+    Refinement,
+    Solution,
+    Uncertainty,
+)
+from mobilecal_cli.solvers.asked import Asked
+from mobilecal_cli.solvers.carry import point_rms_m
+from mobilecal_cli.solvers.linear import linear_estimate, ratios_of
 from mobilecal_cli.solvers.loops import Loops, closed_loops
+from mobilecal_cli.solvers.maximum_likelihood import Fit, Solver
+from mobilecal_cli.solvers.outliers import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of
 from mobilecal_cli.solvers.signs import check_signs
@@ -34,25 +51,46 @@ def _motion(
     }
 
 
-def solve(extraction: Extraction, method: Method = "lm", start_ratios: FloatArray | None = None) -> Solution:
+def solve(
+    extraction: Extraction,
+    method: Method = "ml",
+    start_ratios: FloatArray | None = None,
+    asked: Asked | None = None,
+) -> Solution:
     """Solve for all nine numbers at once.
 
     Args:
-        extraction: at least four observations, of motion that shows all nine (see `uncertainty`).
-        method: "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm" (eq. 19 by
-            Levenberg-Marquardt).
+        extraction: at least four observations; for all methods but "ml", of motion that shows all nine (see
+            `uncertainty`).
+        method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
+            (eq. 19 by Levenberg-Marquardt).
         start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
+        asked: what the user binds and asks for, for "ml".
 
     Raises:
-        SolveError: not converged, or an encoder's sign or the wheels' order is wrong.
+        SolveError: not converged, an encoder's sign or the wheels' order is wrong, or something that the log does not
+            show has no nominal value to be held at.
     """
     loops = closed_loops(extraction)
+    if method == "ml":
+        return _by_likelihood(extraction, loops, start_ratios, asked or Asked())
     linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
     check_signs(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
     refinement = refiner(loops, linear.parameters) if refiner is not None else None
+    return _solution(extraction, loops, method, linear, refinement)
+
+
+def _solution(
+    extraction: Extraction,
+    loops: Loops,
+    method: Method,
+    linear: LinearEstimate,
+    refinement: Refinement | None,
+    believed: BoolArray | None = None,
+) -> Solution:
     best = refinement or linear
-    residuals = residuals_of(extraction, loops, best.parameters)
+    residuals = residuals_of(extraction, loops, best.parameters, believed)
     wheels = best.parameters.wheels
     path = (wheels.radius_right_m * loops.steps.right_rad + wheels.radius_left_m * loops.steps.left_rad) / 2
     psi = integrate(loops.steps, wheels).psi_rad
@@ -62,7 +100,65 @@ def solve(extraction: Extraction, method: Method = "lm", start_ratios: FloatArra
         linear=linear,
         refinement=refinement,
         residuals=residuals,
-        point_rms_m=best.point_rms_m,
+        point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
         motion=_motion(extraction, loops, psi, float(np.sum(np.abs(path)))),
+    )
+
+
+def _pulled(loops: Loops, start: Parameters) -> LinearEstimate:
+    """The start of a log that hides something, as the linear estimate that it stands for."""
+    rms = point_rms_m(loops, start)
+    return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
+
+
+def _by_likelihood(
+    extraction: Extraction, loops: Loops, start_ratios: FloatArray | None, asked: Asked
+) -> Solution:
+    solver = Solver(extraction, asked)
+    if solver.plain:
+        linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
+    else:
+        linear = _pulled(loops, solver.linear())
+    check_signs(linear.parameters.wheels)
+    fit = solver.solve(linear.parameters)
+    parameters = fit.optimum.state.parameters
+    check_signs(parameters.wheels)
+    i, j = fit.problem.legs.T
+    believed = fit.selection.legs & fit.selection.views[i] & fit.selection.views[j]
+    if not believed.any():
+        believed[:] = True
+    rms = point_rms_m(loops, parameters)
+    history = np.array([linear.point_rms_m, rms])
+    refinement = Refinement("ml", parameters, history, rms, len(fit.optimum.history))
+    solution = _solution(extraction, loops, "ml", linear, refinement, believed)
+    names = fit.problem.layout.names[9:]
+    std = np.sqrt(np.diag(fit.covariance)[9 : fit.problem.layout.named])
+    return replace(
+        solution,
+        uncertainty=uncertainty_of(fit),
+        outliers=outliers_of(extraction, fit),
+        extras={name: (fit.optimum.state.extra(name), float(s)) for name, s in zip(names, std, strict=True)},
+    )
+
+
+def uncertainty_of(fit: Fit) -> Uncertainty:
+    """What a fit says about how well the nine numbers are known."""
+    covariance = fit.covariance[:9, :9]
+    scales = fit.directions.scales[:9]
+    levels = [name for name in fit.components if name not in fit.given]
+    return Uncertainty(
+        covariance=covariance,
+        observable=~tainted(fit.held[:, :9], scales, np.sqrt(np.diag(covariance))),
+        held=fit.held[:, :9],
+        scales=scales,
+        singular_values=fit.directions.singular_values,
+        noise=NoiseLevels(
+            fit.noise.pixel_px,
+            fit.noise.wheel_rad_per_sqrt_rad,
+            fit.noise.encoder_rad,
+            fit.noise.joint_rad,
+            tuple(levels),
+            {name: fit.components[name].redundancy for name in levels},
+        ),
     )

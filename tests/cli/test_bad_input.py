@@ -197,8 +197,15 @@ def test_no_robot_description(make, tmp_path):
         ("straight.mcap", "the base only drives straight", "turn the base"),
     ],
 )
-def test_motion_that_does_not_show_everything(sample_logs, tmp_path, log, words, cure):
-    refused(run("calibrate", sample_logs / log, cwd=tmp_path), 5, words, cure)
+def test_motion_that_does_not_show_everything_to_the_papers_method(sample_logs, tmp_path, log, words, cure):
+    refused(run("calibrate", sample_logs / log, "--method", "paper", cwd=tmp_path), 5, words, cure)
+
+
+def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
+    """The camera's height cannot be seen, and the log's URDF does not draw the camera."""
+    result = run("calibrate", sample_logs / "head_fixed.mcap", cwd=tmp_path)
+    refused(result, 5, "t_y; and there is no nominal value", "tilt the head up and down")
+    assert "--fix t_y=VALUE" in result.err
 
 
 def test_a_wheel_that_counts_backwards(make, tmp_path):

@@ -1,0 +1,1 @@
+"""The likelihood of everything that was measured: residuals, derivatives, information (method.md)."""

@@ -1,0 +1,111 @@
+"""What the wheels say about each leg, against the covariance that their noise makes along the arcs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.kinematics import (
+    Increments,
+    LegMotion,
+    integrate,
+    integrate_with_jacobian,
+    step_sensitivity,
+)
+from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
+from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.model import FloatArray, WheelGeometry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """All legs at a state, not whitened: odometry's (x, y, heading) minus the base poses'.
+
+    Attributes:
+        residual: (L, 3) m, m, rad.
+        by_start, by_end: (L, 3, 5) by the station's base twist (x, y, heading) and encoder errors.
+        by_wheels: (L, 3, 3) by (rR, rL, b).
+        by_time: (L, 3) by the time offset between cameras and wheels.
+    """
+
+    residual: FloatArray
+    by_start: FloatArray
+    by_end: FloatArray
+    by_wheels: FloatArray
+    by_time: FloatArray
+
+
+def _steps(problem: Problem, state: State) -> Increments:
+    i, j = problem.legs.T
+    return problem.steps(state.extra("time_wheels")).with_ends(
+        -state.encoder_errors[i], state.encoder_errors[j]
+    )
+
+
+def base_legs(problem: Problem, state: State) -> FloatArray:
+    """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
+    i, j = problem.legs.T
+    apart = state.base[j] - state.base[i]
+    cos, sin = np.cos(state.base[i, 2]), np.sin(state.base[i, 2])
+    x, y = cos * apart[:, 0] + sin * apart[:, 1], -sin * apart[:, 0] + cos * apart[:, 1]
+    return np.stack([x, y, apart[:, 2]], axis=1)
+
+
+def _as_rows(motion: LegMotion) -> FloatArray:
+    return np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1)
+
+
+def leg_residuals(problem: Problem, state: State) -> FloatArray:
+    """(L, 3) odometry minus base poses."""
+    motion = integrate(_steps(problem, state), state.parameters.wheels)
+    return _as_rows(motion) - base_legs(problem, state)
+
+
+def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
+    """Residuals of all legs and their derivatives; by encoder errors only where encoders have steps."""
+    i, j = problem.legs.T
+    steps, wheels = _steps(problem, state), state.parameters.wheels
+    motion, d_psi, d_t = integrate_with_jacobian(steps, wheels)
+    between = base_legs(problem, state)
+    count = len(between)
+    first = np.searchsorted(steps.leg, np.arange(count))
+    last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
+    sensitivity = step_sensitivity(steps, wheels)
+    by_start, by_end = np.zeros((count, 3, 5)), np.zeros((count, 3, 5))
+    # A start that is further on, or turned, sees the end less far on, or turned back.
+    by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
+    by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
+    cos, sin = np.cos(between[:, 2]), np.sin(between[:, 2])
+    by_end[:, 0, 0], by_end[:, 0, 1] = -cos, sin
+    by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
+    by_end[:, 2, 2] = -1.0
+    by_start[problem.first[i], :, :3] = 0.0
+    by_start[:, :, 3:] = -sensitivity[first]
+    by_end[:, :, 3:] = sensitivity[last]
+    rates = problem.wheel_rates
+    by_time = np.einsum("lab,lb->la", by_end[:, :, 3:], rates[j])
+    by_time += np.einsum("lab,lb->la", by_start[:, :, 3:], rates[i])
+    if not encoders:
+        by_start[:, :, 3:] = by_end[:, :, 3:] = 0.0
+    by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
+    return Legs(_as_rows(motion) - between, by_start, by_end, by_wheels, by_time)
+
+
+def leg_covariance(problem: Problem, wheels: WheelGeometry, noise: Noise) -> FloatArray:
+    """(L, 3, 3) covariance of odometry's (x, y, heading), propagated along the arcs: m^2, m rad, rad^2."""
+    steps = problem.steps()
+    sensitivity = step_sensitivity(steps, wheels)
+    variance = noise.wheel_rad_per_sqrt_rad**2 * np.abs(np.stack([steps.right_rad, steps.left_rad], axis=1))
+    per_step = np.einsum("sak,sk,sbk->sab", sensitivity, variance, sensitivity)
+    covariance = np.empty((len(problem.legs), 3, 3))
+    for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        covariance[:, a, b] = covariance[:, b, a] = steps.total(per_step[:, a, b])
+    path_m = steps.total(
+        np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
+    )
+    slip = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m
+    covariance[:, 0, 0] += slip
+    covariance[:, 1, 1] += slip
+    covariance[:, 2, 2] += STANDSTILL_RAD**2
+    return covariance

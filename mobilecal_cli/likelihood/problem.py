@@ -1,0 +1,285 @@
+"""What is given to the likelihood, and the point at which it is evaluated."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.kinematics import Increments, cut_at, encoder_step_rad, head_pose, join
+from mobilecal_cli.likelihood.shared import EXTRA_NAMES, INDEX, Layout
+from mobilecal_cli.model import (
+    BoolArray,
+    Extraction,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    JointLink,
+    Parameters,
+    StereoRig,
+    WheelGeometry,
+    WheelTrack,
+)
+
+_SLOPE_NS = 50_000_000
+_LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better than the camera model
+_MOVED_RAD = 0.002  # less is noise of a reading, not a motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """The measurements of N stations, as arrays.
+
+    Attributes:
+        cameras, chain: the known geometry.
+        points_k: (M, 3) corners on the board, m.
+        pixels: (N, 2, M, 2) seen corners, left then right, px.
+        relative_sigma: (N, 2) how much noisier than usual each camera's corners claim to be; rms 1.
+        joints: (N, J) readings.
+        joint_rates: (N, J) their rates of change, 0 at rests, rad/s.
+        joint_sides: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
+        log: (N,) the log of each station.
+        board: (N,) the board pose that each station sees.
+        legs: (L, 2) consecutive stations of one log.
+        tracks: wheels of each log.
+        times_ns: (N,) the stations' stamps.
+        wheel_rates: (N, 2) rates of the right and left wheel, rad/s.
+        encoder_step_rad: resolution of the encoders; 0 for none.
+        layout: the shared unknowns.
+    """
+
+    cameras: StereoRig
+    chain: HeadChain
+    points_k: FloatArray
+    pixels: FloatArray
+    relative_sigma: FloatArray
+    joints: FloatArray
+    joint_rates: FloatArray
+    joint_sides: FloatArray
+    log: IntArray
+    board: IntArray
+    legs: IntArray
+    tracks: tuple[WheelTrack, ...]
+    times_ns: IntArray
+    wheel_rates: FloatArray
+    encoder_step_rad: float
+    layout: Layout
+
+    @property
+    def stations(self) -> int:
+        """Number of stations."""
+        return len(self.joints)
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Kind of each joint, in the order of `HeadChain.joints`."""
+        kinds = {link.joint: link.kind for link in self.chain.links if isinstance(link, JointLink)}
+        return tuple(kinds[name] for name in self.chain.joints)
+
+    @property
+    def first(self) -> BoolArray:
+        """(N,) the first station of each log, whose base pose is the world's origin."""
+        first = np.ones(self.stations, dtype=np.bool_)
+        first[self.legs[:, 1]] = False
+        return first
+
+    def steps(self, time_offset_s: float = 0.0) -> Increments:
+        """Wheel rotations of the legs between the stations, their stamps moved by an offset."""
+        shift = round(time_offset_s * 1e9)
+        parts = []
+        for number, track in enumerate(self.tracks):
+            times = self.times_ns[self.log == number]
+            if len(times) > 1:
+                parts.append(cut_at(track, np.clip(times + shift, track.time_ns[0], track.time_ns[-1])))
+        return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+
+    def with_extras(self, extras: tuple[str, ...]) -> Problem:
+        """The same measurements with other free extras."""
+        return replace(self, layout=Layout(extras, self.layout.boards))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """A value of every unknown.
+
+    Attributes:
+        parameters: the nine numbers.
+        extras: (len(EXTRAS),) all extras, 0 where not free.
+        T_w_k: (B, 4, 4) board poses; w is the base at the first station of the board's log.
+        base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
+        joint_errors: (N, J) to be added to the readings.
+        encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
+    """
+
+    parameters: Parameters
+    extras: FloatArray
+    T_w_k: FloatArray
+    base: FloatArray
+    joint_errors: FloatArray
+    encoder_errors: FloatArray
+
+    def extra(self, name: str) -> float:
+        """Value of one extra."""
+        return float(self.extras[INDEX[name]])
+
+    @property
+    def T_w_v(self) -> FloatArray:
+        """(N, 4, 4) base in the world."""
+        flat = np.concatenate([self.base[:, :2], np.zeros((len(self.base), 1))], axis=1)
+        return se3.transform(se3.rotation_z(self.base[:, 2]), flat)
+
+
+def joints_at(problem: Problem, state: State) -> FloatArray:
+    """(N, J) the true joint positions: readings, their errors, the clock, backlash and the pan's zero."""
+    joints = problem.joints + state.joint_errors + state.extra("time_joints") * problem.joint_rates
+    names = problem.chain.joints
+    for name, role in (("backlash_pan", problem.chain.pan), ("backlash_tilt", problem.chain.tilt)):
+        if role in names:
+            column = names.index(role)
+            joints[:, column] -= state.extra(name) / 2 * problem.joint_sides[:, column]
+    if problem.chain.pan in names:
+        joints[:, names.index(problem.chain.pan)] += state.extra("pan_zero")
+    return joints
+
+
+def head_at(problem: Problem, state: State) -> FloatArray:
+    """(N, 4, 4) T_v_h of every station."""
+    T_v_h = head_pose(problem.chain, joints_at(problem, state)).copy()
+    T_v_h[:, 0, 3] += state.extra("mount_x")
+    T_v_h[:, 1, 3] += state.extra("mount_y")
+    return T_v_h
+
+
+def cameras_at(problem: Problem, state: State) -> StereoRig:
+    """The stereo pair with the extras that change it."""
+    rig = problem.cameras
+    if not np.any(state.extras[INDEX["stereo_r_x"] : INDEX["square_scale"]]):
+        return rig
+    T = rig.T_c_r.copy()
+    turn = np.array([state.extra(f"stereo_r_{axis}") for axis in "xyz"])
+    T[:3, :3] = se3.exp_so3(turn) @ T[:3, :3]
+    T[:3, 3] *= 1 + state.extra("baseline_scale")
+    changed = {}
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        K = camera.K.copy()
+        K[0, 0] += state.extra(f"focal_{side}")
+        K[1, 1] += state.extra(f"focal_{side}") * camera.K[1, 1] / camera.K[0, 0]
+        K[0, 2] += state.extra(f"principal_{side}_x")
+        K[1, 2] += state.extra(f"principal_{side}_y")
+        changed[side] = replace(camera, K=K)
+    return replace(rig, left=changed["left"], right=changed["right"], T_c_r=T)
+
+
+def no_extras() -> FloatArray:
+    """All extras at zero."""
+    return np.zeros(len(EXTRA_NAMES))
+
+
+def _rates(extraction: Extraction) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Joint rates, last joint directions and wheel rates of every station: (N, J), (N, J), (N, 2)."""
+    seen = extraction.observations
+    joint_rates = np.zeros((len(seen), len(extraction.rig.chain.joints)))
+    sides = np.zeros_like(joint_rates)
+    wheel_rates = np.zeros((len(seen), 2))
+    for i, o in enumerate(seen):
+        ends = o.time_ns + np.array([-_SLOPE_NS, _SLOPE_NS])
+        if o.log < len(extraction.joint_tracks):
+            for j, track in enumerate(extraction.joint_tracks[o.log]):
+                before = track.time_ns < o.time_ns
+                away = np.flatnonzero(before & (np.abs(track.value - o.joints[j]) > _MOVED_RAD))
+                sides[i, j] = np.sign(o.joints[j] - track.value[away[-1]]) if len(away) else 0.0
+                if not o.at_rest:
+                    joint_rates[i, j] = _slope(track.time_ns, track.value, ends)
+        if not o.at_rest:
+            wheels = extraction.wheels[o.log]
+            for k, value in enumerate((wheels.right_rad, wheels.left_rad)):
+                wheel_rates[i, k] = _slope(wheels.time_ns, value, ends)
+    return joint_rates, sides, wheel_rates
+
+
+def _slope(time_ns: IntArray, value: FloatArray, ends_ns: IntArray) -> float:
+    start = time_ns[0]
+    at = np.clip(ends_ns, start, time_ns[-1])
+    low, high = np.interp((at - start).astype(np.float64), (time_ns - start).astype(np.float64), value)
+    return float((high - low) / max((at[1] - at[0]) / 1e9, 1e-9))
+
+
+def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
+    """Gather the measurements of an extraction.
+
+    Args:
+        extraction: at least one observation.
+        extras: names of the free extras; the squares' size is always one of them where the board does not state it.
+    """
+    seen = extraction.observations
+    log = np.array([o.log for o in seen])
+    legs = [
+        pair
+        for number in range(len(extraction.wheels))
+        for pair in itertools.pairwise(np.flatnonzero(log == number).tolist())
+    ]
+    square_m = extraction.board.square_m
+    if square_m is None:
+        square_m = float(np.median([o.square_m for o in seen]))
+        extras = tuple(name for name in EXTRA_NAMES if name in (*extras, "square_scale"))
+    joint_rates, sides, wheel_rates = _rates(extraction)
+    step = max(
+        (encoder_step_rad(side) for track in extraction.wheels for side in (track.right_rad, track.left_rad)),
+        default=0.0,
+    )
+    logs, board = np.unique(log, return_inverse=True)
+    claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
+    return Problem(
+        cameras=extraction.rig.cameras,
+        chain=extraction.rig.chain,
+        points_k=extraction.board.grid() * square_m,
+        pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
+        relative_sigma=claims / np.sqrt(np.mean(claims**2)),
+        joints=np.stack([o.joints for o in seen]),
+        joint_rates=joint_rates,
+        joint_sides=sides,
+        log=log,
+        board=board.astype(np.int64),
+        legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
+        tracks=extraction.wheels,
+        times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
+        wheel_rates=wheel_rates,
+        encoder_step_rad=step,
+        layout=Layout(extras, len(logs)),
+    )
+
+
+def moved(problem: Problem, state: State, shared: FloatArray, base: FloatArray, errors: FloatArray) -> State:
+    """The state after a step.
+
+    Args:
+        problem: gives the layout.
+        state: where the step starts.
+        shared: (layout.size,) by the nine (small rotation vector and translation in the head's frame), the
+            extras and the boards (body twists).
+        base: (N, 5) base poses as body twists (x, y, heading) and encoder errors, right and left.
+        errors: (N, J) joint errors.
+    """
+    layout, X, wheels = problem.layout, state.parameters.T_h_c, state.parameters.wheels
+    T_h_c = se3.transform(se3.exp_so3(shared[:3]) @ X[:3, :3], X[:3, 3] + shared[3:6])
+    extras = state.extras.copy()
+    extras[[INDEX[name] for name in layout.extras]] += shared[9 : layout.named]
+    cos, sin = np.cos(state.base[:, 2]), np.sin(state.base[:, 2])
+    x, y, turn = base[:, 0], base[:, 1], base[:, 2]
+    return State(
+        parameters=Parameters(
+            T_h_c,
+            WheelGeometry(
+                wheels.radius_right_m + float(shared[6]),
+                wheels.radius_left_m + float(shared[7]),
+                wheels.separation_m + float(shared[8]),
+            ),
+        ),
+        extras=extras,
+        T_w_k=state.T_w_k @ se3.exp(shared[layout.named :].reshape(-1, 6)),
+        base=state.base + np.stack([cos * x - sin * y, sin * x + cos * y, turn], axis=1),
+        joint_errors=state.joint_errors + errors,
+        encoder_errors=state.encoder_errors + base[:, 3:],
+    )

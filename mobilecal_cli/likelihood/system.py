@@ -1,0 +1,241 @@
+"""The normal equations, stations and legs eliminated: cost linear in the number of stations.
+
+Joint errors belong to one station each and go first, station by station. Base poses and encoder errors form a
+chain along the legs: a banded matrix. What is left is a small dense system for the shared numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from mobilecal_cli.likelihood.legs import Legs, leg_residuals, linearize_legs
+from mobilecal_cli.likelihood.noise import FREE_JOINT, LOST_BASE, Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.views import Views, linearize_views, view_cost
+from mobilecal_cli.model import FloatArray
+
+_B = 5  # base pose and encoder errors of one station
+
+
+def joint_sigmas(problem: Problem, selection: Selection, noise: Noise) -> FloatArray:
+    """(N, J) sigma of each reading, rad or m."""
+    unit = np.array([1.0 if kind == "revolute" else 0.1 for kind in problem.joint_kinds])
+    return np.where(selection.readings, noise.joint_rad * unit, FREE_JOINT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class System:
+    """Normal equations at a state: H d = -gradient, with stations eliminated.
+
+    Attributes:
+        cost: sum of squares of all whitened residuals.
+        views, legs: the parts.
+        leg_weight: (L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed.
+        S: (P, P) information of the shared numbers, all others eliminated.
+        s: (P,) their gradient, the same way.
+        scale: (P,) root of the diagonal before elimination, for damping.
+    """
+
+    cost: float
+    views: Views
+    legs: Legs
+    leg_weight: FloatArray
+    S: FloatArray
+    s: FloatArray
+    scale: FloatArray
+    _E_inverse: FloatArray
+    _E_base: FloatArray
+    _E_shared: FloatArray
+    _e: FloatArray
+    _factor: FloatArray
+    _Y: FloatArray
+    _y: FloatArray
+    _diagonal: FloatArray
+    _off: FloatArray
+
+    def back(self, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The stations' steps that go with a step of the shared numbers: (P,) → (N, 5), (N, J)."""
+        base = (-self._y - self._Y @ shared).reshape(-1, _B)
+        coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
+        return base, -np.einsum("njk,nk->nj", self._E_inverse, coupled)
+
+    def base_covariance(self) -> tuple[FloatArray, FloatArray]:
+        """Covariance of the stations' base block for known shared numbers.
+
+        Returns:
+            (N, 5, 5) of each station, and (N, 5, 5) of each station with the one after it (the last is empty).
+        """
+        count = len(self._diagonal)
+        gains = np.empty((count, _B, _B))
+        inverse = np.empty((count, _B, _B))
+        D = self._diagonal[0]
+        for i in range(count):
+            inverse[i] = np.linalg.inv(D)
+            gains[i] = inverse[i] @ self._off[i]
+            if i + 1 < count:
+                D = self._diagonal[i + 1] - self._off[i].T @ gains[i]
+        own, cross = np.empty_like(inverse), np.zeros_like(inverse)
+        own[-1] = inverse[-1]
+        for i in range(count - 2, -1, -1):
+            cross[i] = -gains[i] @ own[i + 1]
+            own[i] = inverse[i] - cross[i] @ gains[i].T
+        return own, cross
+
+    def joint_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Joint errors for a known rest: covariance (N, J, J), slopes by base (N, J, 5) and shared (N, J, P)."""
+        return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
+
+    @property
+    def base_by_shared(self) -> FloatArray:
+        """(N, 5, P) how the stations' base blocks follow the shared numbers."""
+        return -self._Y.reshape(-1, _B, self._Y.shape[1])
+
+
+def cost_of(
+    problem: Problem, state: State, selection: Selection, noise: Noise, leg_weight: FloatArray
+) -> float:
+    """Sum of squares of all whitened residuals."""
+    e = leg_residuals(problem, state)
+    total = view_cost(problem, state, selection, noise) + float(np.einsum("la,lab,lb->", e, leg_weight, e))
+    total += float(np.sum((state.joint_errors / joint_sigmas(problem, selection, noise)) ** 2))
+    if noise.encoder_rad:
+        total += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
+    return total
+
+
+def leg_weights(covariance: FloatArray, selection: Selection) -> FloatArray:
+    """(L, 3, 3) inverse covariances; zero for legs that are not believed."""
+    return np.asarray(np.linalg.inv(covariance) * selection.legs[:, None, None], dtype=np.float64)
+
+
+def linearize(
+    problem: Problem,
+    state: State,
+    selection: Selection,
+    noise: Noise,
+    leg_covariance: FloatArray,
+    damping: float = 0.0,
+) -> System:
+    """Build the normal equations and eliminate the stations.
+
+    Args:
+        problem, state, selection, noise: where.
+        leg_covariance: (L, 3, 3), see `legs.leg_covariance`.
+        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+    """
+    views = linearize_views(problem, state, selection, noise)
+    legs = linearize_legs(problem, state, noise.encoder_rad > 0)
+    weight = leg_weights(leg_covariance, selection)
+    count, P = problem.stations, problem.layout.size
+
+    # Joint errors, eliminated station by station.
+    sigma = joint_sigmas(problem, selection, noise)
+    GJ = views.information @ views.by_joints
+    JtG = np.swapaxes(GJ, 1, 2)
+    E = np.swapaxes(views.by_joints, 1, 2) @ GJ
+    diagonal = np.arange(E.shape[1])
+    E[:, diagonal, diagonal] += sigma**-2
+    E[:, diagonal, diagonal] *= 1 + damping
+    E_inverse: FloatArray = np.asarray(np.linalg.inv(E), dtype=np.float64)
+    e = np.einsum("nqj,nq->nj", views.by_joints, views.gradient) + state.joint_errors / sigma**2
+    E_base, E_shared = JtG @ views.by_base, JtG @ views.by_shared
+    GB, GS = views.information @ views.by_base, views.information @ views.by_shared
+    Bt = np.swapaxes(views.by_base, 1, 2)
+    D, C, H = Bt @ GB, Bt @ GS, np.einsum("nqp,nqr->pr", views.by_shared, GS)
+    b = np.einsum("nqb,nq->nb", views.by_base, views.gradient)
+    h = np.einsum("nqp,nq->p", views.by_shared, views.gradient)
+
+    # Legs.
+    off = np.zeros((count, _B, _B))
+    i, j = problem.legs.T
+    shared = np.zeros((len(i), 3, P))
+    shared[:, :, 6:9] = legs.by_wheels
+    if "time_wheels" in problem.layout.extras:
+        shared[:, :, 9 + problem.layout.extras.index("time_wheels")] = legs.by_time
+    Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
+    Ws = weight @ shared
+    We = np.einsum("lab,lb->la", weight, legs.residual)
+    it, jt = np.swapaxes(legs.by_start, 1, 2), np.swapaxes(legs.by_end, 1, 2)
+    D[i] += it @ Wi  # a station starts one leg and ends one at most
+    D[j] += jt @ Wj
+    off[i] += it @ Wj
+    C[i] += it @ Ws
+    C[j] += jt @ Ws
+    b[i] += np.einsum("lab,la->lb", legs.by_start, We)
+    b[j] += np.einsum("lab,la->lb", legs.by_end, We)
+    H += np.einsum("lap,lar->pr", shared, Ws)
+    h += np.einsum("lap,la->p", shared, We)
+    _weak_terms(problem, state, selection, noise, D, b)
+
+    scale = np.sqrt(np.diag(H))
+    blocks = np.arange(_B)
+    D[:, blocks, blocks] *= 1 + damping
+    H[np.arange(P), np.arange(P)] *= 1 + damping
+
+    reduce = np.swapaxes(E_base, 1, 2) @ E_inverse
+    D -= reduce @ E_base
+    C -= reduce @ E_shared
+    b -= np.einsum("nbj,nj->nb", reduce, e)
+    solved = E_inverse @ E_shared
+    H -= np.einsum("njp,njr->pr", E_shared, solved)
+    h -= np.einsum("njp,nj->p", solved, e)
+
+    factor = cholesky_banded(_banded(D, off), lower=True, check_finite=False)
+    C_flat = C.reshape(-1, P)
+    right = np.concatenate([C_flat, b.reshape(-1, 1)], axis=1)
+    Yy = cho_solve_banded((factor, True), right, check_finite=False)
+    Y, y = Yy[:, :-1], Yy[:, -1]
+    e_norm = float(np.sum((state.joint_errors / sigma) ** 2))
+    if noise.encoder_rad:
+        e_norm += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
+    return System(
+        cost=float(views.cost.sum() + np.sum(legs.residual * We)) + e_norm,
+        views=views,
+        legs=legs,
+        leg_weight=weight,
+        S=H - C_flat.T @ Y,
+        s=h - C_flat.T @ y,
+        scale=scale,
+        _E_inverse=E_inverse,
+        _E_base=E_base,
+        _E_shared=E_shared,
+        _e=e,
+        _factor=factor,
+        _Y=Y,
+        _y=y,
+        _diagonal=D,
+        _off=off,
+    )
+
+
+def _weak_terms(
+    problem: Problem, state: State, selection: Selection, noise: Noise, D: FloatArray, b: FloatArray
+) -> None:
+    """What keeps the base blocks regular: the gauge, encoder errors, and bases that nothing holds."""
+    first = problem.first
+    gauge = np.arange(3)
+    D[np.ix_(first, gauge, gauge)] += np.eye(3)
+    lost = ~selection.views
+    lost[problem.legs[~selection.legs].ravel()] = True
+    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / LOST_BASE**2
+    encoders = np.arange(3, _B)
+    if noise.encoder_rad:
+        D[:, encoders, encoders] += noise.encoder_rad**-2
+        b[:, 3:] += state.encoder_errors / noise.encoder_rad**2
+        return
+    D[:, encoders, encoders] = 1.0
+
+
+def _banded(D: FloatArray, off: FloatArray) -> FloatArray:
+    """Lower band of the block tridiagonal matrix: D (N, 5, 5), off[i] couples i (rows) to i + 1 (columns)."""
+    count = len(D)
+    band = np.zeros((2 * _B, count, _B))
+    for column in range(_B):
+        for row in range(column, _B):
+            band[row - column, :, column] = D[:, row, column]
+        for row in range(_B):
+            band[_B + row - column, :, column] = off[:, column, row]
+    return band.reshape(2 * _B, -1)

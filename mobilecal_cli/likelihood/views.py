@@ -1,0 +1,171 @@
+"""What the cameras see at each station: reprojection residuals in raw pixels, and their derivatives.
+
+Everything that moves camera or board moves the board in the left camera's frame, T_c_k → exp(delta) T_c_k:
+six numbers a station stand between the pixels and all poses. Extras that change the cameras or the board
+themselves have columns of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project_with_jacobian
+from mobilecal_cli.kinematics import head_jacobian
+from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
+from mobilecal_cli.likelihood.shared import INDEX, POSE_EXTRAS
+from mobilecal_cli.model import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """All stations' pictures at a state, whitened.
+
+    Attributes:
+        residual_px: (N, 2, M, 2) predicted minus seen.
+        sigma_px: (N, 2) of one coordinate.
+        information: (N, Q, Q) of (delta, direct extras): J^T J of the whitened, believed residuals.
+        gradient: (N, Q) J^T r.
+        cost: (N,) sum of squares.
+        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (nothing).
+        by_joints: (N, Q, J) delta by joint errors.
+        by_shared: (N, Q, P) delta and direct extras by the shared numbers.
+    """
+
+    residual_px: FloatArray
+    sigma_px: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+    cost: FloatArray
+    by_base: FloatArray
+    by_joints: FloatArray
+    by_shared: FloatArray
+
+
+def board_in_camera(problem: Problem, state: State) -> FloatArray:
+    """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
+    T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
+    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[problem.board]
+    return T
+
+
+def sigmas_px(problem: Problem, noise: Noise) -> FloatArray:
+    """(N, 2) sigma of one corner coordinate of each picture."""
+    return noise.pixel_px * problem.relative_sigma
+
+
+def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus seen pixels of boards at T_c_k, (N, 2, M, 2), and their derivatives.
+
+    Returns:
+        The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
+    """
+    rig = cameras_at(problem, state)
+    scale = 1 + state.extra("square_scale")
+    points_c = se3.act(T_c_k, scale * problem.points_k)
+    T_r_c = se3.inverse(rig.T_c_r)
+    points_r = se3.act(T_r_c, points_c)
+    direct = [name for name in problem.layout.extras if name not in POSE_EXTRAS]
+    turning = se3.left_jacobian_so3(np.array([state.extra(f"stereo_r_{axis}") for axis in "xyz"]))
+    residual = np.empty((*points_c.shape[:2], 2, 2)).swapaxes(1, 2)
+    J = np.zeros((len(points_c), 2, points_c.shape[1], 2, 6 + len(direct)))
+    for k, (camera, points) in enumerate(((rig.left, points_c), (rig.right, points_r))):
+        at, J_p = project_with_jacobian(camera, points)
+        residual[:, k] = at - problem.pixels[:, k]
+        J_c = J_p if k == 0 else J_p @ T_r_c[:3, :3]
+        J[:, k, :, :, :3] = np.cross(points_c[..., None, :], J_c)
+        J[:, k, :, :, 3:6] = J_c
+        for column, name in enumerate(direct, 6):
+            side = ("left", "right")[k]
+            if name == "square_scale":
+                grown = points_c - T_c_k[:, None, :3, 3]
+                J[:, k, :, :, column] = np.einsum("nmab,nmb->nma", J_c, grown) / scale
+            elif name == "baseline_scale" and k == 1:
+                shift = T_r_c[:3, :3] @ problem.cameras.T_c_r[:3, 3]
+                J[:, k, :, :, column] = -J_p @ shift
+            elif name.startswith("stereo_r_") and k == 1:
+                # R_c_r → exp(rho) R_c_r: the point turns the other way about c, as seen from r's origin.
+                arm = points_c - rig.T_c_r[:3, 3]
+                axis = turning[:, "xyz".index(name[-1])]
+                J[:, k, :, :, column] = -np.einsum("nmab,nmb->nma", J_c, np.cross(axis, arm))
+            elif name == f"focal_{side}":
+                J[:, k, :, :, column] = (at - camera.K[:2, 2]) / camera.K[0, 0]
+            elif name in (f"principal_{side}_x", f"principal_{side}_y"):
+                J[:, k, :, "xy".index(name[-1]), column] = 1.0
+    return residual, J
+
+
+def _pose_columns(
+    problem: Problem, state: State, T_c_k: FloatArray, width: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    X, chain, layout = state.parameters.T_h_c, problem.chain, problem.layout
+    count, names = problem.stations, chain.joints
+    by_base = np.zeros((count, width, 5))
+    Ad_c_v = se3.adjoint(se3.inverse(head_at(problem, state) @ X))
+    by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_v[:, :, k] for k in (3, 4, 2))
+    by_base[problem.first] = 0.0  # the world is the base at its first station
+    by_joints = np.zeros((count, width, len(names)))
+    by_joints[:, :6] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, joints_at(problem, state))
+
+    by_shared = np.zeros((count, width, layout.size))
+    by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
+    for column, name in enumerate(layout.extras, 9):
+        joint = {"pan_zero": chain.pan, "backlash_pan": chain.pan, "backlash_tilt": chain.tilt}.get(name)
+        if name == "time_joints":
+            by_shared[:, :6, column] = np.einsum("nqj,nj->nq", by_joints[:, :6], problem.joint_rates)
+        elif name.startswith("mount_"):
+            by_shared[:, :6, column] = -Ad_c_v[:, :, 3 + "xy".index(name[-1])]
+        elif joint in names:
+            j = names.index(joint)
+            share = np.ones(count) if name == "pan_zero" else -problem.joint_sides[:, j] / 2
+            by_shared[:, :6, column] = by_joints[:, :6, j] * share[:, None]
+    direct = [column for column, name in enumerate(layout.extras, 9) if name not in POSE_EXTRAS]
+    for row, column in enumerate(direct, 6):
+        by_shared[:, row, column] = 1.0
+    Ad_c_k = se3.adjoint(T_c_k)
+    for b in range(layout.boards):
+        mine = problem.board == b
+        by_shared[mine, :6, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
+    return by_base, by_joints, by_shared
+
+
+def linearize_views(problem: Problem, state: State, selection: Selection, noise: Noise) -> Views:
+    """Residuals and information of all stations' pictures."""
+    T_c_k = board_in_camera(problem, state)
+    residual, J = corner_residuals(problem, state, T_c_k)
+    sigma = sigmas_px(problem, noise)
+    believed = selection.corners & selection.views[:, None, None]
+    root_weight = np.where(believed, 1 / sigma[:, :, None], 0.0)
+    count, width = problem.stations, J.shape[-1]
+    A = (J * root_weight[..., None, None]).reshape(count, -1, width)
+    r = (residual * root_weight[..., None]).reshape(count, -1)
+    At = np.swapaxes(A, 1, 2)
+    return Views(
+        residual,
+        sigma,
+        At @ A,
+        (At @ r[..., None])[..., 0],
+        np.sum(r**2, axis=1),
+        *_pose_columns(problem, state, T_c_k, width),
+    )
+
+
+def view_cost(problem: Problem, state: State, selection: Selection, noise: Noise) -> float:
+    """Sum of squares of all whitened pixel residuals."""
+    T_c_k = board_in_camera(problem, state)
+    residual = predicted_px(problem, state, T_c_k) - problem.pixels
+    believed = selection.corners & selection.views[:, None, None]
+    weight = np.where(believed, sigmas_px(problem, noise)[:, :, None] ** -2, 0.0)
+    return float(np.sum(weight * np.sum(residual**2, axis=-1)))
+
+
+def predicted_px(problem: Problem, state: State, T_c_k: FloatArray) -> FloatArray:
+    """(N, 2, M, 2) pixels of boards at T_c_k."""
+    rig = cameras_at(problem, state)
+    points_c = se3.act(T_c_k, (1 + state.extras[INDEX["square_scale"]]) * problem.points_k)
+    points_r = se3.act(se3.inverse(rig.T_c_r), points_c)
+    left, right = project_with_jacobian(rig.left, points_c)[0], project_with_jacobian(rig.right, points_r)[0]
+    return np.stack([left, right], axis=1)

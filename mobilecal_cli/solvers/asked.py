@@ -1,0 +1,98 @@
+"""What the user binds and asks for: --fix, --prior, --estimate and given noise levels."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.likelihood.shared import EXTRA_NAMES, EXTRAS, extras_of
+from mobilecal_cli.model import NINE
+
+_GROUPS = {
+    "head_eye": NINE[:6],
+    "rotation": NINE[:3],
+    "translation": NINE[3:6],
+    "wheels": NINE[6:],
+}
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the user binds and asks for.
+
+    Attributes:
+        fixed: name → value, None for the nominal one. Rotations count from the nominal rotation, rad.
+        priors: name → (value, sigma).
+        extras: names of extras to estimate.
+        noise: level name → value.
+    """
+
+    fixed: Mapping[str, float | None] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    extras: tuple[str, ...] = ()
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+
+def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
+    near = difflib.get_close_matches(name, known, 1)
+    meant = f"did you mean {near[0]}? " if near else ""
+    if name.startswith("tilt_zero") or name == "tilt":
+        meant = "a zero offset of the tilt joint is the same as another head-eye rotation and cannot be told from it; "
+    return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known: {', '.join(known)}")
+
+
+def _value(flag: str, text: str, number: str) -> float:
+    if not re.fullmatch(_NUMBER, number.strip()):
+        raise ConfigError(f"{flag} {text}: {number!r} is not a number", "lengths in m, angles in rad")
+    return float(number)
+
+
+def asked_of(
+    fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str], noise: Mapping[str, float]
+) -> Asked:
+    """Read the flags.
+
+    Args:
+        fix: NAME or NAME=VALUE; names of the nine, of groups of them, or of extras.
+        prior: NAME=VALUE±SIGMA (or +-).
+        estimate: names of extras or of groups, several separated by commas.
+        noise: level name → value, from the configuration.
+
+    Raises:
+        ConfigError: an unknown name, or a text that is none of these.
+    """
+    extras = [name.strip() for text in estimate for name in text.split(",") if name.strip()]
+    offered = [*dict.fromkeys(extra.group for extra in EXTRAS), *EXTRA_NAMES]
+    for name in extras:
+        if name not in offered:
+            raise _unknown("--estimate", name, list(dict.fromkeys(offered)))
+    free = extras_of(tuple(extras))
+    known = [*NINE, *_GROUPS, *free]
+    fixed: dict[str, float | None] = {}
+    for text in fix:
+        name, given, number = text.partition("=")
+        if name not in known:
+            raise _unknown("--fix", name, known)
+        if given and name in _GROUPS:
+            raise ConfigError(
+                f"--fix {text}: {name} is several numbers", f"give it without a value, or fix {_GROUPS[name]}"
+            )
+        for member in _GROUPS.get(name, (name,)):
+            fixed[member] = _value("--fix", text, number) if given else None
+    priors: dict[str, tuple[float, float]] = {}
+    for text in prior:
+        name, _, rest = text.partition("=")
+        if name not in (*NINE, *free):
+            raise _unknown("--prior", name, [*NINE, *free])
+        match = _PRIOR.fullmatch(rest.replace(" ", ""))
+        if match is None or float(match[2]) <= 0:
+            raise ConfigError(
+                f"--prior {text}: not NAME=VALUE±SIGMA", f"such as --prior {name}=0.1±0.002 (m, rad)"
+            )
+        priors[name] = (float(match[1]), float(match[2]))
+    return Asked(fixed, priors, free, dict(noise))

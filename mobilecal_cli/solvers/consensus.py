@@ -1,0 +1,147 @@
+"""A start that bad stations and slips cannot pull: the few legs on which most others agree."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import head_jacobian, integrate
+from mobilecal_cli.likelihood.legs import leg_covariance
+from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem
+from mobilecal_cli.likelihood.system import joint_sigmas
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Parameters
+from mobilecal_cli.solvers.carry import base_motion, camera_motion
+from mobilecal_cli.solvers.loops import Loops
+
+_DRAWN_LEGS = 4
+_DRAWS = 300
+_AGREEING = 0.45  # a fifth of bad stations and a slip spoil up to half of the legs
+_USUAL = 5.3  # the median of chi-squared with six degrees of freedom; 0.45 of all is more of the good ones
+_BAD_LEG = 30.0  # chi-squared with six degrees of freedom exceeds it once in 25,000
+_POLISH = 3
+_FEW_DRAWS, _GOOD_ENOUGH = 20, 2.0  # a start this good (in variance) after so many draws ends the search
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """What most legs agree on.
+
+    Attributes:
+        parameters: fitted to the agreeing legs.
+        bad: (L,) legs that do not agree.
+        noise_factor: how many times noisier than supposed the agreeing legs are.
+    """
+
+    parameters: Parameters
+    bad: BoolArray
+    noise_factor: float
+
+
+def leg_spread(
+    problem: Problem, loops: Loops, parameters: Parameters, noise: Noise, pose_cov: FloatArray
+) -> FloatArray:
+    """Covariance of each leg's disagreement between wheels and cameras: (L, 6, 6), left twists in the first camera.
+
+    Args:
+        problem, loops: the legs.
+        parameters: roughly right.
+        noise: of wheels and joints.
+        pose_cov: (N, 6, 6) of T_c_k.
+    """
+    i, j = loops.legs.T
+    T_ci_cj = camera_motion(loops, parameters)
+    X = parameters.T_h_c
+    J = se3.adjoint(se3.inverse(X)) @ head_jacobian(problem.chain, problem.joints)
+    sigma = joint_sigmas(problem, Selection.everything(problem), noise)
+    of_joints = (J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2)
+    of_station = of_joints + pose_cov
+    Ad = se3.adjoint(T_ci_cj)
+    T_vi_vj = base_motion(integrate(loops.steps, parameters.wheels))
+    to_camera = se3.adjoint(se3.inverse(loops.T_v_h[i] @ X) @ T_vi_vj)
+    by_leg = np.zeros((len(i), 6, 3))
+    by_leg[:, 2, 2] = 1.0
+    by_leg[:, 3:5, :2] = np.swapaxes(T_vi_vj[:, :2, :2], 1, 2)
+    by_leg = to_camera @ by_leg
+    of_wheels = by_leg @ leg_covariance(problem, parameters.wheels, noise) @ np.swapaxes(by_leg, 1, 2)
+    spread: FloatArray = of_station[i] + Ad @ of_station[j] @ np.swapaxes(Ad, 1, 2) + of_wheels
+    return spread
+
+
+def disagreement(loops: Loops, parameters: Parameters, weight: FloatArray) -> FloatArray:
+    """(L,) squared distance between wheels and cameras over each leg, in units of the spread."""
+    i, j = loops.legs.T
+    seen = loops.T_c_k[i] @ se3.inverse(loops.T_c_k[j])
+    delta = se3.log(camera_motion(loops, parameters) @ se3.inverse(seen))
+    return np.asarray(np.einsum("la,lab,lb->l", delta, weight, delta))
+
+
+def _draws(legs: int, random: np.random.Generator) -> Iterator[IntArray]:
+    size = min(_DRAWN_LEGS, legs)
+    if legs <= 12:
+        everything = list(itertools.combinations(range(legs), size))
+        order = random.permutation(len(everything))[:_DRAWS]
+        yield from (np.array(everything[k]) for k in order)
+        return
+    for _ in range(_DRAWS):
+        yield np.sort(random.choice(legs, size, replace=False))
+
+
+def agreed(
+    problem: Problem,
+    loops: Loops,
+    rough: Parameters,
+    noise: Noise,
+    pose_cov: FloatArray,
+    fit: Callable[[Loops], Parameters],
+) -> Consensus:
+    """The parameters on which the largest share of legs agree best (least quantile of squares).
+
+    Args:
+        problem, loops: all legs.
+        rough: parameters at which the spread is worked out; they may be pulled.
+        noise: supposed.
+        pose_cov: (N, 6, 6) of T_c_k.
+        fit: parameters from a few legs.
+
+    Raises:
+        SolveError: no few legs give any parameters.
+    """
+    spread = leg_spread(problem, loops, rough, noise, pose_cov)
+    weight = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+    rank = max(_DRAWN_LEGS + 1, int(np.ceil(_AGREEING * len(loops.legs)))) - 1
+    rank = min(rank, len(loops.legs) - 1)
+    best: tuple[float, Parameters] | None = None
+
+    def tried(legs: IntArray) -> tuple[float, Parameters] | None:
+        try:
+            parameters = fit(loops.select(legs))
+        except (SolveError, np.linalg.LinAlgError):
+            return None
+        return float(np.partition(disagreement(loops, parameters, weight), rank)[rank]), parameters
+
+    for number, legs in enumerate(_draws(len(loops.legs), np.random.default_rng(0))):
+        found = tried(legs)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+        if number >= _FEW_DRAWS and best is not None and best[0] < _GOOD_ENOUGH * _USUAL:
+            break
+    if best is None:
+        raise SolveError("no four legs between stations give an answer", "see --method linear")
+    for _ in range(_POLISH):
+        distance = disagreement(loops, best[1], weight)
+        factor = max(best[0] / _USUAL, 1e-6)
+        inside = np.flatnonzero(distance < _BAD_LEG * factor)
+        found = tried(inside) if len(inside) >= _DRAWN_LEGS else None
+        if found is None or found[0] > best[0]:
+            break
+        best = found
+    factor = max(best[0] / _USUAL, 1e-6)
+    return Consensus(
+        best[1], disagreement(loops, best[1], weight) > _BAD_LEG * factor, float(np.sqrt(factor))
+    )

@@ -1,0 +1,169 @@
+"""The likelihood's maximum, by Levenberg-Marquardt on the eliminated normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.legs import leg_covariance
+from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem, State, moved
+from mobilecal_cli.likelihood.shared import INDEX
+from mobilecal_cli.likelihood.system import System, cost_of, leg_weights, linearize
+from mobilecal_cli.model import FloatArray, Parameters
+
+_MAX_STEPS = 120
+_LARGEST_DAMPING = 1e6
+_CONVERGED = 1e-10  # of the cost
+_CREEPING = 1e-6  # of the cost: a descent that still gains less than that after so many steps has arrived
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ties:
+    """What binds the named shared numbers beside the measurements.
+
+    All speak of the displacement from an anchor: small rotation vector in the head's frame, translation,
+    wheels, and the extras as they are.
+
+    Attributes:
+        anchor: the point that displacements count from.
+        held: (K, named) directions along which the displacement is `held_at`, orthonormal in units of `scales`.
+        held_at: (K,) in those units.
+        scales: (named,) units.
+        prior: (named,) expected displacement.
+        prior_weight: (named,) inverse variance of it, 0 for none.
+    """
+
+    anchor: Parameters
+    held: FloatArray
+    held_at: FloatArray
+    scales: FloatArray
+    prior: FloatArray
+    prior_weight: FloatArray
+
+    def displacement(self, problem: Problem, state: State) -> FloatArray:
+        """(named,) rad, m, and the extras' units."""
+        found, anchor = state.parameters, self.anchor
+        turn = se3.log_so3(found.T_h_c[:3, :3] @ anchor.T_h_c[:3, :3].T)
+        a, b = found.wheels, anchor.wheels
+        wheels = [
+            a.radius_right_m - b.radius_right_m,
+            a.radius_left_m - b.radius_left_m,
+            a.separation_m - b.separation_m,
+        ]
+        extras = [state.extras[INDEX[name]] for name in problem.layout.extras]
+        return np.concatenate([turn, found.T_h_c[:3, 3] - anchor.T_h_c[:3, 3], wheels, extras])
+
+    def free_basis(self, size: int) -> FloatArray:
+        """(P, P - K) directions in which a step may go."""
+        named = len(self.scales)
+        if not len(self.held):
+            return np.eye(size)
+        _, _, Vt = np.linalg.svd(self.held, full_matrices=True)
+        basis = np.zeros((size, size - len(self.held)))
+        free = named - len(self.held)
+        basis[:named, :free] = self.scales[:, None] * Vt[len(self.held) :].T
+        basis[named:, free:] = np.eye(size - named)
+        return basis
+
+    def onto(self, problem: Problem, state: State) -> FloatArray:
+        """(P,) the shortest step that brings a state onto the held values."""
+        step = np.zeros(problem.layout.size)
+        if len(self.held):
+            off = self.held_at - self.held @ (self.displacement(problem, state) / self.scales)
+            step[: len(self.scales)] = self.scales * (self.held.T @ off)
+        return step
+
+    def prior_terms(self, problem: Problem, state: State) -> tuple[FloatArray, FloatArray, float]:
+        """The priors' information (P,), on the diagonal, their gradient (P,) and their sum of squares."""
+        information, gradient = np.zeros(problem.layout.size), np.zeros(problem.layout.size)
+        named = len(self.scales)
+        if not np.any(self.prior_weight):
+            return information, gradient, 0.0
+        off = self.displacement(problem, state) - self.prior
+        information[:named] = self.prior_weight
+        gradient[:named] = self.prior_weight * off
+        return information, gradient, float(np.sum(self.prior_weight * off**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optimum:
+    """Where the descent ended.
+
+    Attributes:
+        state: the maximum of the likelihood.
+        system: normal equations there, without damping.
+        information: (P, P) of the shared numbers, priors included.
+        basis: (P, F) free directions.
+        leg_covariance: (L, 3, 3) as used.
+        cost: sum of squares there.
+        history: (n,) costs from the start on.
+    """
+
+    state: State
+    system: System
+    information: FloatArray
+    basis: FloatArray
+    leg_covariance: FloatArray
+    cost: float
+    history: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(P, P) of the shared numbers, 0 in held directions: the Cramer-Rao bound."""
+        reduced = self.basis.T @ self.information @ self.basis
+        scale = 1 / np.sqrt(np.diag(reduced))
+        inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
+        C: FloatArray = self.basis @ inverse @ self.basis.T
+        return C
+
+
+def descend(problem: Problem, start: State, selection: Selection, noise: Noise, ties: Ties) -> Optimum:
+    """Minimise the sum of squares of everything that is believed.
+
+    The legs' covariance is that of the wheels at the start; call again from the result to renew it.
+
+    Raises:
+        SolveError: no minimum within 120 steps.
+    """
+    basis = ties.free_basis(problem.layout.size)
+    count, joints = problem.joints.shape
+    state = moved(problem, start, ties.onto(problem, start), np.zeros((count, 5)), np.zeros((count, joints)))
+    covariance = leg_covariance(problem, state.parameters.wheels, noise)
+    weight = leg_weights(covariance, selection)
+    cost = cost_of(problem, state, selection, noise, weight) + ties.prior_terms(problem, state)[2]
+    damping, history, converged = 0.0, [cost], False
+    while len(history) <= _MAX_STEPS + 1:
+        system = linearize(problem, state, selection, noise, covariance, damping)
+        information, gradient, _ = ties.prior_terms(problem, state)
+        if converged:
+            S = system.S + np.diag(information)
+            return Optimum(state, system, S, basis, covariance, cost, np.array(history))
+        S = basis.T @ (system.S + np.diag(information)) @ basis
+        unit = 1 / np.sqrt(np.diag(S))
+        step = -basis @ (
+            unit * cho_solve(cho_factor(S * np.outer(unit, unit)), unit * (basis.T @ (system.s + gradient)))
+        )
+        trial = moved(problem, state, step, *system.back(step))
+        trial_cost = cost_of(problem, trial, selection, noise, weight) + ties.prior_terms(problem, trial)[2]
+        if trial_cost <= cost * (1 + 1e-13) and trial.parameters.wheels.separation_m > 0:
+            converged = cost - trial_cost <= _CONVERGED * cost + 1e-14 and damping < 1e-3
+            state, cost = trial, trial_cost
+            history.append(cost)
+            converged |= len(history) > _MAX_STEPS and history[-2] - cost < _CREEPING * cost
+            damping = damping / 10 if damping > 1e-9 else 0.0
+            if converged:
+                damping = 0.0
+        else:
+            damping = max(damping * 10, 1e-6)
+            if damping > _LARGEST_DAMPING:
+                converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
+                history.append(cost)
+    raise SolveError(
+        f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
+        "see the residuals of --method linear",
+    )

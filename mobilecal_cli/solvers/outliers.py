@@ -1,0 +1,60 @@
+"""What was left out, named with its time in the log."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mobilecal_cli.likelihood.views import board_in_camera
+from mobilecal_cli.model import Extraction, Outlier
+from mobilecal_cli.se3 import inverse, log
+from mobilecal_cli.solvers.maximum_likelihood import Fit
+
+
+def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
+    """One sentence for each measurement that the fit does not believe, in order of time."""
+    seen, selection, state = extraction.observations, fit.selection, fit.optimum.state
+    several = len(extraction.wheels) > 1
+    begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
+
+    def name(i: int) -> str:
+        return f"{seen[i].log}:{seen[i].station}" if several else str(seen[i].station)
+
+    def clock(i: int) -> str:
+        return f"{(seen[i].time_ns - begin[seen[i].log]) / 1e9:.1f} s"
+
+    found: list[Outlier] = []
+    legs = fit.optimum.system.legs.residual
+    for leg in np.flatnonzero(~selection.legs):
+        i, j = (int(k) for k in fit.problem.legs[leg])
+        x, y, psi = legs[leg]
+        by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
+        text = (
+            f"Slip (or a moved board) of {by} between stations {name(i)} and {name(j)}, {clock(j)}: the wheels' "
+            "way is left out there."
+        )
+        found.append(Outlier("slip", seen[i].log, (i, j), seen[j].time_ns, text))
+    expected = board_in_camera(fit.problem, state)
+    for i in (int(k) for k in np.flatnonzero(~selection.views)):
+        off = log(seen[i].T_c_k @ inverse(expected[i]))
+        shift = (seen[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
+        text = (
+            f"Station {name(i)}, {clock(i)}, does not fit the others: its board is {np.linalg.norm(shift):.0f} mm and "
+            f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from where they expect it (a moved or wrong "
+            "board, or the head was not where its joints say); its pictures are left out."
+        )
+        found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
+    joints = extraction.rig.chain.joints
+    for i, j in ((int(a), int(b)) for a, b in np.argwhere(~selection.readings)):
+        text = (
+            f"Wrong reading of {joints[j]} at station {name(i)}, {clock(i)}: off by "
+            f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees; the reading is left out."
+        )
+        found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
+    for i in (int(k) for k in np.flatnonzero(~selection.corners.all(axis=(1, 2)) & selection.views)):
+        left, right = (int(n) for n in (~selection.corners[i]).sum(axis=1))
+        counts = f"{left} corners on the left and {right} on the right"
+        text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are left out."
+        found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))
+    return tuple(sorted(found, key=lambda o: (o.log, o.time_ns)))

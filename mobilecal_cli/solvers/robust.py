@@ -1,0 +1,159 @@
+"""What does not belong: gross corners, whole stations, slipping wheels, wrong joint readings.
+
+Two passes. A consensus of few legs finds a start that no bad station or slip can pull, and casts suspicion
+widely; then everything under suspicion is tried against the fit of the rest, one by one, and taken back where
+it agrees. What is left over is tested against its own deletion, with the noise of what is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from mobilecal_cli import se3
+from mobilecal_cli.likelihood.marginals import Marginals
+from mobilecal_cli.likelihood.noise import FREE_JOINT, Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.system import joint_sigmas
+from mobilecal_cli.likelihood.views import corner_residuals, linearize_views
+from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.solvers.descent import Optimum
+
+_FALSE_ALARM = 1e-4  # chance that one sound measurement is left out, in a log of 50 stations
+_CORNER_SIGMAS = 5.5
+_BAD_PICTURE = 0.4  # share of gross corners at which the whole board is doubted
+_BAD_BOARD = 6.0  # corner noise of one station against the usual
+_LOCAL_STEPS = 12
+_NO_REDUNDANCY = 0.02
+
+
+def limit(count: int, dof: float, redundancy: float) -> float:
+    """Largest statistic that a sound measurement may have: Fisher's, for a noise level that is itself estimated."""
+    chance = _FALSE_ALARM / max(1, count // 50)
+    return float(dof * fisher.isf(chance, dof, max(redundancy, 4.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Statistics:
+    """By how much the sum of squares would fall if a measurement were left out (chi-squared for a sound one).
+
+    Attributes:
+        views: (N,) of a station's pictures as a whole, six degrees of freedom.
+        legs: (L,) of a leg's wheels, three.
+        readings: (N, J) of a joint reading, one.
+    """
+
+    views: FloatArray
+    legs: FloatArray
+    readings: FloatArray
+
+
+def _deleted(whitened: FloatArray, taken: FloatArray) -> FloatArray:
+    """v^T (I - h)^-1 v over what is redundant: (n, k) and (n, k, k) → (n,)."""
+    values, vectors = np.linalg.eigh(np.eye(whitened.shape[1]) - taken)
+    along = np.einsum("nki,nk->ni", vectors, whitened)
+    usable = values > _NO_REDUNDANCY
+    safe = np.where(usable, values, 1.0)
+    return np.asarray(np.sum(np.where(usable, along**2 / safe, 0.0), axis=1))
+
+
+def believed_statistics(
+    problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
+) -> Statistics:
+    """Deletion statistics of everything that is believed; 0 for what is not."""
+    system = optimum.system
+    views, legs = system.views, system.legs
+    G, g = views.information[:, :6, :6], views.gradient[:, :6]
+    pictured = np.zeros(problem.stations)
+    on = selection.views
+    root = np.linalg.cholesky(G[on])  # G = root root^T
+    v = np.linalg.solve(root, g[on][..., None])[..., 0]
+    pictured[on] = _deleted(v, np.swapaxes(root, 1, 2) @ marginal.views[on][:, :6, :6] @ root)
+
+    driven = np.zeros(len(problem.legs))
+    on = selection.legs
+    root = np.linalg.cholesky(system.leg_weight[on])
+    v = np.einsum("lab,la->lb", root, legs.residual[on])
+    driven[on] = _deleted(v, np.swapaxes(root, 1, 2) @ marginal.legs[on] @ root)
+
+    sigma = joint_sigmas(problem, selection, noise)
+    left = 1 - np.diagonal(marginal.joints, axis1=1, axis2=2) / sigma**2
+    usable = selection.readings & (left > _NO_REDUNDANCY)
+    ratio = (optimum.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0)
+    return Statistics(pictured, driven, np.where(usable, ratio, 0.0))
+
+
+def doubted_views(
+    problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
+) -> tuple[FloatArray, FloatArray]:
+    """How far each station's pictures are from what the others predict.
+
+    Returns:
+        (N,) statistics as the readings are, six degrees of freedom, and (N, J) with one reading unknown, five.
+    """
+    whole = replace(selection, views=np.ones(problem.stations, dtype=np.bool_))
+    views = linearize_views(problem, optimum.state, whole, noise)
+    G, g = views.information[:, :6, :6], views.gradient[:, :6]
+    inverse = np.linalg.inv(G)
+    off = -np.einsum("nab,nb->na", inverse, g)
+    spread = inverse + marginal.views[:, :6, :6]
+    as_read = np.einsum("na,na->n", off, np.linalg.solve(spread, off[..., None])[..., 0])
+    freed = np.empty(problem.joints.shape)
+    for j in range(problem.joints.shape[1]):
+        k = views.by_joints[:, :6, j : j + 1]
+        wide = spread + FREE_JOINT**2 * (k @ np.swapaxes(k, 1, 2))
+        freed[:, j] = np.einsum("na,na->n", off, np.linalg.solve(wide, off[..., None])[..., 0])
+    return np.asarray(as_read), freed
+
+
+def doubted_legs(optimum: Optimum, marginal: Marginals) -> FloatArray:
+    """(L,) how far each leg's wheels are from what all others predict, three degrees of freedom."""
+    e = optimum.system.legs.residual
+    spread = optimum.leg_covariance + marginal.legs
+    return np.asarray(np.einsum("la,la->l", e, np.linalg.solve(spread, e[..., None])[..., 0]))
+
+
+def doubted_readings(optimum: Optimum, marginal: Marginals, noise: Noise) -> FloatArray:
+    """(N, J) how far each joint reading is from what all others predict, where it is not believed; one degree."""
+    spread = noise.joint_rad**2 + np.diagonal(marginal.joints, axis1=1, axis2=2)
+    return np.asarray(optimum.state.joint_errors**2 / spread)
+
+
+def gross_corners(
+    problem: Problem, state: State, T_c_k: FloatArray
+) -> tuple[BoolArray, BoolArray, FloatArray]:
+    """Corners and whole boards that do not fit the board's own shape, each station by itself.
+
+    Args:
+        problem: the corners.
+        state: gives the cameras.
+        T_c_k: (N, 4, 4) where each board seems to be.
+
+    Returns:
+        (N, 2, M) sound corners, (N,) sound boards, and (N,) each station's corner noise, px.
+    """
+    T = T_c_k
+    sigma = problem.relative_sigma[:, :, None]
+    for _ in range(_LOCAL_STEPS):
+        residual, J = corner_residuals(problem, state, T)
+        size = np.linalg.norm(residual, axis=-1) / sigma
+        scale = np.maximum(np.median(size, axis=(1, 2)), 1e-9)
+        # Cauchy's weight, whose pull fades with distance.
+        root = 1 / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2)[..., None]
+        A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
+        r = (residual * root).reshape(len(T), -1)
+        At = np.swapaxes(A, 1, 2)
+        step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
+        T = se3.exp(step) @ T
+        if np.abs(step).max() < 1e-10:
+            break
+    residual, _ = corner_residuals(problem, state, T)
+    size = np.linalg.norm(residual, axis=-1) / sigma
+    # The median length of a two-dimensional normal vector is 1.1774 sigma.
+    own = np.median(size, axis=(1, 2)) / 1.1774
+    common = max(float(np.median(own)), 1e-9)
+    sound = size <= _CORNER_SIGMAS * np.maximum(common, np.minimum(own, _BAD_BOARD * common))[:, None, None]
+    enough = sound.mean(axis=2).min(axis=1) >= 1 - _BAD_PICTURE
+    return sound, enough & (own < _BAD_BOARD * common), own

@@ -1,0 +1,224 @@
+"""Where the descent starts: the linear solution, or its kin for motions that leave something unseen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import integrate
+from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.solvers.carry import base_motion, point_rms_m
+from mobilecal_cli.solvers.linear import ratios_of
+from mobilecal_cli.solvers.loops import Loops
+from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
+
+TILTED_RAD = math.radians(2.0)  # a smaller range leaves Tsai-Lenz with parallel axes, whatever the noise
+TURNED_RAD = 0.1  # wheel rotation: with usual wheels about 2.5 degrees of heading
+DRIVEN_RAD = 0.1  # wheel rotation: with usual wheels about 2 cm
+_ROUNDS = 12
+_HEADINGS = 720
+# What a leg's turn and way are seen to, against what a drawing tells: weights of the pull to the nominal values.
+_SEEN_RAD, _SEEN_M = 0.003, 0.003
+_DRAWN = 0.2
+_DRAWN_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSeen:
+    """Which kinds of motion the legs hold, with how much of each.
+
+    Attributes:
+        tilted_rad: largest angle between the base's verticals in the head's frame.
+        turned_rad: largest difference of the two wheels' rotations over a leg.
+        driven_rad: largest mean rotation of the two wheels over a leg.
+    """
+
+    tilted_rad: float
+    turned_rad: float
+    driven_rad: float
+
+    @property
+    def tilts(self) -> bool:
+        """Whether the head's tilt changes."""
+        return self.tilted_rad >= TILTED_RAD
+
+    @property
+    def turns(self) -> bool:
+        """Whether the base turns."""
+        return self.turned_rad >= TURNED_RAD
+
+    @property
+    def drives(self) -> bool:
+        """Whether the base drives."""
+        return self.driven_rad >= DRIVEN_RAD
+
+
+def motion_seen(loops: Loops) -> MotionSeen:
+    """Look at the joints and the wheels alone."""
+    vertical_h = loops.T_v_h[:, 2, :3]
+    tilted = float(np.arccos(np.clip(vertical_h @ vertical_h.T, -1, 1)).max())
+    right, left = loops.steps.totals_rad.T
+    return MotionSeen(
+        tilted,
+        float(np.abs(right - left).max(initial=0)),
+        float(np.abs(right + left).max(initial=0)) / 2,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known beforehand.
+
+    Attributes:
+        T_h_c: (4, 4) nominal head-eye transform of the left camera, or None.
+        wheels: nominal wheels, or None.
+        head_eye_fixed: T_h_c is exact.
+    """
+
+    T_h_c: FloatArray | None
+    wheels: WheelGeometry | None
+    head_eye_fixed: bool = False
+
+
+def _relative(loops: Loops) -> FloatArray:
+    i, j = loops.legs.T
+    T: FloatArray = loops.T_c_k[i] @ se3.inverse(loops.T_c_k[j])
+    return T
+
+
+def _aligned(loops: Loops, vertical_h: FloatArray, downwards: bool) -> FloatArray:
+    """A rotation R_h_c that brings the axis of all the camera's turns onto the vertical; its yaw is arbitrary."""
+    axes = se3.log_so3(_relative(loops)[:, :3, :3])
+    n_c = np.linalg.svd(axes, full_matrices=False)[2][0] * (-1 if downwards else 1)
+    v, cosine = np.cross(n_c, vertical_h), float(n_c @ vertical_h)
+    if cosine < -1 + 1e-9:
+        other = np.cross(n_c, np.eye(3)[np.argmin(np.abs(n_c))])
+        return se3.rotation_about(other / np.linalg.norm(other), np.array(math.pi))
+    R: FloatArray = np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
+    return R
+
+
+def _turns(loops: Loops, R_h_c: FloatArray, expected_rad: FloatArray) -> FloatArray:
+    """Each leg's turn as the camera saw it (eq. 12), unwrapped by what is expected: (L,) rad."""
+    i, j = loops.legs.T
+    R_v_h = loops.T_v_h[:, :3, :3]
+    R = R_v_h[i] @ R_h_c @ _relative(loops)[:, :3, :3] @ R_h_c.T @ np.swapaxes(R_v_h[j], 1, 2)
+    seen = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
+    unwrapped: FloatArray = seen + 2 * math.pi * np.round((expected_rad - seen) / (2 * math.pi))
+    return unwrapped
+
+
+def _pulled(rows: FloatArray, right: FloatArray, towards: FloatArray, weight: FloatArray) -> FloatArray:
+    """Least squares with each unknown pulled towards a value: what the rows do not say stays there."""
+    both = np.concatenate([rows, np.diag(weight)])
+    solved: FloatArray = np.linalg.lstsq(both, np.concatenate([right, weight * towards]))[0]
+    return solved
+
+
+def _ratios(Phi: FloatArray, psi: FloatArray, nominal: FloatArray | None) -> FloatArray:
+    if nominal is None:
+        return np.asarray(np.linalg.lstsq(Phi, psi)[0])
+    return _pulled(Phi, psi, nominal, _SEEN_RAD / (_DRAWN * np.abs(nominal)))
+
+
+def _translation(
+    loops: Loops, R_h_c: FloatArray, ratios: FloatArray, known: Known, headings: FloatArray | None
+) -> Parameters:
+    """Eqs. 14-17 with pulls, for the best of several yaws of the camera about the vertical where it is unknown."""
+    a_right, a_left = ratios
+    per_left = WheelGeometry(-a_right / a_left, 1.0, -1 / a_left)
+    motion = integrate(loops.steps, per_left)
+    T_vi_vj = base_motion(motion)
+    i, j = loops.legs.T
+    T_i, T_j = loops.T_v_h[i], loops.T_v_h[j]
+    Rz = T_vi_vj[:, :3, :3]
+    B = T_i[:, :3, :3] - Rz @ T_j[:, :3, :3]
+    fixed = T_i[:, :3, 3] - (Rz @ T_j[:, :3, 3:])[..., 0]
+    rows = np.concatenate([B, -T_vi_vj[:, :3, 3:]], axis=2).reshape(-1, 4)
+    towards, weight = np.zeros(4), np.full(4, _SEEN_M / _DRAWN_M)
+    if known.T_h_c is not None:
+        towards[:3] = known.T_h_c[:3, 3]
+        weight[:3] *= 1e6 if known.head_eye_fixed else 1.0
+    weight[3] = 0.0
+    if known.wheels is not None:
+        towards[3] = known.wheels.radius_left_m
+        weight[3] = _SEEN_M / (_DRAWN * towards[3])
+    seen = _relative(loops)[:, :3, 3]
+    rotations = R_h_c[None]
+    if headings is not None:
+        vertical_h = loops.T_v_h[:, 2, :3].mean(axis=0)
+        about = se3.rotation_about(vertical_h / np.linalg.norm(vertical_h), headings)
+        rotations = about @ R_h_c
+    # All yaws at once: the matrix is the same, only the right sides differ.
+    right = -(np.einsum("lab,hbc,lc->hla", T_i[:, :3, :3], rotations, seen) + fixed).reshape(
+        len(rotations), -1
+    )
+    both = np.concatenate([rows, np.diag(weight)])
+    sides = np.concatenate([right, np.broadcast_to(weight * towards, (len(right), 4))], axis=1)
+    solved, _, _, _ = np.linalg.lstsq(both, sides.T)
+    misfit = np.sum((both @ solved - sides.T) ** 2, axis=0)
+    misfit[solved[3] <= 0] = np.inf  # the twin with all signs turned
+    best = int(np.argmin(misfit))
+    t_x, t_y, t_z, r_left = solved[:, best]
+    wheels = WheelGeometry(float(-a_right / a_left * r_left), float(r_left), float(-r_left / a_left))
+    return Parameters(se3.transform(rotations[best], np.array([t_x, t_y, t_z])), wheels)
+
+
+def pulled_start(loops: Loops, known: Known, seen: MotionSeen) -> Parameters:
+    """The linear method with every unknown pulled weakly to its nominal value: for motions that hide something.
+
+    Where the head never tilts, all rotation axes are parallel and Tsai-Lenz is singular: roll and pitch then come
+    from the common axis, and yaw from the direction of driving (as for a camera without a head, Antonelli et al.
+    2010). Where the base never moves the head-eye transform comes from the head's motion alone (Tsai and Lenz 1989).
+
+    Raises:
+        SolveError: wheels that the motion does not show, and no nominal ones.
+    """
+    if known.wheels is None and not (seen.turns and seen.drives):
+        raise SolveError(
+            "the wheels' motion does not show their radii and separation, and there are no nominal ones",
+            "drive and turn the base between stations, or state nominal.wheels in rig.yaml",
+        )
+    nominal = ratios_of(known.wheels) if known.wheels is not None else None
+    Phi = loops.steps.totals_rad
+    starts: list[tuple[FloatArray | None, bool]] = [(None, False)]
+    if not seen.tilts and not known.head_eye_fixed:
+        vertical_h = loops.T_v_h[:, 2, :3].mean(axis=0)
+        vertical_h = vertical_h / np.linalg.norm(vertical_h)
+        starts = [(_aligned(loops, vertical_h, down), True) for down in (False, True)]
+    found: list[tuple[float, Parameters]] = []
+    for aligned, yaw_unknown in starts:
+        psi = Phi @ nominal if nominal is not None else np.zeros(len(Phi))
+        headings = np.linspace(0, 2 * math.pi, _HEADINGS, endpoint=False) if yaw_unknown else None
+        for _ in range(_ROUNDS):
+            if known.head_eye_fixed and known.T_h_c is not None:
+                R_h_c = known.T_h_c[:3, :3]
+            elif aligned is not None:
+                R_h_c = aligned
+            else:
+                R_h_c = _tsai_lenz(loops, psi)
+            ratios = _ratios(Phi, _turns(loops, R_h_c, psi), nominal)
+            if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < 1e-9:
+                break
+            psi = Phi @ ratios
+        else:
+            parameters = _translation(loops, R_h_c, ratios, known, headings)
+            found.append((point_rms_m(loops, parameters), parameters))
+    if not found:
+        raise SolveError(
+            f"the linear method found no answer on {len(loops.legs)} legs between stations",
+            "state nominal.wheels and nominal.head_eye in rig.yaml",
+        )
+    upright = [item for item in found if item[1].wheels.separation_m > 0]  # upside down is a twin with b < 0
+    return min(upright or found, key=lambda item: item[0])[1]
+
+
+def _tsai_lenz(loops: Loops, psi: FloatArray) -> FloatArray:
+    i, j = loops.legs.T
+    R_v_h = loops.T_v_h[:, :3, :3]
+    R_hi_hj = np.swapaxes(R_v_h[i], 1, 2) @ se3.rotation_z(psi) @ R_v_h[j]
+    return head_eye_rotation(R_hi_hj, _relative(loops)[:, :3, :3])[0]

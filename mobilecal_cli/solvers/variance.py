@@ -1,0 +1,81 @@
+"""Noise levels from the residuals (variance components, restricted maximum likelihood)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli.likelihood.marginals import Marginals
+from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem
+from mobilecal_cli.likelihood.system import joint_sigmas
+from mobilecal_cli.model import FloatArray
+from mobilecal_cli.solvers.descent import Optimum
+
+# Where nothing else is known: a good corner fit, sound wheels on a firm floor, a servo's encoder.
+GUESS = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.004, encoder_rad=0.0, joint_rad=float(np.radians(0.03)))
+LEAST = Noise(pixel_px=1e-3, wheel_rad_per_sqrt_rad=1e-5, encoder_rad=0.0, joint_rad=1e-6)
+GUESS_WORTH = 2.0  # residuals that the guess counts for: keeps a level from vanishing where few show it
+UNIFORM = 1 / np.sqrt(12)  # sigma of an encoder's reading, in steps
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One kind of noise, as the residuals show it.
+
+    Attributes:
+        squares: sum of squares of the whitened residuals.
+        redundancy: how many residuals are left after what the unknowns took up.
+    """
+
+    squares: float
+    redundancy: float
+
+    def factor(self, guess: float) -> float:
+        """What the variance is to be multiplied by; guess: the guessed variance over the present one."""
+        return (self.squares + GUESS_WORTH * guess) / (max(self.redundancy, 0.0) + GUESS_WORTH)
+
+
+def components(
+    problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
+) -> dict[str, Component]:
+    """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
+    system = optimum.system
+    views = system.views
+    believed = selection.corners & selection.views[:, None, None]
+    taken = np.einsum("nqr,nrq->", views.information, marginal.views)
+    result = {"pixel_px": Component(float(views.cost.sum()), 2 * int(believed.sum()) - float(taken))}
+
+    weight, e = system.leg_weight, system.legs.residual
+    squares = float(np.einsum("la,lab,lb->", e, weight, e))
+    free = 3 * int(selection.legs.sum()) - float(np.einsum("lab,lba->", weight, marginal.legs))
+    result["wheel_rad_per_sqrt_rad"] = Component(squares, free)
+
+    sigma = joint_sigmas(problem, selection, noise)
+    read = selection.readings & selection.views[:, None]
+    variance = np.diagonal(marginal.joints, axis1=1, axis2=2)
+    ratio = np.where(read, (optimum.state.joint_errors / sigma) ** 2, 0.0)
+    left = np.where(read, 1 - variance / sigma**2, 0.0)
+    result["joint_rad"] = Component(float(ratio.sum()), float(left.sum()))
+    return result
+
+
+def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str]) -> Noise:
+    """The noise after one step of the fixed point; levels that are given stay."""
+    changes: dict[str, float] = {}
+    for name, component in found.items():
+        if name in given:
+            continue
+        before, guess = getattr(noise, name), getattr(GUESS, name)
+        factor = np.clip(component.factor((guess / before) ** 2), 1e-4, 1e4)
+        changes[name] = max(before * float(np.sqrt(factor)), getattr(LEAST, name))
+    return replace(noise, **changes)
+
+
+def settled(before: Noise, after: Noise, tolerance: float) -> bool:
+    """Whether no level moved by more than a share of itself."""
+    a = np.array([before.pixel_px, before.wheel_rad_per_sqrt_rad, before.joint_rad])
+    b: FloatArray = np.array([after.pixel_px, after.wheel_rad_per_sqrt_rad, after.joint_rad])
+    return bool(np.all(np.abs(b / a - 1) < tolerance))
