@@ -119,7 +119,7 @@ def calibrate(
     from mobilecal_cli.terminal import progress_bar
 
     flags = _flags(board, square_m, setting or [])
-    asked = asked_of(fix or [], prior or [], estimate or [], {})
+    asked = asked_of(fix or [], prior or [], estimate or [])
     with progress_bar(quiet) as progress:
         result = pipeline.calibrate(
             logs,

@@ -162,6 +162,14 @@ class NominalConfig(_Section):
     wheels: WheelsNominal | None = None
 
 
+class NoiseConfig(_Section):
+    """Standard deviations that are known; the log tells the others."""
+
+    pixel_px: PositiveFloat | None = Field(None, description="of one corner coordinate")
+    wheel_rad_per_sqrt_rad: PositiveFloat | None = Field(None, description="of a wheel over one radian")
+    joint_rad: PositiveFloat | None = Field(None, description="of one joint reading")
+
+
 class RigConfig(_Section):
     """The whole of rig.yaml; every key may be left out when the log tells it."""
 
@@ -172,6 +180,7 @@ class RigConfig(_Section):
     wheels: WheelsConfig = WheelsConfig()
     head: HeadConfig = HeadConfig()
     nominal: NominalConfig = NominalConfig()
+    noise: NoiseConfig = NoiseConfig()
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:

@@ -40,22 +40,16 @@ class Plan:
     Attributes:
         stations: in order of time.
         wheels: both wheels on common times.
+        joints: the head's joints, in the order of `HeadChain.joints`.
         rejections: pictures that cannot be used, and why.
         notes: whole sentences for the report.
     """
 
     stations: tuple[Station, ...]
     wheels: WheelTrack
+    joints: tuple[Track, ...]
     rejections: tuple[Rejection, ...]
     notes: tuple[str, ...]
-
-
-def at_times(track: Track, times_ns: IntArray) -> FloatArray:
-    """A track's values at some times, by linear interpolation."""
-    start = track.time_ns[0]
-    # Offsets from the start are small enough for float64 to hold every nanosecond.
-    offsets, samples = (times_ns - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
-    return np.asarray(np.interp(offsets, samples, track.value), dtype=np.float64)
 
 
 def wheel_track(right: Track, left: Track) -> WheelTrack:
@@ -73,7 +67,7 @@ def wheel_track(right: Track, left: Track) -> WheelTrack:
             "the left and the right wheel's readings never overlap in time",
             "record both wheels throughout; check that both topics use the same clock",
         )
-    return WheelTrack(times, at_times(right, times), at_times(left, times))
+    return WheelTrack(times, right.at(times), left.at(times))
 
 
 def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[Shot, ...]:
@@ -126,7 +120,7 @@ class _Channel:
     def wander(self, begin_ns: int, end_ns: int) -> float:
         """Range of the values over a stretch of time."""
         lo, hi = np.searchsorted(self.track.time_ns, [begin_ns, end_ns])
-        ends = at_times(self.track, np.array([begin_ns, end_ns]))
+        ends = self.track.at(np.array([begin_ns, end_ns]))
         return float(np.ptp(np.concatenate([ends, self.track.value[lo:hi]])))
 
 
@@ -170,11 +164,9 @@ def _spread(features: FloatArray, count: int) -> IntArray:
 def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
     """Sharp moments of a moving log, spread over head angles, heading and distance driven."""
     times = np.array([shot.time_ns for shot in shots])
-    values = np.stack([at_times(c.track, times) for c in channels], axis=1)
+    values = np.stack([c.track.at(times) for c in channels], axis=1)
     half = int(0.05 * _NS)
-    rates = np.stack(
-        [at_times(c.track, times + half) - at_times(c.track, times - half) for c in channels], axis=1
-    )
+    rates = np.stack([c.track.at(times + half) - c.track.at(times - half) for c in channels], axis=1)
     speed = np.linalg.norm(rates, axis=1)
     # The slower half of every two seconds: sharp pictures, without leaving out a part of the log.
     bins = (times - times[0]) // (2 * _NS)
@@ -195,7 +187,7 @@ def _station(
     for name in joints:
         track = signals.joints[name]
         within = track.value[(track.time_ns >= times[0]) & (track.time_ns <= times[-1])]
-        readings = within if len(within) >= 3 else at_times(track, times)
+        readings = within if len(within) >= 3 else track.at(times)
         mean.append(float(readings.mean()))
         scatter.append(float(readings.std(ddof=1)) if len(readings) > 1 else 0.0)
     time_ns = int(times[0] + np.mean(times - times[0]))
@@ -252,4 +244,6 @@ def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozense
         )
     moments.sort(key=lambda moment: moment[0][0].time_ns)
     stations = tuple(_station(i, run, joints, signals, at_rest) for i, (run, at_rest) in enumerate(moments))
-    return Plan(stations, wheels, tuple(rejections), tuple(notes))
+    return Plan(
+        stations, wheels, tuple(signals.joints[name] for name in joints), tuple(rejections), tuple(notes)
+    )

@@ -136,5 +136,8 @@ def draft_rig(prelude: Prelude, log_name: str) -> str:
         "# nominal:",
         "#   head_eye: {translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}",
         "#   wheels: {radius_left_m: 0.2, radius_right_m: 0.2, separation_m: 0.5}",
+        "",
+        "# standard deviations that are known; the log tells those that are left out",
+        "# noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}",
     ]
     return "\n".join(lines) + "\n"

@@ -137,6 +137,22 @@ def chain_from_urdf(
     return head_chain(urdf, base, head, pan, tilt, T_base_v), [note]
 
 
+def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
+    """What the URDF draws: (4, 4) camera to head, where fixed joints lead from the head to the camera's frame."""
+    if camera_frame not in urdf.links:
+        return None
+    try:
+        path = urdf.path(head, camera_frame)
+    except ConfigError:
+        return None  # the camera hangs elsewhere
+    if any(joint.kind != "fixed" for joint in path):
+        return None
+    T_h_reference = np.eye(4)
+    for joint in path:
+        T_h_reference = T_h_reference @ joint.T_parent_child
+    return T_h_reference
+
+
 def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
     """What the URDF draws: separation from the wheel joints, radii from the wheels' cylinders."""
     wheels = urdf_wheels(urdf, sources, base)

@@ -8,6 +8,7 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
 from mobilecal_cli.discovery.joints import (
     chain_from_urdf,
+    drawn_head_eye,
     explicit_chain,
     frames,
     joint_topics,
@@ -22,6 +23,7 @@ from mobilecal_cli.model import (
     CameraInfo,
     HeadChain,
     JointLink,
+    KnownNoise,
     Nominal,
     Prelude,
     Rig,
@@ -60,13 +62,18 @@ def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
 
 
 def _head(
-    config: RigConfig, prelude: Prelude, urdf_text: str | None, wheels: dict[Side, WheelSource]
-) -> tuple[HeadChain, WheelGeometry | None, list[str], str]:
+    config: RigConfig,
+    prelude: Prelude,
+    urdf_text: str | None,
+    wheels: dict[Side, WheelSource],
+    camera_frame: str,
+) -> tuple[HeadChain, Nominal, list[str], str]:
+    """The chain, what the URDF draws of the unknowns, notes, and where the chain is from."""
     if config.head.chain is not None:
         moving = [link.joint for link in config.head.chain if link.joint]
         pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
-        return explicit_chain(config, base, head, pan, tilt), None, [], "chain of the configuration"
+        return explicit_chain(config, base, head, pan, tilt), Nominal(), [], "chain of the configuration"
     origin = "URDF of the configuration"
     notes = []
     if urdf_text is None:
@@ -88,7 +95,8 @@ def _head(
         pan, tilt = pan_and_tilt(config, prelude, list(urdf.joints))
     chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
     base, _ = frames(config, urdf, tilt)
-    return chain, nominal_wheels(urdf, wheels, base), notes + chain_notes, origin
+    drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    return chain, drawn, notes + chain_notes, origin
 
 
 def settle_rig(
@@ -118,19 +126,20 @@ def settle_rig(
         rectified = is_rectified(images["left"])
     cameras = stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference)
     wheels = wheel_sources(config, prelude)
-    chain, drawn_wheels, notes, chain_origin = _head(config, prelude, urdf_text, wheels)
+    camera_frame = infos[config.cameras.reference].frame_id
+    chain, drawn, notes, chain_origin = _head(config, prelude, urdf_text, wheels, camera_frame)
     if not any(isinstance(link, JointLink) for link in chain.links):
         raise ConfigError(
             f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
             "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
         )
     topics = joint_topics(config, prelude, chain)
-    given = config.nominal.wheels
+    given, head_eye = config.nominal.wheels, nominal_head_eye(config)
     nominal = Nominal(
-        nominal_head_eye(config),
+        drawn.T_h_reference if head_eye is None else head_eye,
         WheelGeometry(given.radius_right_m, given.radius_left_m, given.separation_m)
         if given
-        else drawn_wheels,
+        else drawn.wheels,
     )
 
     def settled(key: str, otherwise: str = "log") -> str:
@@ -153,9 +162,17 @@ def settle_rig(
             f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
             for side, source in wheels.items()
         },
-        "nominal wheels": settled("nominal.wheels", "URDF" if drawn_wheels else "none"),
-        "nominal head_eye": settled("nominal.head_eye", "none"),
+        "nominal wheels": settled("nominal.wheels", "URDF" if drawn.wheels else "none"),
+        "nominal head_eye": settled("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
     return Settled(
-        Rig(cameras, chain, nominal, Sources(images, info_topics, topics, wheels), settled_by), tuple(notes)
+        Rig(
+            cameras,
+            chain,
+            nominal,
+            Sources(images, info_topics, topics, wheels),
+            settled_by,
+            KnownNoise(**config.noise.model_dump()),
+        ),
+        tuple(notes),
     )

@@ -21,10 +21,11 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    Track,
     WheelTrack,
 )
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _FORMAT = "mobilecal extraction"
 _OBSERVATION_ARRAYS: dict[str, type] = {
     "log": np.int64,
@@ -73,6 +74,7 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
         "counts": to_plain(extraction.counts),
         "observations": len(seen),
         "wheels": len(extraction.wheels),
+        "joint_tracks": [len(tracks) for tracks in extraction.joint_tracks],
     }
     text = json.dumps(header, allow_nan=False, separators=(",", ":"))
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
@@ -88,6 +90,10 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
         arrays[f"wheels.{i}.time_ns"] = track.time_ns
         arrays[f"wheels.{i}.right_rad"] = track.right_rad
         arrays[f"wheels.{i}.left_rad"] = track.left_rad
+    for i, tracks in enumerate(extraction.joint_tracks):
+        for j, joint in enumerate(tracks):
+            arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
+            arrays[f"joints.{i}.{j}.value"] = joint.value
     return _zipped(arrays)
 
 
@@ -168,6 +174,13 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
         notes=tuple(str(note) for note in header["notes"]),
         logs=tuple(from_plain(LogSource, item) for item in header["logs"]),
         counts={str(key): int(value) for key, value in header["counts"].items()},
+        joint_tracks=tuple(
+            tuple(
+                Track(arrays[f"joints.{i}.{j}.time_ns"], arrays[f"joints.{i}.{j}.value"])
+                for j in range(count)
+            )
+            for i, count in enumerate(header["joint_tracks"])
+        ),
     )
 
 

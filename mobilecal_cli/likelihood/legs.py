@@ -83,9 +83,11 @@ def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
     by_start[problem.first[i], :, :3] = 0.0
     by_start[:, :, 3:] = -sensitivity[first]
     by_end[:, :, 3:] = sensitivity[last]
-    rates = problem.wheel_rates
-    by_time = np.einsum("lab,lb->la", by_end[:, :, 3:], rates[j])
-    by_time += np.einsum("lab,lb->la", by_start[:, :, 3:], rates[i])
+    by_time = np.zeros((count, 3))
+    if "time_wheels" in problem.layout.extras:
+        rates = problem.wheel_rates(state.extra("time_wheels"))
+        by_time += np.einsum("lab,lb->la", by_end[:, :, 3:], rates[j])
+        by_time += np.einsum("lab,lb->la", by_start[:, :, 3:], rates[i])
     if not encoders:
         by_start[:, :, 3:] = by_end[:, :, 3:] = 0.0
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)

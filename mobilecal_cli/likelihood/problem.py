@@ -19,11 +19,12 @@ from mobilecal_cli.model import (
     JointLink,
     Parameters,
     StereoRig,
+    Track,
     WheelGeometry,
     WheelTrack,
 )
 
-_SLOPE_NS = 50_000_000
+_SLOPE_S = 0.04  # the time over which a rate is taken
 _LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better than the camera model
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 
@@ -38,14 +39,14 @@ class Problem:
         pixels: (N, 2, M, 2) seen corners, left then right, px.
         relative_sigma: (N, 2) how much noisier than usual each camera's corners claim to be; rms 1.
         joints: (N, J) readings.
-        joint_rates: (N, J) their rates of change, 0 at rests, rad/s.
+        joint_tracks: the head's joints over time, one tuple a log; empty where they are not known.
+        moving: (N,) stations that are not at rest: there, a clock's offset matters.
         joint_sides: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
         log: (N,) the log of each station.
         board: (N,) the board pose that each station sees.
         legs: (L, 2) consecutive stations of one log.
         tracks: wheels of each log.
         times_ns: (N,) the stations' stamps.
-        wheel_rates: (N, 2) rates of the right and left wheel, rad/s.
         encoder_step_rad: resolution of the encoders; 0 for none.
         layout: the shared unknowns.
     """
@@ -56,14 +57,14 @@ class Problem:
     pixels: FloatArray
     relative_sigma: FloatArray
     joints: FloatArray
-    joint_rates: FloatArray
+    joint_tracks: tuple[tuple[Track, ...], ...]
+    moving: BoolArray
     joint_sides: FloatArray
     log: IntArray
     board: IntArray
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
     times_ns: IntArray
-    wheel_rates: FloatArray
     encoder_step_rad: float
     layout: Layout
 
@@ -85,14 +86,43 @@ class Problem:
         first[self.legs[:, 1]] = False
         return first
 
+    def stamps_ns(self, time_offset_s: float) -> IntArray:
+        """(N,) when each picture was taken by another clock; at rests it does not matter, and stays."""
+        return np.asarray(self.times_ns + self.moving * round(time_offset_s * 1e9), dtype=np.int64)
+
+    def joint_shift(self, time_offset_s: float) -> FloatArray:
+        """(N, J) how far the joints move in a time, from each station's stamp on."""
+        shift = np.zeros_like(self.joints)
+        for number, tracks in enumerate(self.joint_tracks):
+            mine = self.log == number
+            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
+            for j, track in enumerate(tracks):
+                shift[mine, j] = track.at(after) - track.at(before)
+        return shift
+
+    def joint_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, J) rates of change at the stations, 0 at rests, rad/s."""
+        late, early = time_offset_s + _SLOPE_S / 2, time_offset_s - _SLOPE_S / 2
+        return np.asarray((self.joint_shift(late) - self.joint_shift(early)) / _SLOPE_S)
+
+    def wheel_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, 2) rates of the right and left wheel at the stations, 0 at rests, rad/s."""
+        rates = np.zeros((self.stations, 2))
+        for number, track in enumerate(self.tracks):
+            mine = self.log == number
+            late, early = (self.stamps_ns(time_offset_s + side * _SLOPE_S / 2)[mine] for side in (1, -1))
+            for k, value in enumerate((track.right_rad, track.left_rad)):
+                wheel = Track(track.time_ns, value)
+                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _SLOPE_S
+        return rates
+
     def steps(self, time_offset_s: float = 0.0) -> Increments:
         """Wheel rotations of the legs between the stations, their stamps moved by an offset."""
-        shift = round(time_offset_s * 1e9)
         parts = []
         for number, track in enumerate(self.tracks):
-            times = self.times_ns[self.log == number]
+            times = self.stamps_ns(time_offset_s)[self.log == number]
             if len(times) > 1:
-                parts.append(cut_at(track, np.clip(times + shift, track.time_ns[0], track.time_ns[-1])))
+                parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
     def with_extras(self, extras: tuple[str, ...]) -> Problem:
@@ -133,7 +163,9 @@ class State:
 
 def joints_at(problem: Problem, state: State) -> FloatArray:
     """(N, J) the true joint positions: readings, their errors, the clock, backlash and the pan's zero."""
-    joints = problem.joints + state.joint_errors + state.extra("time_joints") * problem.joint_rates
+    joints = problem.joints + state.joint_errors
+    if state.extra("time_joints"):
+        joints += problem.joint_shift(state.extra("time_joints"))
     names = problem.chain.joints
     for name, role in (("backlash_pan", problem.chain.pan), ("backlash_tilt", problem.chain.tilt)):
         if role in names:
@@ -177,33 +209,17 @@ def no_extras() -> FloatArray:
     return np.zeros(len(EXTRA_NAMES))
 
 
-def _rates(extraction: Extraction) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Joint rates, last joint directions and wheel rates of every station: (N, J), (N, J), (N, 2)."""
+def _sides(extraction: Extraction) -> FloatArray:
+    """(N, J) the direction of each joint's last motion before each station."""
     seen = extraction.observations
-    joint_rates = np.zeros((len(seen), len(extraction.rig.chain.joints)))
-    sides = np.zeros_like(joint_rates)
-    wheel_rates = np.zeros((len(seen), 2))
+    sides = np.zeros((len(seen), len(extraction.rig.chain.joints)))
     for i, o in enumerate(seen):
-        ends = o.time_ns + np.array([-_SLOPE_NS, _SLOPE_NS])
-        if o.log < len(extraction.joint_tracks):
-            for j, track in enumerate(extraction.joint_tracks[o.log]):
-                before = track.time_ns < o.time_ns
-                away = np.flatnonzero(before & (np.abs(track.value - o.joints[j]) > _MOVED_RAD))
-                sides[i, j] = np.sign(o.joints[j] - track.value[away[-1]]) if len(away) else 0.0
-                if not o.at_rest:
-                    joint_rates[i, j] = _slope(track.time_ns, track.value, ends)
-        if not o.at_rest:
-            wheels = extraction.wheels[o.log]
-            for k, value in enumerate((wheels.right_rad, wheels.left_rad)):
-                wheel_rates[i, k] = _slope(wheels.time_ns, value, ends)
-    return joint_rates, sides, wheel_rates
-
-
-def _slope(time_ns: IntArray, value: FloatArray, ends_ns: IntArray) -> float:
-    start = time_ns[0]
-    at = np.clip(ends_ns, start, time_ns[-1])
-    low, high = np.interp((at - start).astype(np.float64), (time_ns - start).astype(np.float64), value)
-    return float((high - low) / max((at[1] - at[0]) / 1e9, 1e-9))
+        tracks = extraction.joint_tracks[o.log] if extraction.joint_tracks else ()
+        for j, track in enumerate(tracks):
+            earlier = track.value[: np.searchsorted(track.time_ns, o.time_ns)]
+            away = np.flatnonzero(np.abs(earlier - o.joints[j]) > _MOVED_RAD)
+            sides[i, j] = np.sign(o.joints[j] - earlier[away[-1]]) if len(away) else 0.0
+    return sides
 
 
 def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
@@ -224,7 +240,6 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
     if square_m is None:
         square_m = float(np.median([o.square_m for o in seen]))
         extras = tuple(name for name in EXTRA_NAMES if name in (*extras, "square_scale"))
-    joint_rates, sides, wheel_rates = _rates(extraction)
     step = max(
         (encoder_step_rad(side) for track in extraction.wheels for side in (track.right_rad, track.left_rad)),
         default=0.0,
@@ -238,14 +253,14 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
         relative_sigma=claims / np.sqrt(np.mean(claims**2)),
         joints=np.stack([o.joints for o in seen]),
-        joint_rates=joint_rates,
-        joint_sides=sides,
+        joint_tracks=extraction.joint_tracks,
+        moving=np.array([not o.at_rest for o in seen]),
+        joint_sides=_sides(extraction),
         log=log,
         board=board.astype(np.int64),
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=extraction.wheels,
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
-        wheel_rates=wheel_rates,
         encoder_step_rad=step,
         layout=Layout(extras, len(logs)),
     )

@@ -115,7 +115,8 @@ def _pose_columns(
     for column, name in enumerate(layout.extras, 9):
         joint = {"pan_zero": chain.pan, "backlash_pan": chain.pan, "backlash_tilt": chain.tilt}.get(name)
         if name == "time_joints":
-            by_shared[:, :6, column] = np.einsum("nqj,nj->nq", by_joints[:, :6], problem.joint_rates)
+            rates = problem.joint_rates(state.extra(name))
+            by_shared[:, :6, column] = (by_joints[:, :6] @ rates[:, :, None])[..., 0]
         elif name.startswith("mount_"):
             by_shared[:, :6, column] = -Ad_c_v[:, :, 3 + "xy".index(name[-1])]
         elif joint in names:

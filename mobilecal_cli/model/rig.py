@@ -248,6 +248,31 @@ class Nominal:
             freeze(self, T_h_reference=(4, 4))
 
 
+@dataclass(frozen=True, slots=True)
+class KnownNoise:
+    """Standard deviations that the user states; None where the log is to tell.
+
+    Attributes:
+        pixel_px: of one corner coordinate.
+        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
+        joint_rad: of one joint reading.
+    """
+
+    pixel_px: float | None = None
+    wheel_rad_per_sqrt_rad: float | None = None
+    joint_rad: float | None = None
+
+    @property
+    def given(self) -> dict[str, float]:
+        """Name → value of those that are stated."""
+        levels = {
+            "pixel_px": self.pixel_px,
+            "wheel_rad_per_sqrt_rad": self.wheel_rad_per_sqrt_rad,
+            "joint_rad": self.joint_rad,
+        }
+        return {name: value for name, value in levels.items() if value is not None}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
     """Everything that is known of the robot before the calibration.
@@ -258,6 +283,7 @@ class Rig:
         nominal: prior values.
         sources: topics in use.
         settled_by: setting → what settled it ("flag", "file", "log", "default"), for the report.
+        noise: noise levels that need not be estimated.
     """
 
     cameras: StereoRig
@@ -265,3 +291,4 @@ class Rig:
     nominal: Nominal
     sources: Sources
     settled_by: Mapping[str, str]
+    noise: KnownNoise = KnownNoise()

@@ -27,6 +27,14 @@ class Track:
         n = freeze(self, np.int64, time_ns=("n",))["n"]
         freeze(self, value=(n,))
 
+    def at(self, times_ns: IntArray) -> FloatArray:
+        """Values at some times, by linear interpolation; (n,) → (n,)."""
+        start = self.time_ns[0]
+        # Offsets from the start are small enough for float64 to hold every nanosecond.
+        offsets = (times_ns - start).astype(np.float64)
+        samples = (self.time_ns - start).astype(np.float64)
+        return np.asarray(np.interp(offsets, samples, self.value), dtype=np.float64)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:

@@ -188,6 +188,7 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
         notes=tuple(dict.fromkeys(note for one in seen for note in one.notes)),
         logs=tuple(sources),
         counts=counts,
+        joint_tracks=tuple(one.plan.joints for one in seen),
     )
     snapshots = tuple(replace(s, log=log) for log, one in enumerate(seen) for s in one.snapshots)
     return extraction, snapshots

@@ -79,4 +79,6 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "translation_m": _numbers(nominal.T_h_reference[:3, 3]),
             "quaternion_xyzw": _numbers(se3.quaternion_xyzw(nominal.T_h_reference[:3, :3])),
         }
+    if rig.noise.given:
+        settings["noise"] = rig.noise.given
     return settings

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Corners, Extraction, FloatArray, IntArray, Observation, StereoRig, WheelTrack
+from mobilecal_cli.model import (
+    Corners,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Observation,
+    StereoRig,
+    Track,
+    WheelTrack,
+)
 from mobilecal_cli.simulate.drive import base_in_world
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
@@ -66,6 +75,12 @@ def _wheel_track(
     return WheelTrack(nanoseconds(moments), angles[:, 0], angles[:, 1])
 
 
+def _joint_tracks(route: Route) -> tuple[Track, ...]:
+    moments = np.arange(0, route.duration_s, _TRACK_STEP_S)
+    values = route.joints(moments)
+    return tuple(Track(nanoseconds(moments), values[:, j]) for j in range(values.shape[1]))
+
+
 def _measured(
     rig: StereoRig, corners_k: FloatArray, T_c_k: FloatArray, pixel_px: float, random: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
@@ -78,7 +93,12 @@ def _measured(
 
 
 def ideal_extraction(
-    robot: SimulatedRobot, route: Route, noise: Noise | None = None, seed: int = 0, nominal: bool = True
+    robot: SimulatedRobot,
+    route: Route,
+    noise: Noise | None = None,
+    seed: int = 0,
+    nominal: bool = True,
+    camera_late_s: float = 0.0,
 ) -> Extraction:
     """What an extraction of this drive would be if seeing added nothing but the given noise.
 
@@ -90,16 +110,18 @@ def ideal_extraction(
         noise: none by default.
         seed: of the noise.
         nominal: whether the drawing's values are known.
+        camera_late_s: how much later than joints and wheels the cameras' clock stamps what happens.
     """
     noise = noise or Noise()
     random = np.random.default_rng([seed, 2])
     rig, corners_k = robot.rig_cameras, route.corners_k()
     times_s = station_times_s(route)
-    joints = route.joints(times_s)
+    stamps_s = times_s + camera_late_s
+    joints, readings = route.joints(times_s), route.joints(stamps_s)
     T_w_v = base_in_world(route.drive.poses(times_s))
     sigma = noise.pixel_px or _UNIT_SIGMA_PX
     observations = []
-    for i, time_ns in enumerate(nanoseconds(times_s)):
+    for i, time_ns in enumerate(nanoseconds(stamps_s)):
         T_w_c = T_w_v[i] @ robot.head_pose(joints[i]) @ robot.T_h_c
         T_c_k = np.linalg.inv(T_w_c) @ route.T_w_k
         left, right = _measured(rig, corners_k, T_c_k, noise.pixel_px, random)
@@ -114,7 +136,7 @@ def ideal_extraction(
                 station=i,
                 time_ns=int(time_ns),
                 at_rest=len(route.rests_s) > 0,
-                joints=joints[i] + noise.joint_rad * random.normal(size=joints.shape[1]),
+                joints=readings[i] + noise.joint_rad * random.normal(size=joints.shape[1]),
                 joints_std=np.full(joints.shape[1], noise.joint_rad),
                 left=Corners(left, sigma, 1),
                 right=Corners(right, sigma, 1),
@@ -130,9 +152,10 @@ def ideal_extraction(
         rig=robot.rig(nominal),
         board=route.board,
         observations=tuple(observations),
-        wheels=(_wheel_track(robot, route, times_s, noise, random),),
+        wheels=(_wheel_track(robot, route, stamps_s, noise, random),),
         rejections=(),
         notes=(),
         logs=(),
         counts={"stations": len(observations), "observations": len(observations)},
+        joint_tracks=(_joint_tracks(route),),
     )

@@ -1,4 +1,4 @@
-"""What the user binds and asks for: --fix, --prior, --estimate and given noise levels."""
+"""What the user binds and asks for: --fix, --prior and --estimate."""
 
 from __future__ import annotations
 
@@ -29,13 +29,11 @@ class Asked:
         fixed: name → value, None for the nominal one. Rotations count from the nominal rotation, rad.
         priors: name → (value, sigma).
         extras: names of extras to estimate.
-        noise: level name → value.
     """
 
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     extras: tuple[str, ...] = ()
-    noise: Mapping[str, float] = field(default_factory=dict)
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -52,16 +50,13 @@ def _value(flag: str, text: str, number: str) -> float:
     return float(number)
 
 
-def asked_of(
-    fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str], noise: Mapping[str, float]
-) -> Asked:
+def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Asked:
     """Read the flags.
 
     Args:
         fix: NAME or NAME=VALUE; names of the nine, of groups of them, or of extras.
         prior: NAME=VALUE±SIGMA (or +-).
         estimate: names of extras or of groups, several separated by commas.
-        noise: level name → value, from the configuration.
 
     Raises:
         ConfigError: an unknown name, or a text that is none of these.
@@ -95,4 +90,4 @@ def asked_of(
                 f"--prior {text}: not NAME=VALUE±SIGMA", f"such as --prior {name}=0.1±0.002 (m, rad)"
             )
         priors[name] = (float(match[1]), float(match[2]))
-    return Asked(fixed, priors, free, dict(noise))
+    return Asked(fixed, priors, free)

@@ -17,6 +17,7 @@ from mobilecal_cli.likelihood.marginals import Marginals, marginals
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.problem import Problem, State, no_extras, problem_of
+from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import linearize
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.asked import Asked
@@ -94,6 +95,13 @@ class Fit:
         fewest = min(rests, default=math.inf)
         wider = (fewest + GUESS_WORTH) / max(fewest + GUESS_WORTH - 2, 2.0) if fewest < _MANY else 1.0
         return self.optimum.covariance * min(wider, 2.0)
+
+
+def extras_for(extraction: Extraction, asked: Asked) -> tuple[str, ...]:
+    """The numbers beside the nine: those asked for, and the clocks' offsets where stations are not at rest."""
+    moving = any(not o.at_rest for o in extraction.observations) and bool(extraction.joint_tracks)
+    clocks = ("time_joints", "time_wheels") if moving else ()
+    return tuple(name for name in EXTRA_NAMES if name in (*asked.extras, *clocks))
 
 
 def _anchor(extraction: Extraction, asked: Asked, found: Parameters | None) -> Parameters:
@@ -175,7 +183,7 @@ class Solver:
     def __init__(self, extraction: Extraction, asked: Asked) -> None:
         self._extraction = extraction
         self._asked = asked
-        self.problem = problem_of(extraction, asked.extras)
+        self.problem = problem_of(extraction, extras_for(extraction, asked))
         self.loops = closed_loops(extraction)
         self.seen = motion_seen(self.loops)
         nominal = extraction.rig.nominal
@@ -184,7 +192,8 @@ class Solver:
         if nominal.T_h_reference is not None:
             T_h_c = nominal.T_h_reference @ se3.inverse(extraction.rig.cameras.T_c_reference)
         self.known = Known(T_h_c, nominal.wheels, all(name in fixed for name in NINE[:6]))
-        self._given = frozenset(asked.noise)
+        self._levels = extraction.rig.noise.given
+        self._given = frozenset(self._levels)
         self._pose_cov = np.stack([o.T_c_k_cov for o in extraction.observations])
         self._square_free = "square_scale" in self.problem.layout.extras
 
@@ -261,7 +270,7 @@ class Solver:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         step = self.problem.encoder_step_rad
         noise = replace(GUESS, pixel_px=max(float(np.median(own_px)), 1e-3), encoder_rad=step * UNIFORM)
-        return replace(noise, **self._asked.noise)
+        return replace(noise, **self._levels)
 
     def solve(self, start: Parameters | None = None) -> Fit:
         """All of it."""

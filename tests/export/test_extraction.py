@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     FixedLink,
     HeadChain,
     JointLink,
+    KnownNoise,
     LogSource,
     Nominal,
     Observation,
@@ -28,6 +29,7 @@ from mobilecal_cli.model import (
     Rig,
     Sources,
     StereoRig,
+    Track,
     WheelGeometry,
     WheelSource,
     WheelTrack,
@@ -90,6 +92,7 @@ rigs = st.builds(
         wheels=st.fixed_dictionaries(dict.fromkeys(sides, wheel_sources)),
     ),
     settled_by=st.dictionaries(names, names, max_size=3),
+    noise=st.builds(KnownNoise, *[st.none() | finite] * 3),
 )
 
 
@@ -120,6 +123,9 @@ def observations(m, j):
 tracks = st.integers(0, 5).flatmap(
     lambda n: st.builds(WheelTrack, hnp.arrays(np.int64, n, elements=int64), arrays(n), arrays(n))
 )
+joint_tracks = st.integers(0, 5).flatmap(
+    lambda n: st.builds(Track, hnp.arrays(np.int64, n, elements=int64), arrays(n))
+)
 extractions = st.builds(
     Extraction,
     rig=rigs,
@@ -132,6 +138,7 @@ extractions = st.builds(
     notes=st.lists(names, max_size=3).map(tuple),
     logs=st.lists(st.builds(LogSource, names, names), max_size=2).map(tuple),
     counts=st.dictionaries(names, int64, max_size=3),
+    joint_tracks=st.lists(st.lists(joint_tracks, max_size=2).map(tuple), max_size=2).map(tuple),
 )
 
 
@@ -175,7 +182,7 @@ def test_numpy_alone_can_read_it():
     with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
         assert archive["observations.points_c"].shape == (3, 54, 3)
         assert archive["wheels.0.time_ns"].dtype == np.int64
-        assert json.loads(archive["header"].tobytes())["schema_version"] == 1
+        assert json.loads(archive["header"].tobytes())["schema_version"] == 2
 
 
 def test_the_bytes_hold_no_time():
@@ -198,7 +205,7 @@ def with_header(change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda h: h.update(schema_version=2), "schema version 2"),
+        (lambda h: h.update(schema_version=3), "schema version 3"),
         (lambda h: h.pop("schema_version"), "schema version None"),
         (lambda h: h.update(format="something"), "not an extraction"),
         (lambda h: h.pop("rig"), "damaged"),

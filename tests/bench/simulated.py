@@ -1,0 +1,139 @@
+"""Simulated extractions for the studies: the paper's robot with the noise of method.md, and what may go wrong."""
+
+from __future__ import annotations
+
+import os
+
+# One thread a process: the studies run one process on each core.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import platform  # noqa: E402
+import sys  # noqa: E402
+from collections.abc import Callable, Iterator  # noqa: E402
+from concurrent.futures import ProcessPoolExecutor  # noqa: E402
+from dataclasses import replace  # noqa: E402
+from datetime import UTC, datetime  # noqa: E402
+from functools import cache  # noqa: E402
+from typing import Any  # noqa: E402
+
+import numpy as np  # noqa: E402
+import scipy  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+
+from mobilecal_cli import __version__, se3  # noqa: E402
+from mobilecal_cli.likelihood.legs import leg_covariance  # noqa: E402
+from mobilecal_cli.likelihood.noise import Noise, Selection  # noqa: E402
+from mobilecal_cli.likelihood.problem import problem_of  # noqa: E402
+from mobilecal_cli.likelihood.system import linearize  # noqa: E402
+from mobilecal_cli.model import Corners, Extraction, FloatArray, Parameters, WheelTrack  # noqa: E402
+from mobilecal_cli.simulate import ideal  # noqa: E402
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot  # noqa: E402
+from mobilecal_cli.simulate.route import Motion, Route, plan_route  # noqa: E402
+from mobilecal_cli.simulate.stereo import pixels  # noqa: E402
+from mobilecal_cli.solvers.loops import closed_loops  # noqa: E402
+from mobilecal_cli.solvers.maximum_likelihood import state_at  # noqa: E402
+from mobilecal_cli.vision import Miss, board_pose, triangulate  # noqa: E402
+
+PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
+DISTURBED = ideal.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
+TRUE_NOISE = Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
+RUNS_PER_ROUTE = 10
+DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])
+HEADER = "| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |\n" + "| --- " * 10 + "|"
+
+
+def conditions() -> str:
+    """Versions and machine, in one line."""
+    versions = f"numpy {np.__version__}, scipy {scipy.__version__}"
+    cores = f"{os.cpu_count()} cores, {platform.machine()}"
+    when = f"{datetime.now(UTC):%Y-%m-%d}"
+    return f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {cores}, {when}"
+
+
+def row(name: str, values: FloatArray, digits: int = 2) -> str:
+    """One line of a table."""
+    return f"| {name} | " + " | ".join(f"{value:.{digits}f}" for value in values) + " |"
+
+
+@cache
+def route_of(stations: int, number: int, motion: Motion = "standard") -> Route:
+    """One of the routes that all runs share, `RUNS_PER_ROUTE` runs each."""
+    return plan_route(paper_robot(), motion, stations=stations, seed=number)
+
+
+def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
+    """(9,) found minus true: small rotation vector in the head's frame (rad), translation and wheels (m)."""
+    X, a, b = robot.T_h_c, found.wheels, robot.wheels
+    wheels = [
+        a.radius_right_m - b.radius_right_m,
+        a.radius_left_m - b.radius_left_m,
+        a.separation_m - b.separation_m,
+    ]
+    turn = se3.log_so3(found.T_h_c[:3, :3] @ X[:3, :3].T)
+    return np.concatenate([turn, found.T_h_c[:3, 3] - X[:3, 3], wheels])
+
+
+def information_of(robot: SimulatedRobot, route: Route, believed: Selection | None = None) -> FloatArray:
+    """(P, P) Fisher information about the shared numbers at the truth, from readings without any noise."""
+    extraction = ideal.ideal_extraction(robot, route)
+    problem = problem_of(extraction)
+    everything = Selection.everything(problem)
+    truth = state_at(problem, Parameters(robot.T_h_c, robot.wheels), closed_loops(extraction), everything)
+    covariance = leg_covariance(problem, robot.wheels, TRUE_NOISE)
+    return linearize(problem, truth, believed or everything, TRUE_NOISE, covariance).S
+
+
+@cache
+def bound_of(stations: int, number: int) -> FloatArray:
+    """(9, 9) Cramer-Rao bound of a standard route."""
+    return np.linalg.inv(information_of(paper_robot(), route_of(stations, number)))[:9, :9]
+
+
+def spoiled(
+    extraction: Extraction, route: Route, random: np.random.Generator, share: float = 0.2, slip: bool = True
+) -> tuple[Extraction, FloatArray, int | None]:
+    """The same with some boards moved by 20 to 150 mm and about 7 degrees, and one wheel that slips 0.08 to 0.4 rad.
+
+    Returns:
+        The extraction, the bad stations and the leg that slips.
+    """
+    count, seen = len(extraction.observations), list(extraction.observations)
+    bad = np.sort(random.choice(count, max(1, round(share * count)), replace=False))
+    rig, corners_k = extraction.rig.cameras, route.corners_k()
+    for i in bad:
+        way = random.normal(size=3)
+        displaced = np.eye(4)
+        displaced[:3, :3] = Rotation.from_rotvec(random.normal(size=3) * np.radians(4)).as_matrix()
+        displaced[:3, 3] = way / np.linalg.norm(way) * random.uniform(0.02, 0.15)
+        T_c_k = seen[i].T_c_k @ displaced
+        both = []
+        for camera, T in ((rig.left, T_c_k), (rig.right, se3.inverse(rig.T_c_r) @ T_c_k)):
+            at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
+            both.append(at + PIXEL_PX * random.normal(size=at.shape))
+        points = triangulate(rig, *both, PIXEL_PX, PIXEL_PX)
+        assert not isinstance(points, Miss)
+        found = board_pose(rig, corners_k, *both, PIXEL_PX, PIXEL_PX, T_c_k)
+        seen[i] = replace(
+            seen[i],
+            left=Corners(both[0], PIXEL_PX, 1),
+            right=Corners(both[1], PIXEL_PX, 1),
+            points_c=points.points_c,
+            points_cov=points.points_cov,
+            T_c_k=found.T_c_k,
+            T_c_k_cov=found.T_c_k_cov,
+        )
+    wheels, leg = extraction.wheels[0], None
+    if slip:
+        leg = int(random.integers(0, count - 1))
+        middle = (seen[leg].time_ns + seen[leg + 1].time_ns) // 2
+        right = wheels.right_rad.copy()
+        right[wheels.time_ns > middle] += random.choice([-1, 1]) * random.uniform(0.08, 0.4)
+        wheels = WheelTrack(wheels.time_ns, right, wheels.left_rad)
+    return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
+
+
+def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> Iterator[Any]:
+    """`run` on every task, on all cores, results in the tasks' order."""
+    with ProcessPoolExecutor() as pool:
+        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=5)
