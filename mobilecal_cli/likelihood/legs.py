@@ -15,6 +15,7 @@ from mobilecal_cli.kinematics import (
 )
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.shared import Layout
 from mobilecal_cli.model import FloatArray, WheelGeometry
 
 
@@ -34,6 +35,14 @@ class Legs:
     by_end: FloatArray
     by_wheels: FloatArray
     by_time: FloatArray
+
+    def by_all_shared(self, layout: Layout) -> FloatArray:
+        """(L, 3, P) by all shared numbers."""
+        shared = np.zeros((len(self.residual), 3, layout.size))
+        shared[:, :, 6:9] = self.by_wheels
+        if "time_wheels" in layout.extras:
+            shared[:, :, 9 + layout.extras.index("time_wheels")] = self.by_time
+        return shared
 
 
 def _steps(problem: Problem, state: State) -> Increments:

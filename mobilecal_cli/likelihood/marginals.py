@@ -55,11 +55,7 @@ def marginals(problem: Problem, system: System, shared_covariance: FloatArray) -
     bases = own + _sandwich(follow, shared_covariance)
 
     i, j = problem.legs.T
-    shared = np.zeros((len(i), 3, problem.layout.size))
-    shared[:, :, 6:9] = legs.by_wheels
-    if "time_wheels" in problem.layout.extras:
-        shared[:, :, 9 + problem.layout.extras.index("time_wheels")] = legs.by_time
-    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + shared
+    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_all_shared(problem.layout)
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(

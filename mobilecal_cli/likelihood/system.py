@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.legs import Legs, leg_residuals, linearize_legs
 from mobilecal_cli.likelihood.noise import FREE_JOINT, LOST_BASE, Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
 from mobilecal_cli.likelihood.views import Views, linearize_views, view_cost
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import FloatArray, IntArray
 
 _B = 5  # base pose and encoder errors of one station
 
@@ -61,6 +61,29 @@ class System:
         base = (-self._y - self._Y @ shared).reshape(-1, _B)
         coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
         return base, -np.einsum("njk,nk->nj", self._E_inverse, coupled)
+
+    def onto_shared(
+        self, station: IntArray, base: FloatArray, joints: FloatArray, shared: FloatArray
+    ) -> FloatArray:
+        """What gradients at single stations amount to for the shared numbers, all else eliminated.
+
+        Args:
+            station: (n,) where each gradient acts.
+            base: (n, 5, m) by the station's base block.
+            joints: (n, J, m) by its joint errors.
+            shared: (n, P, m) by the shared numbers.
+
+        Returns:
+            (n, P, m).
+        """
+        E_inverse, E_base, E_shared = (
+            part[station] for part in (self._E_inverse, self._E_base, self._E_shared)
+        )
+        solved = E_inverse @ joints
+        follow = self._Y.reshape(-1, _B, self._Y.shape[1])[station]
+        left = base - np.swapaxes(E_base, 1, 2) @ solved
+        out: FloatArray = shared - np.swapaxes(E_shared, 1, 2) @ solved - np.swapaxes(follow, 1, 2) @ left
+        return out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
         """Covariance of the stations' base block for known shared numbers.
@@ -151,10 +174,7 @@ def linearize(
     # Legs.
     off = np.zeros((count, _B, _B))
     i, j = problem.legs.T
-    shared = np.zeros((len(i), 3, P))
-    shared[:, :, 6:9] = legs.by_wheels
-    if "time_wheels" in problem.layout.extras:
-        shared[:, :, 9 + problem.layout.extras.index("time_wheels")] = legs.by_time
+    shared = legs.by_all_shared(problem.layout)
     Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
     Ws = weight @ shared
     We = np.einsum("lab,lb->la", weight, legs.residual)

@@ -1,6 +1,7 @@
 """The values that flow between the stages: frozen, shapes checked once, arrays read-only."""
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
 from mobilecal_cli.model.observations import (
     Corners,
     Extraction,
@@ -45,12 +46,14 @@ from mobilecal_cli.model.solution import (
 
 __all__ = [
     "NINE",
+    "BetweenLogs",
     "Board",
     "BoolArray",
     "Camera",
     "CameraInfo",
     "Corners",
     "Distortion",
+    "Evidence",
     "Extraction",
     "FixedLink",
     "FloatArray",
@@ -73,6 +76,7 @@ __all__ = [
     "Rejection",
     "Residuals",
     "Rig",
+    "ScaleCheck",
     "Setting",
     "Shot",
     "Side",
@@ -82,6 +86,7 @@ __all__ = [
     "Sources",
     "Station",
     "StereoRig",
+    "Suggestion",
     "TopicInfo",
     "Track",
     "Uncertainty",

@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
+from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
 from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import WheelGeometry
 
@@ -123,6 +124,7 @@ class Uncertainty:
         scales: (9,) rad, m.
         singular_values: falling, of the whitened, scaled Jacobian: scale over sigma along each direction.
         noise: levels.
+        jackknife_std: (9,) standard deviations by leaving out stations and legs in turn: a second opinion.
     """
 
     covariance: FloatArray
@@ -131,9 +133,12 @@ class Uncertainty:
     scales: FloatArray
     singular_values: FloatArray
     noise: NoiseLevels
+    jackknife_std: FloatArray
 
     def __post_init__(self) -> None:
-        freeze(self, covariance=(9, 9), held=("K", 9), scales=(9,), singular_values=("D",))
+        freeze(
+            self, covariance=(9, 9), held=("K", 9), scales=(9,), singular_values=("D",), jackknife_std=(9,)
+        )
         freeze(self, np.bool_, observable=(9,))
 
     @property
@@ -221,6 +226,10 @@ class Solution:
         uncertainty: of the nine numbers; None for the methods that know none.
         outliers: what was left out of the maximum-likelihood estimate.
         extras: what was estimated beside the nine: name → value and standard deviation.
+        evidence: whether the log supports more numbers than the nine.
+        scale: the board's squares against the stereo baseline, where their size is stated.
+        between: the logs one by one, where there are several.
+        suggestions: what to record next, the best first.
     """
 
     method: Method
@@ -234,6 +243,10 @@ class Solution:
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
     extras: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    evidence: tuple[Evidence, ...] = ()
+    scale: ScaleCheck | None = None
+    between: BetweenLogs | None = None
+    suggestions: tuple[Suggestion, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

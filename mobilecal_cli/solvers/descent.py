@@ -58,15 +58,19 @@ class Ties:
         extras = [state.extras[INDEX[name]] for name in problem.layout.extras]
         return np.concatenate([turn, found.T_h_c[:3, 3] - anchor.T_h_c[:3, 3], wheels, extras])
 
+    def named_basis(self) -> FloatArray:
+        """(named, named - K) directions in which the named numbers may go, orthonormal in units of `scales`."""
+        if not len(self.held):
+            return np.eye(len(self.scales))
+        _, _, Vt = np.linalg.svd(self.held, full_matrices=True)
+        return np.asarray(Vt[len(self.held) :].T)
+
     def free_basis(self, size: int) -> FloatArray:
         """(P, P - K) directions in which a step may go."""
         named = len(self.scales)
-        if not len(self.held):
-            return np.eye(size)
-        _, _, Vt = np.linalg.svd(self.held, full_matrices=True)
         basis = np.zeros((size, size - len(self.held)))
         free = named - len(self.held)
-        basis[:named, :free] = self.scales[:, None] * Vt[len(self.held) :].T
+        basis[:named, :free] = self.scales[:, None] * self.named_basis()
         basis[named:, free:] = np.eye(size - named)
         return basis
 

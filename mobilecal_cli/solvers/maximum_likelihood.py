@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.problem import Problem, State, no_extras, problem_of
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import linearize
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters
+from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.carry import base_motion
 from mobilecal_cli.solvers.consensus import agreed
@@ -70,6 +70,8 @@ class Fit:
         directions: what the data show.
         held: (K, named) directions that are held because the data do not show them, in units of the scales.
         given: names of the noise levels that are not estimated.
+        between: the logs one by one, where there are several.
+        over_logs: (named, named) covariance that allows for the spread between them.
     """
 
     problem: Problem
@@ -82,6 +84,8 @@ class Fit:
     directions: Directions
     held: FloatArray
     given: frozenset[str]
+    between: BetweenLogs | None = None
+    over_logs: FloatArray | None = None
 
     @property
     def covariance(self) -> FloatArray:
@@ -94,7 +98,11 @@ class Fit:
         ]
         fewest = min(rests, default=math.inf)
         wider = (fewest + GUESS_WORTH) / max(fewest + GUESS_WORTH - 2, 2.0) if fewest < _MANY else 1.0
-        return self.optimum.covariance * min(wider, 2.0)
+        covariance = self.optimum.covariance.copy()
+        if self.over_logs is not None:
+            named = len(self.over_logs)
+            covariance[:named, :named] = self.over_logs
+        return covariance * min(wider, 2.0)
 
 
 def extras_for(extraction: Extraction, asked: Asked) -> tuple[str, ...]:

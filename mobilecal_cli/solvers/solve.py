@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 
@@ -23,6 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.carry import point_rms_m
+from mobilecal_cli.solvers.findings import evidence_of, jackknife_std, over_logs, scale_of, suggestions_of
 from mobilecal_cli.solvers.linear import linear_estimate, ratios_of
 from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.maximum_likelihood import Fit, Solver
@@ -30,6 +32,8 @@ from mobilecal_cli.solvers.outliers import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of
 from mobilecal_cli.solvers.signs import check_signs
+
+_LOG = logging.getLogger(__name__)
 
 
 def _motion(
@@ -122,6 +126,16 @@ def _by_likelihood(
         linear = _pulled(loops, solver.linear())
     check_signs(linear.parameters.wheels)
     fit = solver.solve(linear.parameters)
+    found = evidence_of(fit)
+    scale = scale_of(extraction, found)
+    if scale is not None and scale.apart and "square_scale" not in asked.extras:
+        _LOG.info("squares and baseline disagree: the squares' size is estimated")
+        fit = Solver(extraction, replace(asked, extras=(*asked.extras, "square_scale"))).solve(
+            linear.parameters
+        )
+        found = evidence_of(fit)
+        scale = scale_of(extraction, found)
+    fit = over_logs(fit)
     parameters = fit.optimum.state.parameters
     check_signs(parameters.wheels)
     i, j = fit.problem.legs.T
@@ -139,6 +153,10 @@ def _by_likelihood(
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
         extras={name: (fit.optimum.state.extra(name), float(s)) for name, s in zip(names, std, strict=True)},
+        evidence=found,
+        scale=scale,
+        between=fit.between,
+        suggestions=suggestions_of(fit),
     )
 
 
@@ -161,4 +179,5 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
             tuple(levels),
             {name: fit.components[name].redundancy for name in levels},
         ),
+        jackknife_std=jackknife_std(fit),
     )

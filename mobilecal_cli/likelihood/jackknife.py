@@ -1,0 +1,96 @@
+"""A second opinion on the covariance, from the residuals' own scatter instead of the noise levels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.likelihood.marginals import Marginals
+from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.system import System, joint_sigmas
+from mobilecal_cli.model import FloatArray
+
+_NO_REDUNDANCY = 1e-6
+
+
+def _spread(influence: FloatArray, residual: FloatArray, taken: FloatArray) -> FloatArray:
+    """Sum over units of (K (I - h)^-1/2 r)(...)^T: (n, P, m), (n, m), (n, m, m) → (P, P)."""
+    values, vectors = np.linalg.eigh(np.eye(residual.shape[1]) - taken)
+    usable = values > _NO_REDUNDANCY
+    root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
+    along = np.einsum("nkm,nk->nm", vectors, residual) * root
+    shift = np.einsum("npk,nkm,nm->np", influence, vectors, along)
+    return np.asarray(shift.T @ shift)
+
+
+def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    values, vectors = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(values, 0.0))
+    sound = size > 1e-9 * size.max(axis=1, keepdims=True).clip(1e-300)
+    inverse = np.where(sound, 1 / np.where(sound, size, 1.0), 0.0)
+    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
+
+
+def jackknife(
+    problem: Problem,
+    state: State,
+    selection: Selection,
+    noise: Noise,
+    system: System,
+    marginal: Marginals,
+    covariance: FloatArray,
+) -> FloatArray:
+    """(P, P) covariance by leaving out each station's pictures, joint readings and each leg's wheels in turn.
+
+    Each unit's shift is weighted by the root of its redundancy (the weighted jackknife of Wu, Annals of Statistics
+    14, 1986), so that with true noise levels the expected value is the covariance itself.
+
+    Args:
+        problem, state, selection, noise, system, marginal: the optimum.
+        covariance: (P, P) of the shared numbers, noise levels taken for true.
+    """
+    views, legs = system.views, system.legs
+    root, inverse = _roots(views.information)
+    total = _spread(
+        covariance
+        @ system.onto_shared(
+            np.arange(problem.stations),
+            np.swapaxes(views.by_base, 1, 2) @ root,
+            np.swapaxes(views.by_joints, 1, 2) @ root,
+            np.swapaxes(views.by_shared, 1, 2) @ root,
+        ),
+        (inverse @ views.gradient[..., None])[..., 0],
+        np.swapaxes(root, 1, 2) @ marginal.views @ root,
+    )
+
+    sigma = joint_sigmas(problem, selection, noise)
+    read = selection.readings & selection.views[:, None]
+    count, J = sigma.shape
+    one = np.where(read, 1 / sigma, 0.0)[:, :, None] * np.eye(J)
+    none, P = np.zeros((count, 5, J)), covariance.shape[0]
+    total += _spread(
+        covariance @ system.onto_shared(np.arange(count), none, one, np.zeros((count, P, J))),
+        np.where(read, state.joint_errors / sigma, 0.0),
+        one @ marginal.joints @ one,
+    )
+
+    if len(problem.legs):
+        i, j = problem.legs.T
+        root, _ = _roots(system.leg_weight)
+        shared = np.swapaxes(legs.by_all_shared(problem.layout), 1, 2) @ root
+        empty = np.zeros((len(i), J, 3))
+        onto = system.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, empty, shared)
+        onto += system.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root, empty, np.zeros_like(shared))
+        total += _spread(
+            covariance @ onto,
+            (np.swapaxes(root, 1, 2) @ legs.residual[..., None])[..., 0],
+            np.swapaxes(root, 1, 2) @ marginal.legs @ root,
+        )
+    if noise.encoder_rad:
+        one = np.broadcast_to(np.eye(2) / noise.encoder_rad, (count, 2, 2))
+        base = np.concatenate([np.zeros((count, 3, 2)), one], axis=1)
+        onto = system.onto_shared(np.arange(count), base, np.zeros((count, J, 2)), np.zeros((count, P, 2)))
+        taken = marginal.encoders[:, :, None] * np.eye(2) / noise.encoder_rad**2
+        total += _spread(covariance @ onto, state.encoder_errors / noise.encoder_rad, taken)
+    return total

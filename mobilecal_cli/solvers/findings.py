@@ -1,0 +1,93 @@
+"""What a fit tells beside the nine numbers, as the report takes it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mobilecal_cli.likelihood.between import weigh_logs
+from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.jackknife import jackknife
+from mobilecal_cli.likelihood.problem import moved
+from mobilecal_cli.likelihood.suggest import suggestions
+from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck, Suggestion
+from mobilecal_cli.solvers.maximum_likelihood import Fit
+
+_APART_CHI2 = 16.0  # two scales that differ by four sigma do not agree
+
+
+def evidence_of(fit: Fit) -> tuple[Evidence, ...]:
+    """Evidence for every group of extras."""
+    optimum = fit.optimum
+    prior, _, _ = fit.ties.prior_terms(fit.problem, optimum.state)
+    found = evidence(
+        fit.problem, optimum.state, fit.selection, fit.noise, optimum.leg_covariance, prior, optimum.basis
+    )
+    return tuple(found)
+
+
+def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck | None:
+    """Whether squares and baseline agree; None where the squares' size is not stated, or the log does not tell."""
+    square_m = extraction.board.square_m
+    ratio = next((e for e in found if e.group == "square_scale" and e.state != "hidden"), None)
+    if square_m is None or ratio is None:
+        return None
+    value, std = ratio.values["square_scale"]
+    baseline_m = float(np.linalg.norm(extraction.rig.cameras.T_c_r[:3, 3]))
+    return ScaleCheck(1 + value, std, square_m, baseline_m, ratio.chi2 > _APART_CHI2)
+
+
+def jackknife_std(fit: Fit) -> FloatArray:
+    """(9,) standard deviations by leaving out stations and legs in turn, rad and m."""
+    spread = jackknife(
+        fit.problem,
+        fit.optimum.state,
+        fit.selection,
+        fit.noise,
+        fit.optimum.system,
+        fit.marginal,
+        fit.optimum.covariance,
+    )
+    return np.asarray(np.sqrt(np.diag(spread)[:9]))
+
+
+def over_logs(fit: Fit) -> Fit:
+    """The same fit with the spread between logs allowed for; unchanged for a single log."""
+    problem, state = fit.problem, fit.optimum.state
+    if len(np.unique(problem.log)) < 2:
+        return fit
+    prior, _, _ = fit.ties.prior_terms(problem, state)
+    named = problem.layout.named
+    pooled = weigh_logs(
+        problem,
+        state,
+        fit.selection,
+        fit.noise,
+        fit.optimum.leg_covariance,
+        fit.ties.scales,
+        fit.ties.named_basis(),
+        prior[:named],
+    )
+    if np.any(pooled.step):
+        S = fit.optimum.system.S
+        boards = -np.linalg.solve(S[named:, named:], S[named:, :named] @ pooled.step)
+        step = np.concatenate([pooled.step, boards])
+        state = moved(problem, state, step, *fit.optimum.system.back(step))
+    return replace(
+        fit, optimum=replace(fit.optimum, state=state), between=pooled.between, over_logs=pooled.covariance
+    )
+
+
+def suggestions_of(fit: Fit) -> tuple[Suggestion, ...]:
+    """What to record next."""
+    return suggestions(
+        fit.problem,
+        fit.optimum.state,
+        fit.noise,
+        fit.optimum.system,
+        fit.marginal,
+        fit.optimum.covariance,
+        fit.held,
+        fit.ties.scales,
+    )
