@@ -142,6 +142,29 @@ def calibrate(
 
 
 @app.command()
+def suggest(
+    logs: Logs,
+    config: Config = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
+    """Say which stops would improve a recording most: where to drive, where to look, and what it would bring.
+
+    Reads recordings, or the extraction.npz of an earlier calibration, and writes nothing.
+
+    Example: mobilecal suggest log.mcap
+    """
+    from mobilecal_cli import pipeline
+    from mobilecal_cli.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        lines = pipeline.suggest(logs, config, _flags(None, None, setting or []), progress)
+    typer.echo("\n".join(lines))
+
+
+@app.command()
 def init(
     log: Annotated[Path, typer.Argument(help="A recording.")],
     output: Annotated[

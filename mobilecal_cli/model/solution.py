@@ -124,6 +124,7 @@ class Uncertainty:
         scales: (9,) rad, m.
         singular_values: falling, of the whitened, scaled Jacobian: scale over sigma along each direction.
         noise: levels.
+        fixed: (9,) numbers that the user fixed; not observable either.
         jackknife_std: (9,) standard deviations by leaving out stations and legs in turn: a second opinion.
     """
 
@@ -133,13 +134,14 @@ class Uncertainty:
     scales: FloatArray
     singular_values: FloatArray
     noise: NoiseLevels
+    fixed: BoolArray
     jackknife_std: FloatArray
 
     def __post_init__(self) -> None:
         freeze(
             self, covariance=(9, 9), held=("K", 9), scales=(9,), singular_values=("D",), jackknife_std=(9,)
         )
-        freeze(self, np.bool_, observable=(9,))
+        freeze(self, np.bool_, observable=(9,), fixed=(9,))
 
     @property
     def std(self) -> FloatArray:

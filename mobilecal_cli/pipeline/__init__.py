@@ -1,6 +1,6 @@
 """Joins the stages; what a notebook would call."""
 
-from mobilecal_cli.pipeline.calibrate import Calibration, calibrate, default_output
+from mobilecal_cli.pipeline.calibrate import Calibration, calibrate, default_output, suggest
 from mobilecal_cli.pipeline.draft import draft, write_draft
 from mobilecal_cli.pipeline.extract import extract
 from mobilecal_cli.pipeline.progress import Progress, silent
@@ -13,5 +13,6 @@ __all__ = [
     "draft",
     "extract",
     "silent",
+    "suggest",
     "write_draft",
 ]

@@ -24,7 +24,7 @@ from mobilecal_cli.model import Extraction, Method, Provenance, Snapshot, Soluti
 from mobilecal_cli.pipeline.extract import extract
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.report import Verdict, judge, report_html, report_json
+from mobilecal_cli.report import Verdict, judge, report_html, report_json, suggestion_sentences
 from mobilecal_cli.solvers import Asked, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
@@ -91,6 +91,24 @@ def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solu
             raise
         because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
         raise SolveError(f"{error.message}: {because}", f"{cures}; or: {error.hint}") from error
+
+
+def suggest(
+    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
+) -> tuple[str, ...]:
+    """What to record next, as numbered lines, the best first.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    extraction, _ = load(logs, config_path, flags, progress)
+    require_stations(extraction)
+    progress("solving", 0, None)
+    sentences = suggestion_sentences(_solved(extraction, "ml", None), extraction)
+    if not sentences:
+        return ("No stop near the last one would show the whole board: move the robot, and record again.",)
+    head = "One more stop at the end of this recording, the most useful first:"
+    return (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
 
 
 def calibrate(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Extraction, Parameters, Provenance, Solution, StereoRig
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
@@ -42,7 +43,10 @@ def report_json(solution: Solution, extraction: Extraction, provenance: Provenan
         "legs": _legs(solution),
         "uncertainty": _uncertainty(solution, cameras),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
-        "extras": {name: {"value": value, "std": std} for name, (value, std) in solution.extras.items()},
+        "extras": {
+            name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.extras.items()
+        },
+        **_findings(solution, extraction),
         "stations": _stations(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),
@@ -161,6 +165,52 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
         "scales": found.scales,
         "singular_values": found.singular_values,
         "noise": asdict(found.noise),
+        "fixed": dict(zip(NINE, found.fixed.tolist(), strict=True)),
+        "jackknife_std": dict(zip(NINE, found.jackknife_std.tolist(), strict=True)),
+        "predicted": asdict(predicted(solution.parameters, found.covariance)),
+    }
+
+
+def _finite(values: Any) -> Any:  # noqa: ANN401  (nested lists)
+    """Nested lists with None for what is not finite, which JSON does not know."""
+    if isinstance(values, list):
+        return [_finite(value) for value in values]
+    return values if math.isfinite(values) else None
+
+
+def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
+    between, scale = solution.between, solution.scale
+    return {
+        "evidence": [
+            {
+                "group": found.group,
+                "state": found.state,
+                "chi2": found.chi2,
+                "bic": found.bic,
+                "values": {n: {"value": v, "std": _finite(s)} for n, (v, s) in found.values.items()},
+            }
+            for found in solution.evidence
+        ],
+        "scale": asdict(scale) if scale is not None else None,
+        "logs": {
+            "shift": _finite(between.shift.tolist()),
+            "std": _finite(between.std.tolist()),
+            "between_std": between.between_std,
+        }
+        if between is not None
+        else None,
+        "suggestions": [
+            {
+                "turn_deg": math.degrees(s.turn_rad),
+                "drive_m": s.drive_m,
+                "joints": dict(zip(extraction.rig.chain.joints, s.joints.tolist(), strict=True)),
+                "worst": s.worst,
+                "std_now": s.std_now,
+                "std_then": s.std_then,
+                "gain": s.gain,
+            }
+            for s in solution.suggestions
+        ],
     }
 
 

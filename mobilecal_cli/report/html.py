@@ -11,6 +11,16 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
+from mobilecal_cli.report.findings import (
+    evidence_rows,
+    extra_rows,
+    jackknife_factor,
+    log_rows,
+    predicted_rows,
+    scale_sentence,
+    suggestion_sentences,
+    usual_factor,
+)
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     board_distance_m,
@@ -69,7 +79,15 @@ def report_html(
         noise=solution.uncertainty.noise if solution.uncertainty is not None else None,
         correlations=_correlations(solution),
         outliers=solution.outliers,
-        extras=solution.extras,
+        predicted=predicted_rows(solution),
+        jackknife=jackknife_factor(solution),
+        usual=usual_factor(solution),
+        extras=extra_rows(solution),
+        evidence=evidence_rows(solution),
+        scale=scale_sentence(solution.scale) if solution.scale is not None else "",
+        logs_apart=log_rows(solution, extraction),
+        nine=NINE,
+        suggestions=suggestion_sentences(solution, extraction),
         error_mm=solution.point_rms_m * 1e3,
         linear_error_mm=solution.linear.point_rms_m * 1e3,
         predicted_mm=predicted_point_rms_m(extraction, solution) * 1e3,

@@ -15,6 +15,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Extraction, Solution
+from mobilecal_cli.report.findings import scale_sentence
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -61,6 +62,9 @@ REJECTED_LOOK = 0.5
 # Bad stations and slips that an estimate survives; beyond it most may be wrong. Noise of no sound robot.
 LEFT_OUT_BAD, JOINT_NOISE_BAD_DEG, WHEEL_NOISE_BAD = 0.3, 0.4, 0.03
 SIGMA_ROTATION_DEG, SIGMA_TRANSLATION_MM, SIGMA_WHEELS = (0.3, 1.5), (6.0, 25.0), (0.01, 0.04)
+
+
+STRONG_EVIDENCE = 10.0  # of the Bayesian information criterion: "very strong" by Kass and Raftery's scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +143,8 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _wheels_apart(solution)
     yield from _nominal(solution, extraction)
     yield from _stereo(extraction)
+    yield from _square(solution, extraction)
+    yield from _more(solution)
     if len(solution.residuals.legs):
         yield from _legs(solution, extraction)
         yield from _errors(solution, extraction)
@@ -247,7 +253,23 @@ def _stereo(extraction: Extraction) -> Iterator[Check]:
         f"The two cameras do not agree on a flat board: {px:.2f} px, where 0.3 px is usual.",
         "Calibrate the stereo pair anew (camera_info), and check that the board is flat.",
     )
-    if extraction.board.square_m is not None:
+
+
+def _square(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """The board's stated squares against the stereo baseline."""
+    scale = solution.scale
+    if scale is not None:
+        off = abs(scale.ratio - 1)
+        yield Check(
+            "squares and baseline agree",
+            f"{100 * (scale.ratio - 1):+.2f} %, standard deviation {100 * scale.std:.2g} %",
+            f"within four standard deviations, and {100 * SQUARE_BAD:g} %",
+            "good" if not scale.apart else "bad" if off > SQUARE_BAD else "look",
+            scale_sentence(scale),
+            "The baseline was trusted. Measure ten squares with a ruler; if they are as stated, calibrate the "
+            "stereo pair.",
+        )
+    elif extraction.board.square_m is not None:
         stated = extraction.board.square_m
         seen = float(np.median([o.square_m for o in extraction.observations]))
         off = seen / stated - 1
@@ -282,6 +304,21 @@ def _methods(solution: Solution) -> Check:
         f"Two ways of solving disagree: by {apart_by}.",
         "Check the head's joints for play; then record again with more stops, head movement and turns.",
     )
+
+
+def _more(solution: Solution) -> Iterator[Check]:
+    """Whether the recording would rather have more numbers estimated."""
+    wanted = [e for e in solution.evidence if e.state == "offered" and e.bic > STRONG_EVIDENCE]
+    if solution.evidence:
+        names = ", ".join(e.group for e in wanted)
+        yield Check(
+            "the nine numbers are enough",
+            f"BIC {max(e.bic for e in wanted):+.0f} for more: {names}" if wanted else "no sign of more",
+            f"BIC up to {STRONG_EVIDENCE:g}",
+            "look" if wanted else "good",
+            f"The recording speaks for more than nine numbers: {names}.",
+            f"Try --estimate {wanted[0].group}, and see the report's table." if wanted else "",
+        )
 
 
 def _believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -338,7 +375,9 @@ def _sigmas(solution: Solution) -> Iterator[Check]:
             f"The {name} is known to {worst:.2g} {unit} only (one standard deviation).",
             "Record again with more stops, more head movement and more turns.",
         )
-    hidden = [n for n, ok in zip(NINE, found.observable, strict=True) if not ok]
+    hidden = [
+        n for n, ok, by_user in zip(NINE, found.observable, found.fixed, strict=True) if not (ok or by_user)
+    ]
     if hidden:
         yield Check(
             "all nine numbers are visible",

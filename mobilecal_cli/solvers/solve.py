@@ -11,6 +11,7 @@ import numpy as np
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.observability import tainted
 from mobilecal_cli.model import (
+    NINE,
     BoolArray,
     Extraction,
     FloatArray,
@@ -150,7 +151,7 @@ def _by_likelihood(
     std = np.sqrt(np.diag(fit.covariance)[9 : fit.problem.layout.named])
     return replace(
         solution,
-        uncertainty=uncertainty_of(fit),
+        uncertainty=uncertainty_of(fit, asked),
         outliers=outliers_of(extraction, fit),
         extras={name: (fit.optimum.state.extra(name), float(s)) for name, s in zip(names, std, strict=True)},
         evidence=found,
@@ -160,14 +161,15 @@ def _by_likelihood(
     )
 
 
-def uncertainty_of(fit: Fit) -> Uncertainty:
+def uncertainty_of(fit: Fit, asked: Asked) -> Uncertainty:
     """What a fit says about how well the nine numbers are known."""
     covariance = fit.covariance[:9, :9]
+    fixed = np.array([name in asked.fixed for name in NINE])
     scales = fit.directions.scales[:9]
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
-        observable=~tainted(fit.held[:, :9], scales, np.sqrt(np.diag(covariance))),
+        observable=~tainted(fit.held[:, :9], scales, np.sqrt(np.diag(covariance))) & ~fixed,
         held=fit.held[:, :9],
         scales=scales,
         singular_values=fit.directions.singular_values,
@@ -179,5 +181,6 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
             tuple(levels),
             {name: fit.components[name].redundancy for name in levels},
         ),
+        fixed=fixed,
         jackknife_std=jackknife_std(fit),
     )
