@@ -14,12 +14,11 @@ from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.findings import (
     evidence_rows,
     extra_rows,
-    jackknife_factor,
+    jackknife_sentence,
     log_rows,
     predicted_rows,
     scale_sentence,
     suggestion_sentences,
-    usual_factor,
 )
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
@@ -80,8 +79,7 @@ def report_html(
         correlations=_correlations(solution),
         outliers=solution.outliers,
         predicted=predicted_rows(solution),
-        jackknife=jackknife_factor(solution),
-        usual=usual_factor(solution),
+        jackknife=jackknife_sentence(solution),
         extras=extra_rows(solution),
         evidence=evidence_rows(solution),
         scale=scale_sentence(solution.scale) if solution.scale is not None else "",

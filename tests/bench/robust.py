@@ -1,0 +1,93 @@
+"""Monte Carlo with a fifth of the stations spoiled and one wheel slip: what is left out, and what it costs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.noise import Selection
+from mobilecal_cli.likelihood.problem import problem_of
+from mobilecal_cli.simulate import ideal
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from tests.bench.simulated import (
+    DISTURBED,
+    HEADER,
+    RUNS_PER_ROUTE,
+    conditions,
+    errors,
+    information_of,
+    map_runs,
+    route_of,
+    row,
+    spoiled,
+)
+
+_FALSE = float(chi2.isf(1e-6, 9)) / 9
+
+
+def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, str, float]:
+    """Error, sigma of the good data's bound, NEES / 9, what was found, seconds."""
+    robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
+    sound = ideal.ideal_extraction(robot, route, DISTURBED, seed)
+    extraction, bad, slip = spoiled(sound, route, np.random.default_rng(seed))
+    good = Selection.everything(problem_of(sound))
+    views, legs = good.views.copy(), good.legs.copy()
+    views[bad], legs[slip] = False, False
+    bound = np.linalg.inv(information_of(robot, route, replace(good, views=views, legs=legs)))[:9, :9]
+    start = time.perf_counter()
+    try:
+        fit = maximum_likelihood(extraction)
+    except SolveError:
+        return np.full(9, np.nan), np.sqrt(np.diag(bound)), np.nan, "refused", time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    error = errors(fit.optimum.state.parameters, robot)
+    nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
+    same_views, same_legs = (
+        np.array_equal(fit.selection.views, views),
+        np.array_equal(fit.selection.legs, legs),
+    )
+    all_bad = not fit.selection.views[bad].any()
+    found = (
+        "exactly these"
+        if same_views and same_legs
+        else "bad stations, slip otherwise"
+        if all_bad
+        else "other"
+    )
+    return error, np.sqrt(np.diag(bound)), nees, found, seconds
+
+
+def study(stations: int, runs: int) -> None:
+    """Print one table."""
+    results = list(map_runs(one_run, [(stations, seed) for seed in range(runs)]))
+    error, sigma = np.array([r[0] for r in results]), np.array([r[1] for r in results])
+    nees = np.array([r[2] for r in results])
+    header = HEADER.replace(" (deg)", "").replace(" (mm)", "")
+    print(f"\n### N = {stations}, {runs} runs, noise levels estimated\n\n{header}")
+    print(row("rms error over the good data's bound", np.sqrt(np.nanmean((error / sigma) ** 2, axis=0))))
+    counts = {name: sum(r[3] == name for r in results) for name in sorted({r[3] for r in results})}
+    print("\nLeft out: " + ", ".join(f"{name} {count}" for name, count in counts.items()) + ".")
+    print(
+        f"NEES / 9: mean {np.nanmean(nees):.2f}, median {np.nanmedian(nees):.2f}, largest {np.nanmax(nees):.2f}; "
+        f"false answers (beyond {_FALSE:.1f}): {int(np.sum(nees > _FALSE))}, seeds "
+        f"{np.flatnonzero(nees > _FALSE).tolist()}. {np.mean([r[4] for r in results]):.1f} s a run."
+    )
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Both sizes; runs as an argument, 1,000 by default."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    print(conditions())
+    for stations in (12, 40):
+        study(stations, runs)
+
+
+if __name__ == "__main__":
+    main()
