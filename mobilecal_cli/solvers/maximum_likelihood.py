@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.problem import Problem, State, no_extras, problem_of
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import linearize
-from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
+from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.carry import base_motion
 from mobilecal_cli.solvers.consensus import agreed
@@ -339,9 +339,25 @@ class Solver:
             again = self.shown(state, selection, noise, anchor)
             if _same_space(again.hidden, held):
                 break
-        marginal = marginals(problem, optimum.system, optimum.covariance)
-        found = components(problem, optimum, marginal, selection, noise)
-        return Fit(problem, selection, noise, ties, optimum, marginal, found, again, held, self._given)
+        return self._fitted(optimum, selection, noise, ties, again, held)
+
+    def _refit(self, fit: Fit, selection: Selection) -> Fit:
+        """Descend from a fit with another selection, holding what that fit holds."""
+        optimum = descend(self.problem, fit.optimum.state, selection, fit.noise, fit.ties)
+        return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
+
+    def _fitted(
+        self,
+        optimum: Optimum,
+        selection: Selection,
+        noise: Noise,
+        ties: Ties,
+        shown: Directions,
+        held: FloatArray,
+    ) -> Fit:
+        marginal = marginals(self.problem, optimum.system, optimum.covariance)
+        found = components(self.problem, optimum, marginal, selection, noise)
+        return Fit(self.problem, selection, noise, ties, optimum, marginal, found, shown, held, self._given)
 
     def _require_anchor(self, held: FloatArray) -> None:
         """Refuse to hold what has no nominal value."""
@@ -392,18 +408,31 @@ class Solver:
             if not out.any():
                 break
             statistic = np.where(out, doubted_legs(fit.optimum, fit.marginal), np.inf)
-            best = int(np.argmin(statistic))
-            if statistic[best] > limit(self.problem.stations, 3, _CONSENSUS_REDUNDANCY):
+            legs = self._agreeing(fit.selection, statistic)
+            if legs is None:
                 break
-            legs = fit.selection.legs.copy()
-            legs[best] = True
-            fit = self._fit(fit.optimum.state, replace(fit.selection, legs=legs), fit.noise)
+            fit = self._refit(fit, replace(fit.selection, legs=legs))
         for _ in range(self.problem.stations):
             again = self._view_back(fit, _CONSENSUS_REDUNDANCY)
             if again is None:
                 break
-            fit = self._fit(fit.optimum.state, again, fit.noise)
-        return fit
+            fit = self._refit(fit, again)
+        return self._fit(fit.optimum.state, fit.selection, fit.noise)
+
+    def _agreeing(self, selection: Selection, statistic: FloatArray) -> BoolArray | None:
+        """Legs with those believed again that agree; None where none does.
+
+        Legs along a stretch where no picture is believed agree with anything one by one, until the last of them
+        closes the stretch: only one of them is taken at a time.
+        """
+        legs, one_taken = selection.legs.copy(), False
+        for leg in np.argsort(statistic):
+            if statistic[leg] > limit(self.problem.stations, 3, _CONSENSUS_REDUNDANCY):
+                break
+            blind = not selection.views[self.problem.legs[leg]].all()
+            if not (blind and one_taken):
+                legs[leg], one_taken = True, one_taken or blind
+        return None if np.array_equal(legs, selection.legs) else legs
 
     def _view_back(self, fit: Fit, redundancy: float) -> Selection | None:
         """The selection with a station's pictures believed again, as read or with one reading doubted instead."""
@@ -471,12 +500,15 @@ class Solver:
         selection, legs = fit.selection, self.problem.legs
         for station in np.flatnonzero(~selection.views):
             beside = np.flatnonzero((legs == station).any(axis=1))
+            neighbours = np.setdiff1d(legs[beside], [station])
+            if len(beside) == 2 and selection.legs[beside].all() and selection.views[neighbours].all():
+                continue  # two legs from stations in sight agree about this one: they speak against its pictures
             for slipped in beside:
                 views, driven = selection.views.copy(), selection.legs.copy()
                 views[station], driven[beside], driven[slipped] = True, True, False
                 changed = replace(selection, views=views, legs=driven)
                 try:
-                    trial = self._fit(fit.optimum.state, changed, fit.noise)
+                    trial = self._refit(fit, changed)
                 except SolveError:
                     continue
                 if self._at_peace(trial):
