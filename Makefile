@@ -25,8 +25,9 @@ test: $(VENV)/.dev  ## install, then run every test
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-bench: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew
-	$(BIN)/python -m tests.bench.table1
+bench: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew: hours
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(BIN)/python -m tests.bench
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

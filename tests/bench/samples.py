@@ -1,0 +1,53 @@
+"""The sample logs: jackknife against covariance, and the errors against the truth that lies beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from ruamel.yaml import YAML
+
+from mobilecal_cli import se3
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.model import Parameters, WheelGeometry
+from mobilecal_cli.pipeline import extract
+from mobilecal_cli.solvers import solve
+from tests.bench.simulated import DEGREES_MM, HEADER, conditions, row
+
+_LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
+
+
+def _truth(path: Path) -> Parameters:
+    data = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    head_eye, wheels = data["head_eye"], data["wheels"]
+    rotation = se3.from_quaternion_xyzw(np.array(head_eye["quaternion_xyzw"]))
+    sizes = WheelGeometry(wheels["radius_right_m"], wheels["radius_left_m"], wheels["separation_m"])
+    return Parameters(se3.transform(rotation, np.array(head_eye["translation_m"])), sizes)
+
+
+def main() -> None:
+    """One table for each log that shows all nine numbers."""
+    print(conditions())
+    for name in ("paper_robot", "tick_robot"):
+        config = _LOGS / f"{name}.rig.yaml"
+        extraction, _ = extract([_LOGS / f"{name}.mcap"], load_rig(config if config.exists() else None))
+        solution = solve(extraction)
+        found, truth = solution.uncertainty, _truth(_LOGS / f"{name}.truth.yaml")
+        assert found is not None
+        turn = se3.log_so3(solution.parameters.T_h_c[:3, :3] @ truth.T_h_c[:3, :3].T)
+        a, b = solution.parameters.wheels, truth.wheels
+        wheels = [
+            a.radius_right_m - b.radius_right_m,
+            a.radius_left_m - b.radius_left_m,
+            a.separation_m - b.separation_m,
+        ]
+        error = np.concatenate([turn, solution.parameters.T_h_c[:3, 3] - truth.T_h_c[:3, 3], wheels])
+        print(f"\n### {name}\n\n{HEADER}")
+        print(row("error", error * DEGREES_MM, 3))
+        print(row("sigma", found.std * DEGREES_MM, 3))
+        print(row("jackknife's sigma", found.jackknife_std * DEGREES_MM, 3))
+        print(row("jackknife / covariance", found.jackknife_std / found.std))
+
+
+if __name__ == "__main__":
+    main()
