@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.influence import Influence, influences
 from mobilecal_cli.likelihood.legs import leg_covariance
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
 from mobilecal_cli.likelihood.noise import Noise, Selection
@@ -37,11 +38,11 @@ from mobilecal_cli.solvers.robust import (
 from mobilecal_cli.solvers.start import Known, motion_seen, pulled_start
 from mobilecal_cli.solvers.variance import (
     GUESS,
-    GUESS_WORTH,
     UNIFORM,
     Component,
     components,
     estimated,
+    guess_worth,
     settled,
 )
 
@@ -58,7 +59,7 @@ _FEWEST_VIEWS = 4
 _LOUD = 4.0  # noise this many times (in variance) above what is supposed makes a consensus worth its time
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A maximum of the likelihood with all that was decided on the way.
 
@@ -87,22 +88,35 @@ class Fit:
     between: BetweenLogs | None = None
     over_logs: FloatArray | None = None
 
-    @property
+    def influences(self) -> Iterator[Influence]:
+        """How each kind of measurement moves the shared numbers."""
+        return influences(
+            self.problem,
+            self.optimum.state,
+            self.selection,
+            self.noise,
+            self.optimum.system,
+            self.marginal,
+            self.optimum.covariance,
+        )
+
+    @cached_property
     def covariance(self) -> FloatArray:
         """(P, P) of the shared numbers. Where the noise levels rest on few residuals it is wider than the bound.
 
-        A variance that r residuals show is itself uncertain; its mean is r / (r - 2) times what they show.
+        A variance that r residuals show is itself uncertain: its mean is r / (r - 2) times what they show. So much
+        wider is what each kind of noise makes of the shared numbers.
         """
-        rests = [
-            c.redundancy for name, c in self.components.items() if name not in self.given and c.squares > 0
-        ]
-        fewest = min(rests, default=math.inf)
-        wider = (fewest + GUESS_WORTH) / max(fewest + GUESS_WORTH - 2, 2.0) if fewest < _MANY else 1.0
         covariance = self.optimum.covariance.copy()
         if self.over_logs is not None:
             named = len(self.over_logs)
             covariance[:named, :named] = self.over_logs
-        return covariance * min(wider, 2.0)
+        for influence in self.influences():
+            component = self.components.get(influence.level)
+            if component is not None and influence.level not in self.given:
+                rests_on = component.redundancy + guess_worth(component.redundancy)
+                covariance += influence.covariance * 2 / max(rests_on - 2, 2.0)
+        return covariance
 
 
 def extras_for(extraction: Extraction, asked: Asked) -> tuple[str, ...]:
@@ -493,7 +507,7 @@ class Solver:
 
     def _known_by(self, level: str, redundancy: float) -> float:
         """How many residuals a noise level rests on: very many where it is given."""
-        return _MANY if level in self._given else redundancy + GUESS_WORTH
+        return _MANY if level in self._given else redundancy + guess_worth(redundancy)
 
     def _swapped(self, fit: Fit) -> Fit | None:
         """A station's pictures believed again with one leg beside it left out instead: a slip looks like both."""

@@ -17,8 +17,13 @@ from mobilecal_cli.solvers.descent import Optimum
 # Where nothing else is known: a good corner fit, sound wheels on a firm floor, a servo's encoder.
 GUESS = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.004, encoder_rad=0.0, joint_rad=float(np.radians(0.03)))
 LEAST = Noise(pixel_px=1e-3, wheel_rad_per_sqrt_rad=1e-5, encoder_rad=0.0, joint_rad=1e-6)
-GUESS_WORTH = 2.0  # residuals that the guess counts for: keeps a level from vanishing where few show it
+_WORTH, _FADES_AT = 2.0, 4.0
 UNIFORM = 1 / np.sqrt(12)  # sigma of an encoder's reading, in steps
+
+
+def guess_worth(redundancy: float) -> float:
+    """How many residuals the guess counts for: a few where few others are, hardly any where many are."""
+    return _WORTH / (1 + (max(redundancy, 0.0) / _FADES_AT) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +40,8 @@ class Component:
 
     def factor(self, guess: float) -> float:
         """What the variance is to be multiplied by; guess: the guessed variance over the present one."""
-        return (self.squares + GUESS_WORTH * guess) / (max(self.redundancy, 0.0) + GUESS_WORTH)
+        worth = guess_worth(self.redundancy)
+        return (self.squares + worth * guess) / (max(self.redundancy, 0.0) + worth)
 
 
 def components(

@@ -1,6 +1,9 @@
-"""A second opinion on the covariance, from the residuals' own scatter instead of the noise levels."""
+"""How each kind of measurement moves the shared numbers, and a second opinion on the covariance from it."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,14 +16,36 @@ from mobilecal_cli.model import FloatArray
 _NO_REDUNDANCY = 1e-6
 
 
-def _spread(influence: FloatArray, residual: FloatArray, taken: FloatArray) -> FloatArray:
-    """Sum over units of (K (I - h)^-1/2 r)(...)^T: (n, P, m), (n, m), (n, m, m) → (P, P)."""
-    values, vectors = np.linalg.eigh(np.eye(residual.shape[1]) - taken)
-    usable = values > _NO_REDUNDANCY
-    root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
-    along = np.einsum("nkm,nk->nm", vectors, residual) * root
-    shift = np.einsum("npk,nkm,nm->np", influence, vectors, along)
-    return np.asarray(shift.T @ shift)
+@dataclass(frozen=True, slots=True, eq=False)
+class Influence:
+    """One kind of measurement in units that are noisy independently of one another: stations, or legs.
+
+    Attributes:
+        level: the noise level that it obeys, see `noise.Noise`.
+        by_unit: (n, P, m) how the shared numbers follow each unit's m whitened residuals.
+        residual: (n, m) those residuals.
+        taken: (n, m, m) how far the fit follows each unit: its share of the hat matrix.
+    """
+
+    level: str
+    by_unit: FloatArray
+    residual: FloatArray
+    taken: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(P, P) what this kind's noise makes of the shared numbers, its level taken for true."""
+        return np.asarray(np.einsum("npm,nqm->pq", self.by_unit, self.by_unit))
+
+    @property
+    def spread(self) -> FloatArray:
+        """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T."""
+        values, vectors = np.linalg.eigh(np.eye(self.residual.shape[1]) - self.taken)
+        usable = values > _NO_REDUNDANCY
+        root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
+        along = np.einsum("nkm,nk->nm", vectors, self.residual) * root
+        shift = np.einsum("npk,nkm,nm->np", self.by_unit, vectors, along)
+        return np.asarray(shift.T @ shift)
 
 
 def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -32,7 +57,7 @@ def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
 
 
-def jackknife(
+def influences(
     problem: Problem,
     state: State,
     selection: Selection,
@@ -40,11 +65,8 @@ def jackknife(
     system: System,
     marginal: Marginals,
     covariance: FloatArray,
-) -> FloatArray:
-    """(P, P) covariance by leaving out each station's pictures, joint readings and each leg's wheels in turn.
-
-    Each unit's shift is weighted by the root of its redundancy (the weighted jackknife of Wu, Annals of Statistics
-    14, 1986), so that with true noise levels the expected value is the covariance itself.
+) -> Iterator[Influence]:
+    """Pictures, joint readings, wheels and encoder readings at an optimum.
 
     Args:
         problem, state, selection, noise, system, marginal: the optimum.
@@ -52,7 +74,8 @@ def jackknife(
     """
     views, legs = system.views, system.legs
     root, inverse = _roots(views.information)
-    total = _spread(
+    yield Influence(
+        "pixel_px",
         covariance
         @ system.onto_shared(
             np.arange(problem.stations),
@@ -69,7 +92,8 @@ def jackknife(
     count, J = sigma.shape
     one = np.where(read, 1 / sigma, 0.0)[:, :, None] * np.eye(J)
     none, P = np.zeros((count, 5, J)), covariance.shape[0]
-    total += _spread(
+    yield Influence(
+        "joint_rad",
         covariance @ system.onto_shared(np.arange(count), none, one, np.zeros((count, P, J))),
         np.where(read, state.joint_errors / sigma, 0.0),
         one @ marginal.joints @ one,
@@ -82,7 +106,8 @@ def jackknife(
         empty = np.zeros((len(i), J, 3))
         onto = system.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, empty, shared)
         onto += system.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root, empty, np.zeros_like(shared))
-        total += _spread(
+        yield Influence(
+            "wheel_rad_per_sqrt_rad",
             covariance @ onto,
             (np.swapaxes(root, 1, 2) @ legs.residual[..., None])[..., 0],
             np.swapaxes(root, 1, 2) @ marginal.legs @ root,
@@ -92,5 +117,4 @@ def jackknife(
         base = np.concatenate([np.zeros((count, 3, 2)), one], axis=1)
         onto = system.onto_shared(np.arange(count), base, np.zeros((count, J, 2)), np.zeros((count, P, 2)))
         taken = marginal.encoders[:, :, None] * np.eye(2) / noise.encoder_rad**2
-        total += _spread(covariance @ onto, state.encoder_errors / noise.encoder_rad, taken)
-    return total
+        yield Influence("encoder_rad", covariance @ onto, state.encoder_errors / noise.encoder_rad, taken)
