@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
@@ -14,6 +15,7 @@ from mobilecal_cli.model import NINE, BetweenLogs, FloatArray
 
 _SHOWN = 1.0  # a direction that a log knows no better than its scale is not shown by it
 _SHARE = 0.1  # of a number in what is not shown
+_CHANCE = 0.01  # logs that are apart by what chance does once in so many are not taken for different
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,15 +69,31 @@ def one_log(
     return part, there, believed, leg_covariance[legs]
 
 
-def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A log's own step and standard deviations, (named,) in scaled units; NaN for what it does not show."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Own:
+    """What one log says by itself, in scaled units.
+
+    Attributes:
+        step, std: (named,) from the common optimum, NaN for what the log does not show.
+        distance: how far the common optimum is from it, with so many degrees of freedom as `shown`.
+    """
+
+    step: FloatArray
+    std: FloatArray
+    distance: float
+    shown: int
+
+
+def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
     values, vectors = np.linalg.eigh(A)
     shown = values > _SHOWN**2
     inverse = np.where(shown, 1 / np.where(shown, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
     lost = np.linalg.norm(basis @ vectors[:, ~shown], axis=1) > _SHARE
-    return np.where(lost, np.nan, step), np.where(lost, np.nan, std)
+    return _Own(
+        np.where(lost, np.nan, step), np.where(lost, np.nan, std), float(a @ covariance @ a), int(shown.sum())
+    )
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
@@ -102,7 +120,8 @@ def weigh_logs(
 ) -> Pooled:
     """Weigh the logs with the spread between them.
 
-    Each log's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations of one
+    Where chance explains how far the logs are apart (a chi-squared test of all nine together) there is no spread. Else
+    each log's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations of one
     log do not count for more than one robot's worth of evidence.
 
     Args:
@@ -112,7 +131,7 @@ def weigh_logs(
         prior: (named,) inverse variances of the priors, which belong to no log.
     """
     named = problem.layout.named
-    parts, steps, stds = [], [], []
+    parts, logs = [], []
     for log in range(len(problem.tracks)):
         if not (problem.log == log).any():
             continue
@@ -125,12 +144,12 @@ def weigh_logs(
         A = basis.T @ (reduced * np.outer(scales, scales)) @ basis
         a = basis.T @ (gradient * scales)
         parts.append((A, a))
-        step, std = _own(A, a, basis)
-        steps.append(step[: len(NINE)])
-        stds.append(std[: len(NINE)])
-    own, std = np.array(steps), np.array(stds)
+        logs.append(_own(A, a, basis))
+    own, std = (np.array([getattr(log, name)[: len(NINE)] for log in logs]) for name in ("step", "std"))
     variance = np.zeros(named)
-    variance[: len(NINE)] = [between_variance(own[:, k], std[:, k]) for k in range(len(NINE))]
+    spare = sum(log.shown for log in logs) - basis.shape[1]
+    if spare > 0 and chi2.sf(sum(log.distance for log in logs), spare) < _CHANCE:
+        variance[: len(NINE)] = [between_variance(own[:, k], std[:, k]) for k in range(len(NINE))]
     T = basis.T @ (variance[:, None] * basis)
     total = basis.T @ ((prior * scales**2)[:, None] * basis)
     right = np.zeros(basis.shape[1])

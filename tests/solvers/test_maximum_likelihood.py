@@ -1,0 +1,300 @@
+"""The estimate that uses everything, on observations straight from the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.model import NINE, Corners, KnownNoise, WheelGeometry
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import asked_of, solve
+from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from tests.bench.simulated import errors, spoiled
+
+ROBOT = paper_robot()
+NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
+GIVEN = KnownNoise(0.2, 0.003, float(np.radians(0.05)))
+
+
+def extraction_of(motion="standard", seed=1, noise=NOISE, **more):
+    return ideal_extraction(ROBOT, plan_route(ROBOT, motion, seed=seed), noise, seed, **more)
+
+
+def with_noise(extraction, known=GIVEN):
+    return replace(extraction, rig=replace(extraction.rig, noise=known))
+
+
+def named(solution, name):
+    return solution.uncertainty.std[NINE.index(name)], solution.uncertainty.observable[NINE.index(name)]
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return extraction_of()
+
+
+@pytest.fixture(scope="module")
+def solution(noisy):
+    return solve(noisy)
+
+
+def test_exact_observations_give_the_exact_answer():
+    found = solve(extraction_of(noise=None))
+    assert np.abs(errors(found.parameters, ROBOT)).max() < 1e-7
+
+
+def test_errors_are_of_the_size_that_is_stated():
+    """NEES / 9 has the mean 1 and, over ten runs of nine numbers, the standard deviation 0.15."""
+    nees = []
+    for seed in range(10):
+        found = solve(with_noise(extraction_of(seed=seed)))
+        e = errors(found.parameters, ROBOT)
+        nees.append(e @ np.linalg.solve(found.uncertainty.covariance, e) / 9)
+    assert 0.55 < np.mean(nees) < 1.45
+
+
+def test_noise_levels_are_those_of_the_simulation(solution):
+    levels = solution.uncertainty.noise
+    assert levels.pixel_px == pytest.approx(0.2, rel=0.1)
+    assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
+    assert levels.joint_rad == pytest.approx(np.radians(0.05), rel=0.5)
+    assert set(levels.estimated) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad"}
+
+
+def test_noise_levels_that_are_given_stay(noisy):
+    levels = solve(with_noise(noisy, KnownNoise(joint_rad=0.002))).uncertainty.noise
+    assert levels.joint_rad == 0.002
+    assert "joint_rad" not in levels.estimated
+
+
+def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
+    fit = maximum_likelihood(with_noise(noisy))
+    total = sum(influence.covariance for influence in fit.influences())
+    assert np.allclose(total, fit.optimum.covariance, rtol=1e-6, atol=1e-12)
+    assert np.array_equal(fit.covariance, fit.optimum.covariance)
+
+
+def test_the_jackknife_agrees_over_many_legs():
+    route = plan_route(ROBOT, "standard", stations=40, seed=2)
+    found = solve(ideal_extraction(ROBOT, route, NOISE, 2)).uncertainty
+    assert np.abs(np.log(found.jackknife_std / found.std)).max() < np.log(1.8)
+
+
+@pytest.mark.parametrize(
+    ("motion", "held"),
+    [
+        ("head_fixed", ("t_y",)),
+        ("straight", ("separation",)),
+        ("spin", NINE[6:]),
+        ("base_fixed", NINE[6:]),
+    ],
+)
+def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
+    extraction = with_noise(extraction_of(motion, seed=3))
+    found = solve(extraction)
+    seen = found.uncertainty.observable
+    assert tuple(name for name, ok in zip(NINE, seen, strict=True) if not ok) == held
+    ratio = errors(found.parameters, ROBOT)[seen] / found.uncertainty.std[seen]
+    assert np.abs(ratio).max() < 4
+
+
+def test_a_head_that_never_moves_needs_a_nominal_height():
+    extraction = extraction_of("head_fixed", seed=3, nominal=False)
+    with pytest.raises(SolveError, match="no nominal value"):
+        solve(extraction)
+
+
+def test_fixed_numbers_stay(noisy):
+    found = solve(noisy, asked=asked_of(["t_x=0.02", "wheels"], [], []))
+    assert found.parameters.T_h_c[0, 3] == pytest.approx(0.02, abs=1e-12)
+    assert found.parameters.wheels == noisy.rig.nominal.wheels
+    assert found.uncertainty.fixed.tolist() == [name in ("t_x", *NINE[6:]) for name in NINE]
+    assert not found.uncertainty.observable[NINE.index("t_x")]
+
+
+def test_a_prior_weighs_as_much_as_it_states(noisy):
+    """A prior of a tenth of the estimate's own sigma wins by 100 to 1."""
+    free = solve(with_noise(noisy))
+    std = float(named(free, "separation")[0])
+    wanted = free.parameters.wheels.separation_m + 3 * std
+    asked = asked_of([], [f"separation={wanted!r}±{std / 10!r}"], [])
+    found = solve(with_noise(noisy), asked=asked)
+    pulled = (found.parameters.wheels.separation_m - free.parameters.wheels.separation_m) / (3 * std)
+    assert pulled == pytest.approx(100 / 101, abs=0.01)
+    assert named(found, "separation")[0] == pytest.approx(std / np.sqrt(101), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("fix", "prior", "estimate", "said"),
+    [
+        (["radius_rihgt"], [], [], "did you mean radius_right"),
+        (["t_x=wide"], [], [], "not a number"),
+        (["wheels=0.2"], [], [], "several numbers"),
+        ([], ["t_x=0.1"], [], "VALUE±SIGMA"),
+        ([], ["t_x=0.1±0"], [], "VALUE±SIGMA"),
+        ([], [], ["pan_zeroo"], "did you mean pan_zero"),
+        ([], [], ["tilt_zero"], "cannot be told"),
+        (["pan_zero"], [], [], "no such parameter"),
+    ],
+)
+def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
+    with pytest.raises(ConfigError) as caught:
+        asked_of(fix, prior, estimate)
+    assert said in f"{caught.value.message} {caught.value.hint}"
+
+
+def test_bad_stations_and_a_slip_are_found_and_named(noisy):
+    route = plan_route(ROBOT, "standard", seed=1)
+    spoilt, bad, slip = spoiled(noisy, route, np.random.default_rng(0))
+    found = solve(spoilt)
+    left_out = {o.observations for o in found.outliers if o.kind == "station"}
+    assert left_out == {(int(i),) for i in bad}
+    (text,) = [o.text for o in found.outliers if o.kind == "slip"]
+    assert f"between stations {slip} and {slip + 1}" in text
+    assert " mm " in text
+    assert " s:" in text
+    e = errors(found.parameters, ROBOT)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+
+
+def test_a_wrong_joint_reading_is_named(noisy):
+    seen = list(noisy.observations)
+    joints = seen[5].joints.copy()
+    joints[3] += 0.05
+    seen[5] = replace(seen[5], joints=joints)
+    found = solve(replace(noisy, observations=tuple(seen)))
+    assert [(o.kind, o.observations) for o in found.outliers] == [("joint", (5,))]
+    assert "off by +2.8" in found.outliers[0].text or "off by +2.9" in found.outliers[0].text
+
+
+def test_gross_corners_are_left_out_without_their_station(noisy, solution):
+    seen = list(noisy.observations)
+    pixels = seen[4].left.pixels.copy()
+    pixels[[3, 20]] += [[12.0, -7.0], [0.0, 9.0]]
+    seen[4] = replace(seen[4], left=Corners(pixels, seen[4].left.sigma_px, 1))
+    found = solve(replace(noisy, observations=tuple(seen)))
+    assert [(o.kind, o.observations) for o in found.outliers] == [("corners", (4,))]
+    apart = errors(found.parameters, ROBOT) - errors(solution.parameters, ROBOT)
+    assert np.all(np.abs(apart) < found.uncertainty.std / 3)
+
+
+def test_a_late_camera_clock_is_found():
+    found = solve(extraction_of("moving", seed=2, camera_late_s=0.025))
+    for name in ("time_joints", "time_wheels"):
+        value, std = found.extras[name]
+        assert abs(value + 0.025) < 4 * std
+        assert std < 0.002
+    e = errors(found.parameters, ROBOT)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+
+
+def test_squares_that_are_stated_wrong(noisy):
+    stated = 0.08 * 1.015
+    board = replace(noisy.board, square_m=stated)
+    found = solve(replace(noisy, board=board))
+    assert found.scale.apart
+    assert found.scale.ratio == pytest.approx(1 / 1.015, abs=5 * found.scale.std)
+    assert found.scale.std < 0.002
+    assert "square_scale" in found.extras
+    e = errors(found.parameters, ROBOT)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+
+
+def test_squares_that_are_stated_right(solution):
+    assert not solution.scale.apart
+    assert solution.scale.baseline_m == pytest.approx(0.12)
+
+
+def test_a_pan_zero_is_offered_and_then_found(noisy):
+    off = 0.03
+    column = noisy.rig.chain.joints.index(noisy.rig.chain.pan)
+    shift = off * np.eye(len(noisy.rig.chain.joints))[column]
+    moved = replace(
+        noisy, observations=tuple(replace(o, joints=o.joints - shift) for o in noisy.observations)
+    )
+    offered = {e.group: e for e in solve(moved).evidence}
+    assert offered["pan_zero"].state == "offered"
+    assert offered["pan_zero"].bic > 10
+    found = solve(moved, asked=asked_of([], [], ["pan_zero"]))
+    value, std = found.extras["pan_zero"]
+    assert abs(value - off) < 4 * std
+    assert {e.group: e.state for e in found.evidence}["pan_zero"] == "estimated"
+
+
+def test_nothing_more_is_offered_where_nothing_more_is_there(solution):
+    assert all(e.bic < 0 for e in solution.evidence)
+    assert {e.group for e in solution.evidence} >= {"pan_zero", "mount", "stereo", "focal_length"}
+
+
+def two_logs(seeds, robots):
+    """Two extractions as two logs of one."""
+    parts = [
+        ideal_extraction(r, plan_route(r, "standard", seed=s), NOISE, s)
+        for s, r in zip(seeds, robots, strict=True)
+    ]
+    return replace(
+        parts[0],
+        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
+        wheels=tuple(part.wheels[0] for part in parts),
+        joint_tracks=tuple(part.joint_tracks[0] for part in parts),
+    )
+
+
+def test_two_logs_of_one_robot_are_better_than_one(solution):
+    found = solve(two_logs((1, 2), (ROBOT, ROBOT)))
+    assert found.between.shift.shape == (2, 9)
+    assert np.all(found.between.between_std == 0)
+    assert np.all(found.uncertainty.std < solution.uncertainty.std)
+    e = errors(found.parameters, ROBOT)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert solution.between is None
+
+
+def test_logs_that_differ_are_as_uncertain_as_they_differ():
+    """Tyres 4 mm larger in the second log: 12 sigma apart. The mean of two is known to about 2 mm."""
+    wheels = ROBOT.wheels
+    grown = replace(
+        ROBOT,
+        wheels=WheelGeometry(
+            wheels.radius_right_m + 0.004, wheels.radius_left_m + 0.004, wheels.separation_m
+        ),
+    )
+    found = solve(two_logs((1, 2), (ROBOT, grown)))
+    k = NINE.index("radius_right")
+    assert found.between.between_std[k] == pytest.approx(0.004 / np.sqrt(2), rel=0.4)
+    assert 0.001 < found.uncertainty.std[k] < 0.004
+    assert found.parameters.wheels.radius_right_m == pytest.approx(wheels.radius_right_m + 0.002, abs=0.001)
+
+
+def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
+    assert 1 <= len(solution.suggestions) <= 5
+    gains = [s.gain for s in solution.suggestions]
+    assert gains == sorted(gains, reverse=True)
+    assert 0 < gains[0] < 0.7
+    for suggestion in solution.suggestions:
+        assert suggestion.std_now == pytest.approx(named(solution, suggestion.worst)[0], rel=0.3)
+        assert suggestion.std_then < suggestion.std_now
+        assert len(suggestion.joints) == len(noisy.rig.chain.joints)
+
+
+def test_the_missing_motion_is_suggested_first():
+    found = solve(extraction_of("straight", seed=3))
+    best = found.suggestions[0]
+    assert best.worst == "separation"
+    assert best.turn_rad != 0
+    assert best.std_then < 0.01
+
+
+def test_rotations_about_the_left_are_those_of_the_head_frame(solution):
+    """`referred` to the right camera: its place moves with the rotation, its own numbers stay."""
+    T_c_reference = se3.transform(np.eye(3), np.array([0.12, 0.0, 0.0]))
+    moved = solution.uncertainty.referred(solution.parameters.T_h_c, T_c_reference)
+    arm = solution.parameters.T_h_c[:3, :3] @ [0.12, 0.0, 0.0]
+    J = np.eye(9)
+    for k in range(3):
+        J[3:6, k] = np.cross(np.eye(3)[k], arm)
+    assert np.allclose(moved, J @ solution.uncertainty.covariance @ J.T)
