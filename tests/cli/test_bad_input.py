@@ -261,3 +261,16 @@ def test_an_output_that_exists(paper, tmp_path):
 
 def test_an_output_nobody_can_make(paper, tmp_path):
     refused(run("calibrate", paper, "--output", "no/such/place", cwd=tmp_path), 7, "is not a directory")
+
+
+@pytest.mark.parametrize(
+    ("flags", "said", "hint"),
+    [
+        (["--fix", "radius_rihgt"], "radius_rihgt: no such parameter", "did you mean radius_right"),
+        (["--prior", "t_x=0.1"], "not NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
+        (["--estimate", "tilt_zero"], "no such parameter", "cannot be told from it"),
+    ],
+)
+def test_what_cannot_be_asked_for(sample_logs, tmp_path, flags, said, hint):
+    result = run("calibrate", sample_logs / "paper_robot.mcap", *flags, cwd=tmp_path)
+    refused(result, 2, said, hint)

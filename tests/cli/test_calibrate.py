@@ -15,6 +15,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
+from mobilecal_cli.model import NINE
 from tests.cli.edited import run
 
 OUTPUTS = ["extraction.npz", "params.yaml", "report.html", "report.json"]
@@ -126,6 +127,70 @@ def test_each_method(first, workplace):
         assert params["provenance"]["method"] == method
     assert rms["lm"] == pytest.approx(rms["paper"], rel=1e-6)
     assert rms["lm"] < rms["linear"]
+
+
+def test_uncertainty_is_a_contract(first, workplace, sample_logs):
+    params = load(workplace / "paper_robot_calibration/params.yaml")
+    block = params["uncertainty"]
+    assert block["order"] == list(NINE)
+    covariance = np.array(block["covariance"])
+    assert np.array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)).min() > 0
+    assert [block["std"][name] for name in NINE] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+    assert block["observable"] == dict.fromkeys(NINE, True)
+    assert set(block["noise"]) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad", "estimated"}
+    turn, move, _ = errors(params, load(sample_logs / "paper_robot.truth.yaml"))
+    assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
+    assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
+
+
+def test_fixed_prior_and_more_numbers(first, workplace):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    asked = [
+        "--fix",
+        "separation=0.5",
+        "--prior",
+        "radius_left=0.2275±0.0001",
+        "--estimate",
+        "pan_zero,mount",
+    ]
+    result = run("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
+    assert result.code == 0, result.err
+    params = load(workplace / "asked/params.yaml")
+    assert params["wheels"]["separation_m"] == 0.5
+    assert params["uncertainty"]["observable"]["separation"] is False
+    assert params["uncertainty"]["std"]["separation"] is None
+    assert params["uncertainty"]["std"]["radius_left"] < 0.00011
+    report = json.loads((workplace / "asked/report.json").read_text())
+    assert set(report["extras"]) >= {"pan_zero", "mount_x", "mount_y"}
+    assert "Estimated beside the nine" in (workplace / "asked/report.html").read_text()
+
+
+def test_the_report_says_what_to_record_next(first, workplace):
+    result = run("suggest", workplace / "paper_robot_calibration/extraction.npz", "-q", cwd=workplace)
+    assert result.code == 0, result.err
+    assert "1. " in result.out
+    assert "head_pan_joint" in result.out
+    page = (workplace / "paper_robot_calibration/report.html").read_text()
+    for words in ("What to record next", "dead reckoning on the spot", "jackknife", "Correlations"):
+        assert words in page
+
+
+def test_a_wrong_square_is_said(workplace, sample_logs):
+    log = sample_logs / "paper_robot.mcap"
+    result = run("calibrate", log, "--square-m", "0.0812", "-o", "square", cwd=workplace)
+    assert result.code == 0, result.err
+    assert "squares are 80.0" in result.out
+    assert "baseline is 121.8" in result.out
+
+
+def test_noise_that_the_configuration_knows(workplace, sample_logs):
+    log, known = sample_logs / "paper_robot.mcap", ["--set", "noise.joint_rad=0.0002"]
+    result = run("calibrate", log, *known, "-o", "known", cwd=workplace)
+    assert result.code == 0, result.err
+    params = load(workplace / "known/params.yaml")
+    assert params["uncertainty"]["noise"]["joint_rad"] == 0.0002
+    assert params["provenance"]["config"]["noise"] == {"joint_rad": 0.0002}
 
 
 def test_ticks_that_wrap_round(workplace, sample_logs):
