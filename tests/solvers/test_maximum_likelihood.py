@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.likelihood.problem import problem_of
 from mobilecal_cli.model import NINE, Corners, KnownNoise, WheelGeometry
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
@@ -298,3 +299,66 @@ def test_rotations_about_the_left_are_those_of_the_head_frame(solution):
     for k in range(3):
         J[3:6, k] = np.cross(np.eye(3)[k], arm)
     assert np.allclose(moved, J @ solution.uncertainty.covariance @ J.T)
+
+
+def misstated(extraction, name, by):
+    """The same pictures, with camera_info (or the chain, or the readings) wrong by so much."""
+    rig = extraction.rig
+    cameras = rig.cameras
+    if name.startswith(("focal", "principal")):
+        side = "left" if "left" in name else "right"
+        camera = getattr(cameras, side)
+        K = camera.K.copy()
+        if name.startswith("focal"):
+            K[0, 0] -= by
+            K[1, 1] -= by * camera.K[1, 1] / camera.K[0, 0]
+        else:
+            K["xy".index(name[-1]), 2] -= by
+        cameras = replace(cameras, **{side: replace(camera, K=K)})
+    elif name == "baseline_scale":
+        T = cameras.T_c_r.copy()
+        T[:3, 3] /= 1 + by
+        cameras = replace(cameras, T_c_r=T)
+    elif name.startswith("stereo_r_"):
+        T = cameras.T_c_r.copy()
+        T[:3, :3] = se3.exp_so3(-by * np.eye(3)["xyz".index(name[-1])]) @ T[:3, :3]
+        cameras = replace(cameras, T_c_r=T)
+    elif name.startswith("mount_"):
+        first = rig.chain.links[0]
+        T = first.T_parent_child.copy()
+        T["xy".index(name[-1]), 3] -= by
+        links = (replace(first, T_parent_child=T), *rig.chain.links[1:])
+        rig = replace(rig, chain=replace(rig.chain, links=links))
+    elif name.startswith("backlash_"):
+        role = rig.chain.pan if name.endswith("pan") else rig.chain.tilt
+        column = rig.chain.joints.index(role)
+        play = by / 2 * problem_of(extraction).joint_sides[:, column]
+        shift = np.eye(len(rig.chain.joints))[column]
+        seen = tuple(
+            replace(o, joints=o.joints + p * shift)
+            for o, p in zip(extraction.observations, play, strict=True)
+        )
+        extraction = replace(extraction, observations=seen)
+    return replace(extraction, rig=replace(rig, cameras=cameras))
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "by"),
+    [
+        ("focal_left", "focal_length", 12.0),
+        ("principal_right_y", "principal_point", 3.0),
+        ("baseline_scale", "stereo", 0.02),
+        ("stereo_r_y", "stereo", 0.004),
+        ("mount_x", "mount", 0.03),
+        ("backlash_pan", "backlash", 0.03),
+    ],
+)
+def test_what_is_misstated_is_found_when_asked_for(noisy, name, group, by):
+    wrong = misstated(noisy, name, by)
+    found = solve(wrong, asked=asked_of([], [], [group]))
+    value, std = found.extras[name]
+    assert abs(value - by) < 4 * std
+    assert std < by / 3
+    assert next(e for e in found.evidence if e.group == group).bic > 0
+    e = errors(found.parameters, ROBOT)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
