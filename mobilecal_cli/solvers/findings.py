@@ -33,8 +33,7 @@ def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck 
     if square_m is None or ratio is None:
         return None
     value, std = ratio.values["square_scale"]
-    baseline_m = float(np.linalg.norm(extraction.rig.cameras.T_c_r[:3, 3]))
-    return ScaleCheck(1 + value, std, square_m, baseline_m, ratio.chi2 > _APART_CHI2)
+    return ScaleCheck(1 + value, std, square_m, extraction.rig.cameras.baseline_m, ratio.chi2 > _APART_CHI2)
 
 
 def jackknife_std(fit: Fit) -> FloatArray:

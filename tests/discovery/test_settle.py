@@ -117,6 +117,31 @@ def test_base_link_off_the_axle_is_taken_out():
     assert "x -200.0 mm" in settled.notes[0]
 
 
+CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
+<joint name="optical" type="fixed"><parent link="cam"/><child link="stereo_left_optical"/><origin rpy="0 0 1"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "parent", "drawn"),
+    [("fixed", "tilt", True), ("revolute", "tilt", False), ("fixed", "base_link", False)],
+)
+def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
+    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind=kind, parent=parent))
+    rig = settle_rig(config(head={"head_frame": "tilt"}), prelude(urdf=urdf)).rig
+    assert rig.settled_by["nominal head_eye"] == ("URDF" if drawn else "none")
+    if drawn:
+        expected = se3.transform(se3.rotation_z(1.0), np.array([0.03, 0.06, 0.05]))
+        assert np.allclose(rig.nominal.T_h_reference, expected)
+    else:
+        assert rig.nominal.T_h_reference is None
+
+
+def test_known_noise_is_settled():
+    rig = settle_rig(config(noise={"joint_rad": 0.001}), prelude()).rig
+    assert rig.noise.given == {"joint_rad": 0.001}
+
+
 def test_flag_file_and_log_are_told_apart():
     rig = settle_rig(
         config(joints={"pan": "head_pan_joint", "tilt": "head_tilt_joint"}),
