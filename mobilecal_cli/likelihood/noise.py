@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,12 +57,6 @@ class Selection:
             np.ones(len(problem.legs), dtype=np.bool_),
             np.ones(problem.joints.shape, dtype=np.bool_),
         )
-
-    def without_view(self, station: int) -> Selection:
-        """The same without one station's pictures."""
-        views = self.views.copy()
-        views[station] = False
-        return replace(self, views=views)
 
     def same(self, other: Selection) -> bool:
         """Whether both believe the same."""

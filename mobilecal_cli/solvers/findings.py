@@ -11,7 +11,7 @@ from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.problem import moved
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck, Suggestion
-from mobilecal_cli.solvers.maximum_likelihood import Fit
+from mobilecal_cli.solvers.fit import Fit
 
 _APART_CHI2 = 16.0  # two scales that differ by four sigma do not agree
 

@@ -9,7 +9,7 @@ import numpy as np
 from mobilecal_cli.likelihood.views import board_in_camera
 from mobilecal_cli.model import Extraction, Outlier
 from mobilecal_cli.se3 import inverse, log
-from mobilecal_cli.solvers.maximum_likelihood import Fit
+from mobilecal_cli.solvers.fit import Fit
 
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:

@@ -26,9 +26,10 @@ from mobilecal_cli.model import (
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.carry import point_rms_m
 from mobilecal_cli.solvers.findings import evidence_of, jackknife_std, over_logs, scale_of, suggestions_of
+from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.linear import linear_estimate, ratios_of
 from mobilecal_cli.solvers.loops import Loops, closed_loops
-from mobilecal_cli.solvers.maximum_likelihood import Fit, Solver
+from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.solvers.outliers import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of

@@ -27,7 +27,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.descent import Ties, descend
 from mobilecal_cli.solvers.linear import linear_estimate
 from mobilecal_cli.solvers.loops import closed_loops
-from mobilecal_cli.solvers.maximum_likelihood import state_at
+from mobilecal_cli.solvers.placing import state_at
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, conditions, route_of
 
 _SIZES = (12, 200, 2000)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +19,8 @@ from tests.bench.simulated import (
     PIXEL_PX,
     RUNS_PER_ROUTE,
     WHEEL,
+    both_sizes,
     bound_of,
-    conditions,
     errors,
     map_runs,
     route_of,
@@ -77,15 +76,11 @@ def study(stations: int, runs: int) -> None:
         nees = np.array([f[name][1] for f in found])
         left_out = sum(f[name][2] > 0 for f in found)
         print(f"| {name} | {np.nanmean(nees):.3f} | {np.nanmedian(nees):.3f} | {left_out} |")
-    sys.stdout.flush()
 
 
 def main() -> None:
-    """Both sizes; runs as an argument, 1,000 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    print(conditions())
-    for stations in (12, 40):
-        study(stations, runs)
+    """Both sizes."""
+    both_sizes(study)
 
 
 if __name__ == "__main__":

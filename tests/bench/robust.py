@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from tests.bench.simulated import (
     DISTURBED,
     HEADER,
     RUNS_PER_ROUTE,
-    conditions,
+    both_sizes,
     errors,
     information_of,
     map_runs,
@@ -78,15 +77,11 @@ def study(stations: int, runs: int) -> None:
         f"false answers (beyond {_FALSE:.1f}): {int(np.sum(nees > _FALSE))}, seeds "
         f"{np.flatnonzero(nees > _FALSE).tolist()}. {np.mean([r[4] for r in results]):.1f} s a run."
     )
-    sys.stdout.flush()
 
 
 def main() -> None:
-    """Both sizes; runs as an argument, 1,000 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    print(conditions())
-    for stations in (12, 40):
-        study(stations, runs)
+    """Both sizes."""
+    both_sizes(study)
 
 
 if __name__ == "__main__":

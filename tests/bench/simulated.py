@@ -32,7 +32,7 @@ from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot  # noqa: E4
 from mobilecal_cli.simulate.route import Motion, Route, plan_route  # noqa: E402
 from mobilecal_cli.simulate.stereo import pixels  # noqa: E402
 from mobilecal_cli.solvers.loops import closed_loops  # noqa: E402
-from mobilecal_cli.solvers.maximum_likelihood import state_at  # noqa: E402
+from mobilecal_cli.solvers.placing import state_at  # noqa: E402
 from mobilecal_cli.vision import Miss, board_pose, triangulate  # noqa: E402
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
@@ -137,3 +137,12 @@ def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> Iterator[
     """`run` on every task, on all cores, results in the tasks' order."""
     with ProcessPoolExecutor() as pool:
         yield from pool.map(run, *zip(*tasks, strict=True), chunksize=5)
+
+
+def both_sizes(study: Callable[[int, int], None]) -> None:
+    """A study of N = 12 and N = 40; runs as an argument, 1,000 by default."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    print(conditions())
+    for stations in (12, 40):
+        study(stations, runs)
+        sys.stdout.flush()

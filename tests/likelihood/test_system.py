@@ -16,7 +16,7 @@ from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.loops import closed_loops
-from mobilecal_cli.solvers.maximum_likelihood import state_at
+from mobilecal_cli.solvers.placing import state_at
 
 NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05))
 STATIONS = 6
