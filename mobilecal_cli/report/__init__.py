@@ -1,9 +1,10 @@
 """Values to what people read: a verdict, a table for the terminal, report.json and report.html. Pure functions."""
 
+from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.data import report_json
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.text import summary_table
-from mobilecal_cli.report.verdict import Check, Verdict, judge
+from mobilecal_cli.report.verdict import Verdict, judge
 
 __all__ = ["Check", "Verdict", "judge", "report_html", "report_json", "suggestion_sentences", "summary_table"]

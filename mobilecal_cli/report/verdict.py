@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import NINE, Extraction, Solution
-from mobilecal_cli.report.findings import scale_sentence
+from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
+from mobilecal_cli.report.known import believed, hidden, sigmas, square, wanting
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -27,12 +28,11 @@ from mobilecal_cli.report.numbers import (
 )
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
-Outcome = Literal["good", "look", "bad", "short"]
 
 # Nine unknowns need four stations; twice that leaves enough to tell a wrong answer from a right one.
 MIN_STATIONS = 8
 # With less movement a parameter rests on a difference about as small as the noise.
-MIN_PAN_DEG, MIN_TILT_DEG, MIN_TURNED_DEG, MIN_DRIVEN_M = 10.0, 5.0, 20.0, 0.2
+MIN_PAN_DEG, MIN_TILT_DEG = 10.0, 5.0
 # Corners carried from station to station: encoders with 300 steps a turn (the paper's) give about 0.5 % of
 # the distance; 1.5 % is 0.9 degrees of heading, more than a sound wheel and a firm floor lose on one leg.
 POINT_ERROR_LOOK, POINT_ERROR_BAD = 0.008, 0.015
@@ -47,8 +47,6 @@ MIN_LEGS_FOR_OUTLIERS = 5
 ENCODER_STEPS_EXCUSED = 1.5
 # Stereo corners against the board's flat grid: good calibrations give 0.1 to 0.3 px.
 STEREO_LOOK_PX, STEREO_BAD_PX = 0.6, 1.2
-# A stated square against the one that the stereo pair measures: a scale error of all nine numbers' lengths.
-SQUARE_LOOK, SQUARE_BAD = 0.01, 0.03
 # Another answer whose error is within this factor cannot be told from this one.
 RIVAL_BAD = 1.5
 # Linear against refined: the linear method's own error is up to 2 degrees, 60 mm, 5 % of the wheels at 12 stations.
@@ -58,33 +56,6 @@ WHEELS_APART_LOOK, WHEELS_APART_BAD = 0.05, 0.25
 # Tape measures are good to a few per cent; beyond a quarter a number is wrong by a factor (ticks, gear, diameter).
 NOMINAL_LOOK, NOMINAL_BAD = 0.05, 0.25
 REJECTED_LOOK = 0.5
-# Sigmas: beyond the first a number is worth improving, beyond the second a ruler does as well.
-# Bad stations and slips that an estimate survives; beyond it most may be wrong. Noise of no sound robot.
-LEFT_OUT_BAD, JOINT_NOISE_BAD_DEG, WHEEL_NOISE_BAD = 0.3, 0.4, 0.03
-SIGMA_ROTATION_DEG, SIGMA_TRANSLATION_MM, SIGMA_WHEELS = (0.3, 1.5), (6.0, 25.0), (0.01, 0.04)
-
-
-STRONG_EVIDENCE = 10.0  # of the Bayesian information criterion: "very strong" by Kass and Raftery's scale
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One criterion.
-
-    Attributes:
-        name: what was looked at.
-        measured, limit: in words with units.
-        outcome: "good", "look" (worth a look, passes), "bad" (fails) or "short" (too little data to tell).
-        why: a sentence for when it is not good.
-        next_step: what to do then.
-    """
-
-    name: str
-    measured: str
-    limit: str
-    outcome: Outcome
-    why: str
-    next_step: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +101,9 @@ def judge(solution: Solution, extraction: Extraction) -> Verdict:
     return Verdict("PASS", reason, next_step, checks)
 
 
-def _graded(value: float, look: float, bad: float) -> Outcome:
-    return "bad" if value > bad else "look" if value > look else "good"
-
-
 def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _stations(extraction)
+    yield from hidden(solution)
     yield from _motion(solution)
     if not extraction.observations:
         return
@@ -143,15 +111,15 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _wheels_apart(solution)
     yield from _nominal(solution, extraction)
     yield from _stereo(extraction)
-    yield from _square(solution, extraction)
-    yield from _more(solution)
+    yield from square(solution, extraction)
+    yield from wanting(solution)
     if len(solution.residuals.legs):
         yield from _legs(solution, extraction)
         yield from _errors(solution, extraction)
     if solution.refinement is not None:
         yield _methods(solution)
-    yield from _sigmas(solution)
-    yield from _believed(solution, extraction)
+    yield from sigmas(solution)
+    yield from believed(solution, extraction)
     yield _rejected(extraction)
 
 
@@ -209,7 +177,7 @@ def _wheels_apart(solution: Solution) -> Check:
         "the two wheels are of like size",
         f"{right * 1e3:.1f} and {left * 1e3:.1f} mm, {100 * apart:.1f} % apart",
         f"under {100 * WHEELS_APART_BAD:g} %",
-        _graded(apart, WHEELS_APART_LOOK, WHEELS_APART_BAD),
+        graded(apart, WHEELS_APART_LOOK, WHEELS_APART_BAD),
         f"The right wheel's radius comes out at {right * 1e3:.1f} mm, the left one's at {left * 1e3:.1f} mm.",
         "Check ticks_per_revolution of both wheels, and the tyres.",
     )
@@ -229,7 +197,7 @@ def _nominal(solution: Solution, extraction: Extraction) -> Iterator[Check]:
             f"{name} against its nominal value",
             f"{value * 1e3:.1f} mm, {100 * (ratio - 1):+.1f} %",
             f"within {100 * NOMINAL_BAD:g} % of {prior * 1e3:.1f} mm",
-            _graded(abs(ratio - 1), NOMINAL_LOOK, NOMINAL_BAD),
+            graded(abs(ratio - 1), NOMINAL_LOOK, NOMINAL_BAD),
             f"The {name} comes out at {value * 1e3:.1f} mm, {_times(ratio)} the nominal {prior * 1e3:.1f} mm.",
             "Measure the robot with a ruler, and check ticks_per_revolution and whether a diameter stands "
             "for a radius.",
@@ -249,38 +217,10 @@ def _stereo(extraction: Extraction) -> Iterator[Check]:
         "stereo pair against the flat board",
         f"{px:.2f} px (median)",
         f"under {STEREO_BAD_PX:g} px",
-        _graded(px, STEREO_LOOK_PX, STEREO_BAD_PX),
+        graded(px, STEREO_LOOK_PX, STEREO_BAD_PX),
         f"The two cameras do not agree on a flat board: {px:.2f} px, where 0.3 px is usual.",
         "Calibrate the stereo pair anew (camera_info), and check that the board is flat.",
     )
-
-
-def _square(solution: Solution, extraction: Extraction) -> Iterator[Check]:
-    """The board's stated squares against the stereo baseline."""
-    scale = solution.scale
-    if scale is not None:
-        off = abs(scale.ratio - 1)
-        yield Check(
-            "squares and baseline agree",
-            f"{100 * (scale.ratio - 1):+.2f} %, standard deviation {100 * scale.std:.2g} %",
-            f"within four standard deviations, and {100 * SQUARE_BAD:g} %",
-            "good" if not scale.apart else "bad" if off > SQUARE_BAD else "look",
-            scale_sentence(scale),
-            "The baseline was trusted. Measure ten squares with a ruler; if they are as stated, calibrate the "
-            "stereo pair.",
-        )
-    elif extraction.board.square_m is not None:
-        stated = extraction.board.square_m
-        seen = float(np.median([o.square_m for o in extraction.observations]))
-        off = seen / stated - 1
-        yield Check(
-            "size of a square: stereo against stated",
-            f"{seen * 1e3:.2f} mm, {100 * off:+.2f} %",
-            f"within {100 * SQUARE_BAD:g} % of {stated * 1e3:.2f} mm",
-            _graded(abs(off), SQUARE_LOOK, SQUARE_BAD),
-            f"The cameras measure squares of {seen * 1e3:.2f} mm, but {stated * 1e3:.2f} mm are stated.",
-            "Measure a square with a ruler; if it is as stated, the stereo baseline in camera_info is wrong.",
-        )
 
 
 def _methods(solution: Solution) -> Check:
@@ -306,89 +246,6 @@ def _methods(solution: Solution) -> Check:
     )
 
 
-def _more(solution: Solution) -> Iterator[Check]:
-    """Whether the recording would rather have more numbers estimated."""
-    wanted = [e for e in solution.evidence if e.state == "offered" and e.bic > STRONG_EVIDENCE]
-    if solution.evidence:
-        names = ", ".join(e.group for e in wanted)
-        yield Check(
-            "the nine numbers are enough",
-            f"BIC {max(e.bic for e in wanted):+.0f} for more: {names}" if wanted else "no sign of more",
-            f"BIC up to {STRONG_EVIDENCE:g}",
-            "look" if wanted else "good",
-            f"The recording speaks for more than nine numbers: {names}.",
-            f"Try --estimate {wanted[0].group}, and see the report's table." if wanted else "",
-        )
-
-
-def _believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
-    """What was left out of the estimate, and noise that no sound robot has."""
-    found = solution.uncertainty
-    if found is None:
-        return
-    gross = [o for o in solution.outliers if o.kind != "corners"]
-    share = len(gross) / max(1, len(extraction.observations))
-    first = gross[0].text if gross else ""
-    yield Check(
-        "nothing had to be left out",
-        f"{len(gross)} of {len(extraction.observations)} stations and the legs between them",
-        f"under {100 * LEFT_OUT_BAD:g} %",
-        "bad" if share > LEFT_OUT_BAD else "look" if gross else "good",
-        f"{first}" + (f" ({len(gross) - 1} more.)" if len(gross) > 1 else ""),
-        "Look for the cause; the numbers rest on what is left.",
-    )
-    joints, wheels = float(np.degrees(found.noise.joint_rad)), found.noise.wheel_rad_per_sqrt_rad
-    for name, level, unit, bad, cause in (
-        ("joint readings", joints, "degrees", JOINT_NOISE_BAD_DEG, "the head's joints for play"),
-        ("wheels", wheels, "rad per root of rad", WHEEL_NOISE_BAD, "the wheels for slip"),
-    ):
-        yield Check(
-            f"noise of the {name}",
-            f"{level:.2g} {unit}",
-            f"under {bad:g} {unit}",
-            _graded(level, bad / 2, bad),
-            f"The {name} are off by {level:.2g} {unit}, more than on any sound robot.",
-            f"Check {cause}, and that the chain in the URDF is right; then record again.",
-        )
-
-
-def _sigmas(solution: Solution) -> Iterator[Check]:
-    found = solution.uncertainty
-    if found is None:
-        return
-    wheels, std = solution.parameters.wheels, found.std
-    relative = std[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
-    for name, values, seen, limits, unit in (
-        ("camera's rotation", np.degrees(std[:3]), found.observable[:3], SIGMA_ROTATION_DEG, "degrees"),
-        ("camera's position", std[3:6] * 1e3, found.observable[3:6], SIGMA_TRANSLATION_MM, "mm"),
-        ("wheels", relative * 100, found.observable[6:], tuple(100 * x for x in SIGMA_WHEELS), "%"),
-    ):
-        if not seen.any():
-            continue
-        worst = float(values[seen].max())
-        outcome: Outcome = "short" if worst > limits[1] else "look" if worst > limits[0] else "good"
-        yield Check(
-            f"standard deviation of the {name}",
-            f"at most {worst:.2g} {unit}",
-            f"under {limits[1]:g} {unit}",
-            outcome,
-            f"The {name} is known to {worst:.2g} {unit} only (one standard deviation).",
-            "Record again with more stops, more head movement and more turns.",
-        )
-    hidden = [
-        n for n, ok, by_user in zip(NINE, found.observable, found.fixed, strict=True) if not (ok or by_user)
-    ]
-    if hidden:
-        yield Check(
-            "all nine numbers are visible",
-            f"{len(hidden)} held at nominal values",
-            "all",
-            "short",
-            f"The recording does not show {', '.join(hidden)}: held at the nominal value.",
-            "Record again with the missing motion: tilt and pan the head, turn and drive the base.",
-        )
-
-
 def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     residuals, names = solution.residuals, station_names(extraction)
     if len(residuals.legs) < MIN_LEGS_FOR_OUTLIERS:
@@ -408,7 +265,7 @@ def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
             f"no leg stands out, in {unit}",
             f"worst {error:.1f} {unit}, median {median:.1f} {unit}",
             f"under {LEG_OUTLIER:g} times the median, or under {share_bad * scale:.1f} {unit}",
-            _graded(share, share_look, share_bad) if stands_out else "good",
+            graded(share, share_look, share_bad) if stands_out else "good",
             f"Between stations {names[first]} and {names[second]} something moved that should not: corners "
             f"miss by {error:.1f} {unit}, where {median:.1f} {unit} are usual.",
             "Look for a slipping wheel or a board that was touched between these two, and record again.",
@@ -425,7 +282,7 @@ def _errors(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         f"{error * 1e3:.1f} mm, {100 * error / distance:.2f} % of the distance "
         f"(depth noise alone: {predicted * 1e3:.1f} mm)",
         f"under {100 * POINT_ERROR_BAD:g} % beyond depth noise",
-        _graded(unexplained / distance, POINT_ERROR_LOOK, POINT_ERROR_BAD),
+        graded(unexplained / distance, POINT_ERROR_LOOK, POINT_ERROR_BAD),
         f"Corners carried from one station to the next miss by {error * 1e3:.1f} mm at {distance:.1f} m.",
         "Check that the wheels did not slip, the board stood still and the head's joints and chain are right.",
     )
@@ -435,7 +292,7 @@ def _errors(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         "the same, in the pictures",
         f"{px:.2f} px",
         f"under {PIXEL_ERROR_BAD * focal_px:.1f} px",
-        _graded(px, np.inf, PIXEL_ERROR_BAD * focal_px),
+        graded(px, np.inf, PIXEL_ERROR_BAD * focal_px),
         f"Corners carried from one station to the next miss by {px:.1f} px in the pictures.",
         "Check that the wheels did not slip, the board stood still and the head's joints and chain are right.",
     )
@@ -450,7 +307,7 @@ def _rejected(extraction: Extraction) -> Check:
         "stations left out",
         f"{looked - used} of {looked}",
         f"under {100 * REJECTED_LOOK:g} %",
-        _graded(share, REJECTED_LOOK, np.inf),
+        graded(share, REJECTED_LOOK, np.inf),
         f"{looked - used} of {looked} stations were left out;{often}",
         "See the table of rejections for what to improve in the next recording.",
     )
