@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at
 from mobilecal_cli.likelihood.system import System
 from mobilecal_cli.likelihood.views import linearize_views
-from mobilecal_cli.model import NINE, FloatArray, Suggestion, WheelTrack
+from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelTrack
 
 # The precision that a robot's work wants: what is worst is worst against these.
 WANTED = np.array(
@@ -31,132 +29,161 @@ _ROOM = 1.2  # range of distances: the log's own, so much wider
 _REACH_RAD = 0.35  # beyond the joints' range in the log
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 20
+_LEAST_DEPTH_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Stop:
-    turn_rad: float
-    drive_m: float
+class _Stops:
+    """Stops to choose from, C of them.
+
+    Attributes:
+        turn_rad, drive_m: (C,) the base's way from the log's last station.
+        base: (C, 3) where it ends, in the world.
+        joints: (C, J) where the head's joints stand.
+    """
+
+    turn_rad: FloatArray
+    drive_m: FloatArray
     base: FloatArray
     joints: FloatArray
-    T_c_k: FloatArray
+
+    def select(self, chosen: BoolArray) -> _Stops:
+        return _Stops(self.turn_rad[chosen], self.drive_m[chosen], self.base[chosen], self.joints[chosen])
 
 
-def _aimed(
-    problem: Problem, state: State, base: FloatArray, joints: FloatArray, target: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Joints at which the board's middle is seen at a pixel of the left camera, and T_c_k there."""
+def _boards(problem: Problem, state: State, base: FloatArray, joints: FloatArray) -> FloatArray:
+    """T_c_k from base poses (C, 3) and joints (C, J): (C, 4, 4)."""
+    flat = np.concatenate([base[:, :2], np.zeros((len(base), 1))], axis=1)
+    T_w_v = se3.transform(se3.rotation_z(base[:, 2]), flat)
+    T_w_c = T_w_v @ head_pose(problem.chain, joints) @ state.parameters.T_h_c
+    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[problem.board[-1]]
+    return T
+
+
+def _aimed(problem: Problem, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
+    """The stops with joints that bring the board's middle to pixels (C, 2) of the left camera, and where that works."""
     rig, X = cameras_at(problem, state), state.parameters.T_h_c
-    T_w_v = se3.transform(se3.rotation_z(base[2]), np.array([base[0], base[1], 0.0]))
-    T_v_k = se3.inverse(T_w_v) @ state.T_w_k[problem.board[-1]]
     middle = problem.points_k.mean(axis=0)
+    joints = stops.joints
+    to_camera = se3.adjoint(se3.inverse(X))
     for _ in range(_AIM_STEPS):
-        T_c_k = se3.inverse(head_pose(problem.chain, joints) @ X) @ T_v_k
-        point = se3.act(T_c_k, middle[None])
-        if point[0, 2] < 0.05:
-            point = np.array([[point[0, 0], point[0, 1], 0.05]])
-        at, J_p = project_with_jacobian(rig.left, point)
-        off = at[0] - target
+        points = se3.act(_boards(problem, state, stops.base, joints), middle[None])
+        points[..., 2] = np.maximum(points[..., 2], _LEAST_DEPTH_M)
+        at, J_p = project_with_jacobian(rig.left, points)
+        off = at[:, 0] - target
         if np.abs(off).max() < 1.0:
-            return joints, T_c_k
-        J = J_p[0] @ np.concatenate([-np.cross(np.eye(3), point[0]), np.eye(3)], axis=1)
-        J = J @ (-se3.adjoint(se3.inverse(X)) @ head_jacobian(problem.chain, joints))
-        joints = joints - np.clip(np.linalg.lstsq(J, off, rcond=1e-3)[0], -0.3, 0.3)
-    return None
+            break
+        J_twist = np.concatenate([np.cross(points, J_p[:, 0]), J_p[:, 0]], axis=-1)
+        J = -J_twist @ (to_camera @ head_jacobian(problem.chain, joints))
+        step = np.linalg.pinv(J, rcond=1e-3) @ off[..., None]
+        joints = joints - np.clip(step[..., 0], -0.3, 0.3)
+    return replace(stops, joints=joints), np.abs(off).max(axis=1) < 1.0
 
 
-def _seen_whole(problem: Problem, state: State, T_c_k: FloatArray, distances: FloatArray) -> bool:
-    rig = cameras_at(problem, state)
+def _seen_whole(problem: Problem, T_c_k: FloatArray, rig: StereoRig, distances: FloatArray) -> BoolArray:
+    """(C,) whether both cameras see the whole board well."""
     points_c = se3.act(T_c_k, problem.points_k)
-    reach = float(np.linalg.norm(T_c_k[:3, 3]))
-    if points_c[:, 2].min() < 0.1 or not distances.min() / _ROOM < reach < distances.max() * _ROOM:
-        return False
-    middle = points_c.mean(axis=0)
-    if abs(float(T_c_k[:3, 2] @ middle)) / float(np.linalg.norm(middle)) < _NEAREST:
-        return False
+    reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
+    middle = points_c.mean(axis=1)
+    facing = np.abs(np.einsum("ca,ca->c", T_c_k[:, :3, 2], middle)) / np.linalg.norm(middle, axis=1)
+    fine = (reach > distances.min() / _ROOM) & (reach < distances.max() * _ROOM) & (facing > _NEAREST)
+    fine &= points_c[..., 2].min(axis=1) > _LEAST_DEPTH_M
+    points_c = np.where(fine[:, None, None], points_c, [0.0, 0.0, 1.0])
     for camera, points in ((rig.left, points_c), (rig.right, se3.act(se3.inverse(rig.T_c_r), points_c))):
         at, _ = project_with_jacobian(camera, points)
-        edge = _MARGIN * camera.width
-        size = np.array([camera.width, camera.height])
-        if np.any(at < edge) or np.any(at > size - 1 - edge):
-            return False
-    return True
+        edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
+        fine &= np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2))
+    return np.asarray(fine)
 
 
-def _stops(problem: Problem, state: State) -> Iterator[_Stop]:
-    """Reachable stops from which the whole board is seen."""
-    left = problem.cameras.left
-    at = (
-        se3.inverse(state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c)
-        @ state.T_w_k[problem.board]
-    )
-    distances = np.linalg.norm(at[:, :3, 3], axis=1)
-    low, high = problem.joints.min(axis=0) - _REACH_RAD, problem.joints.max(axis=0) + _REACH_RAD
+def _reachable(problem: Problem, state: State) -> _Stops:
+    """Stops a turn and a drive away from the last, from which the whole board is seen."""
+    rig = cameras_at(problem, state)
+    T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
+    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[problem.board])[:, :3, 3], axis=1)
+    ways = [(np.radians(turn), drive, u, v) for turn in _TURNS_DEG for drive in _DRIVES_M for u, v in _LOOKS]
+    turn, drive, u, v = np.array(ways).T
     last = state.base[-1]
-    for turn_deg, drive in itertools.product(_TURNS_DEG, _DRIVES_M):
-        turn = float(np.radians(turn_deg))
-        heading = last[2] + turn
-        base = np.array([last[0] + drive * np.cos(heading), last[1] + drive * np.sin(heading), heading])
-        for u, v in _LOOKS:
-            target = np.array([u * left.width, v * left.height])
-            found = _aimed(problem, state, base, problem.joints[-1], target)
-            if found is None:
-                continue
-            joints, T_c_k = found
-            if np.all((joints > low) & (joints < high)) and _seen_whole(problem, state, T_c_k, distances):
-                yield _Stop(turn, drive, base, joints, T_c_k)
+    heading = last[2] + turn
+    base = np.stack([last[0] + drive * np.cos(heading), last[1] + drive * np.sin(heading), heading], axis=1)
+    stops = _Stops(turn, drive, base, np.repeat(problem.joints[-1:], len(turn), axis=0))
+    target = np.stack([u * rig.left.width, v * rig.left.height], axis=1)
+    stops, fine = _aimed(problem, state, stops, target)
+    low, high = problem.joints.min(axis=0) - _REACH_RAD, problem.joints.max(axis=0) + _REACH_RAD
+    fine &= np.all((stops.joints > low) & (stops.joints < high), axis=1)
+    fine &= _seen_whole(problem, _boards(problem, state, stops.base, stops.joints), rig, distances)
+    return stops.select(fine)
 
 
-def _information(problem: Problem, state: State, noise: Noise, stop: _Stop) -> FloatArray:
-    """(P + 5, P + 5) information of one more stop about the shared numbers and the last station's base block."""
-    wheels = state.parameters.wheels
-    turn = stop.turn_rad * wheels.separation_m / 2
-    sides = ((turn, wheels.radius_right_m), (-turn, wheels.radius_left_m))
-    right, left = ([0.0, by / radius, (by + stop.drive_m) / radius] for by, radius in sides)
-    times = np.array([0, 1, 2], dtype=np.int64)
-    pair = replace(
+def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem, State]:
+    """A problem of the last station and, each reached from it, all the stops."""
+    count, J = len(stops.turn_rad), problem.joints.shape[1]
+    wide = replace(
         problem,
-        pixels=np.stack([problem.pixels[-1]] * 2),
-        relative_sigma=np.ones((2, 2)),
-        joints=np.stack([problem.joints[-1], stop.joints]),
+        pixels=np.repeat(problem.pixels[-1:], count + 1, axis=0),
+        relative_sigma=np.ones((count + 1, 2)),
+        joints=np.concatenate([problem.joints[-1:], stops.joints]),
         joint_tracks=(),
-        moving=np.zeros(2, dtype=np.bool_),
-        joint_sides=np.zeros((2, problem.joints.shape[1])),
-        log=np.zeros(2, dtype=np.int64),
-        board=problem.board[-1:].repeat(2),
-        legs=np.array([[0, 1]]),
-        tracks=(WheelTrack(times, np.array(right), np.array(left)),),
-        times_ns=np.array([0, 2], dtype=np.int64),
+        moving=np.zeros(count + 1, dtype=np.bool_),
+        joint_sides=np.zeros((count + 1, J)),
+        log=np.zeros(count + 1, dtype=np.int64),
+        board=np.repeat(problem.board[-1:], count + 1),
+        legs=np.stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)], axis=1),
+        times_ns=np.arange(count + 1),
     )
     there = replace(
         state,
-        base=np.stack([state.base[-1], stop.base]),
-        joint_errors=np.zeros((2, problem.joints.shape[1])),
-        encoder_errors=np.zeros((2, 2)),
+        base=np.concatenate([state.base[-1:], stops.base]),
+        joint_errors=np.zeros((count + 1, J)),
+        encoder_errors=np.zeros((count + 1, 2)),
     )
-    views = linearize_views(pair, there, Selection.everything(pair), noise)
+    return wide, there
+
+
+def _leg(
+    problem: Problem, state: State, noise: Noise, turn_rad: float, drive_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """One leg that turns and then drives: (3, P + 10) by the shared numbers and both base blocks, and its weight."""
+    wheels = state.parameters.wheels
+    turn = turn_rad * wheels.separation_m / 2
+    sides = ((turn, wheels.radius_right_m), (-turn, wheels.radius_left_m))
+    right, left = ([0.0, by / radius, (by + drive_m) / radius] for by, radius in sides)
+    times = np.array([0, 1, 2], dtype=np.int64)
+    end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
+    one = _Stops(np.zeros(1), np.zeros(1), end, problem.joints[-1:])
+    pair, there = _with_stops(problem, replace(state, base=np.zeros_like(state.base)), one)
+    track = WheelTrack(times, np.array(right), np.array(left))
+    pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     legs = linearize_legs(pair, there, noise.encoder_rad > 0)
+    by_start = legs.by_start[0].copy()
     # The start is a station like any other here, not the origin of the world.
-    by_start = legs.by_start.copy()
-    between = np.linalg.inv(leg_covariance(pair, wheels, noise))[0]
-    cos, sin = np.cos(stop.turn_rad), np.sin(stop.turn_rad)
-    by_start[0, :, :3] = [[1, 0, -stop.drive_m * sin], [0, 1, stop.drive_m * cos], [0, 0, 1]]
-    P, J = problem.layout.size, problem.joints.shape[1]
-    H = np.zeros((P + 5 + 5 + J, P + 5 + 5 + J))  # shared, last base, new base, new joints
-    seen = np.concatenate(
-        [views.by_shared[1], np.zeros((views.by_shared.shape[1], 5)), views.by_base[1], views.by_joints[1]],
-        axis=1,
-    )
-    H += seen.T @ views.information[1] @ seen
-    driven = np.concatenate(
-        [legs.by_all_shared(problem.layout)[0], by_start[0], legs.by_end[0], np.zeros((3, J))], axis=1
-    )
-    H += driven.T @ between @ driven
-    encoder = noise.encoder_rad or 1.0
-    H[range(P + 8, P + 10), range(P + 8, P + 10)] += encoder**-2
-    H[range(P + 10, P + 10 + J), range(P + 10, P + 10 + J)] += noise.joint_rad**-2
-    kept = P + 5
-    out: FloatArray = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
+    by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
+    rows = np.concatenate([legs.by_all_shared(problem.layout)[0], by_start, legs.by_end[0]], axis=1)
+    return rows, np.linalg.inv(leg_covariance(pair, wheels, noise))[0]
+
+
+def _informations(problem: Problem, state: State, noise: Noise, stops: _Stops) -> FloatArray:
+    """(C, P + 5, P + 5) information of each stop about the shared numbers and the last station's base block."""
+    wide, there = _with_stops(problem, state, stops)
+    views = linearize_views(wide, there, Selection.everything(wide), noise)
+    count, P, J = len(stops.turn_rad), problem.layout.size, problem.joints.shape[1]
+    legs: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
+    out = np.empty((count, P + 5, P + 5))
+    for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
+        if way not in legs:
+            legs[way] = _leg(problem, state, noise, *way)
+        driven, weight = legs[way]
+        H = np.zeros((P + 10 + J, P + 10 + J))  # shared, last base, new base, new joints
+        by_last = np.zeros((views.by_shared.shape[1], 5))
+        seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_joints[c + 1]]
+        A = np.concatenate(seen, axis=1)
+        H += A.T @ views.information[c + 1] @ A
+        H[: P + 10, : P + 10] += driven.T @ weight @ driven
+        encoders, readings = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + J)
+        H[encoders, encoders] += (noise.encoder_rad or 1.0) ** -2
+        H[readings, readings] += noise.joint_rad**-2
+        kept = P + 5
+        out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
     return out
 
 
@@ -192,16 +219,14 @@ def suggestions(
     wanted = np.concatenate([WANTED[:6], WANTED[6:] * sizes])
     now = np.sqrt(np.diag(wide)[:9])
     worst = int(np.argmax(now / wanted))
+    stops = _reachable(problem, state)
     best: dict[tuple[float, float], Suggestion] = {}
-    for stop in _stops(problem, state):
-        M = _information(problem, state, noise, stop)
+    for c, M in enumerate(_informations(problem, state, noise, stops)):
         after = joint - joint @ M @ np.linalg.solve(np.eye(P + 5) + joint @ M, joint)
         then = np.sqrt(np.diag(after)[:9])
         gain = 1 - float(np.max(then / wanted) / np.max(now / wanted))
-        found = Suggestion(
-            stop.turn_rad, stop.drive_m, stop.joints, NINE[worst], float(now[worst]), float(then[worst]), gain
-        )
-        way = (stop.turn_rad, stop.drive_m)
+        way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))
         if way not in best or best[way].gain < gain:
-            best[way] = found
+            known = float(now[worst]), float(then[worst])
+            best[way] = Suggestion(*way, stops.joints[c], NINE[worst], *known, gain)
     return tuple(sorted(best.values(), key=lambda s: -s.gain)[:most])

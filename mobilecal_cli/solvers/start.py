@@ -19,6 +19,9 @@ from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
 TILTED_RAD = math.radians(2.0)  # a smaller range leaves Tsai-Lenz with parallel axes, whatever the noise
 TURNED_RAD = 0.1  # wheel rotation: with usual wheels about 2.5 degrees of heading
 DRIVEN_RAD = 0.1  # wheel rotation: with usual wheels about 2 cm
+_UNLIKE = (
+    0.05  # mean rotation over the difference of both, of wheels that differ by 10 %, turning on the spot
+)
 _ROUNDS = 12
 _HEADINGS = 720
 # What a leg's turn and way are seen to, against what a drawing tells: weights of the pull to the nominal values.
@@ -53,8 +56,8 @@ class MotionSeen:
 
     @property
     def drives(self) -> bool:
-        """Whether the base drives."""
-        return self.driven_rad >= DRIVEN_RAD
+        """Whether the base drives: more than wheels of unlike size would feign while it turns on the spot."""
+        return self.driven_rad >= max(DRIVEN_RAD, _UNLIKE * self.turned_rad)
 
 
 def motion_seen(loops: Loops) -> MotionSeen:
