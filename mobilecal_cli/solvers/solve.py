@@ -124,9 +124,9 @@ def _by_likelihood(
     solver = Solver(extraction, asked)
     if solver.plain:
         linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
+        check_signs(linear.parameters.wheels)
     else:
-        linear = _pulled(loops, solver.linear())
-    check_signs(linear.parameters.wheels)
+        linear = _pulled(loops, solver.linear())  # a scale that the motion hides may have any sign here
     fit = solver.solve(linear.parameters)
     found = evidence_of(fit)
     scale = scale_of(extraction, found)

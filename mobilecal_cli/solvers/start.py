@@ -56,8 +56,8 @@ class MotionSeen:
 
     @property
     def drives(self) -> bool:
-        """Whether the base drives: more than wheels of unlike size would feign while it turns on the spot."""
-        return self.driven_rad >= max(DRIVEN_RAD, _UNLIKE * self.turned_rad)
+        """Whether the base drives."""
+        return self.driven_rad >= DRIVEN_RAD
 
 
 def motion_seen(loops: Loops) -> MotionSeen:
