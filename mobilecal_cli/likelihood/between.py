@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
@@ -148,7 +148,7 @@ def weigh_logs(
     own, std = (np.array([getattr(log, name)[: len(NINE)] for log in logs]) for name in ("step", "std"))
     variance = np.zeros(named)
     spare = sum(log.shown for log in logs) - basis.shape[1]
-    if spare > 0 and chi2.sf(sum(log.distance for log in logs), spare) < _CHANCE:
+    if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
         variance[: len(NINE)] = [between_variance(own[:, k], std[:, k]) for k in range(len(NINE))]
     T = basis.T @ (variance[:, None] * basis)
     total = basis.T @ ((prior * scales**2)[:, None] * basis)

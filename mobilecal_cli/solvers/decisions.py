@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Selection
@@ -104,9 +104,7 @@ class Decisions:
         for kind, dof in _DEGREES.items():
             values = getattr(stats, kind)
             at = np.unravel_index(int(np.argmax(values)), values.shape)
-            found.append(
-                (float(values[at]) / float(chi2.isf(_STRIKING, dof)), kind, tuple(int(k) for k in at))
-            )
+            found.append((float(values[at]) / float(chdtri(dof, _STRIKING)), kind, tuple(int(k) for k in at)))
         return sorted((item for item in found if item[0] > 1), reverse=True)
 
     def _at_peace(self, fit: Fit) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.marginals import Marginals
@@ -32,7 +32,7 @@ _NO_REDUNDANCY = 0.02
 def limit(count: int, dof: float, redundancy: float) -> float:
     """Largest statistic that a sound measurement may have: Fisher's, for a noise level that is itself estimated."""
     chance = _FALSE_ALARM / max(1, count // 50)
-    return float(dof * fisher.isf(chance, dof, max(redundancy, 4.0)))
+    return float(dof * fdtri(dof, max(redundancy, 4.0), 1 - chance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
