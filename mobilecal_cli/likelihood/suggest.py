@@ -10,7 +10,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose
 from mobilecal_cli.likelihood.legs import leg_covariance, linearize_legs
-from mobilecal_cli.likelihood.marginals import Marginals
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at
 from mobilecal_cli.likelihood.system import System
@@ -192,7 +191,6 @@ def suggestions(
     state: State,
     noise: Noise,
     system: System,
-    marginal: Marginals,
     covariance: FloatArray,
     held: FloatArray,
     scales: FloatArray,
@@ -201,7 +199,7 @@ def suggestions(
     """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
 
     Args:
-        problem, state, noise, system, marginal: the optimum.
+        problem, state, noise, system: the optimum.
         covariance: (P, P) of the shared numbers.
         held: (K, named) directions that the log does not show, in units of `scales`: known to one scale each.
         scales: (named,) units.

@@ -20,6 +20,12 @@ _SHOWN_UNITS = {
     "1": ("%", 100.0),
 }
 
+LEVEL_NAMES = {
+    "pixel_px": "corners",
+    "wheel_rad_per_sqrt_rad": "wheels",
+    "encoder_rad": "encoders",
+    "joint_rad": "joints",
+}
 _JACKKNIFE_SCATTER = (
     3.6  # over the root of the legs: 19 of 20 simulated logs of 12 and of 40 stations stay within
 )
@@ -81,9 +87,21 @@ def jackknife_sentence(solution: Solution) -> str:
     )
 
 
-def extra_rows(solution: Solution) -> tuple[Row, ...]:
+def extra_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
     """What was estimated beside the nine."""
-    return tuple(_extra(name, value, std) for name, (value, std) in solution.extras.items())
+    return tuple(
+        _square(value, std, extraction)
+        if name == "square_scale" and extraction.board.square_m is None
+        else _extra(name, value, std)
+        for name, (value, std) in solution.extras.items()
+    )
+
+
+def _square(value: float, std: float, extraction: Extraction) -> Row:
+    """The squares' size where none is stated: the scale counts from the median of the stations."""
+    median_mm = 1e3 * float(np.median([o.square_m for o in extraction.observations]))
+    meaning = "side of the board's squares, by the stereo pair"
+    return Row("square", meaning, f"{median_mm * (1 + value):.3f}", f"{median_mm * std:.2g}", "mm")
 
 
 def _extra(name: str, value: float, std: float) -> Row:
@@ -93,10 +111,14 @@ def _extra(name: str, value: float, std: float) -> Row:
     return Row(name, extra.meaning, f"{value * factor:.4g}", shown, unit)
 
 
-def evidence_rows(solution: Solution) -> tuple[tuple[Evidence, tuple[Row, ...], str], ...]:
+def evidence_rows(
+    solution: Solution, extraction: Extraction
+) -> tuple[tuple[Evidence, tuple[Row, ...], str], ...]:
     """Every group of extras: its numbers and what the log says of them."""
     rows = []
     for found in solution.evidence:
+        if found.group == "square_scale" and extraction.board.square_m is None:
+            continue  # its zero is no stated size, but the first guess
         members = tuple(_extra(name, value, std) for name, (value, std) in found.values.items())
         rows.append((found, members, _says(found)))
     return tuple(rows)

@@ -12,6 +12,7 @@ from mobilecal_cli.model import NINE, Extraction, Provenance, Setting, Snapshot,
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.findings import (
+    LEVEL_NAMES,
     evidence_rows,
     extra_rows,
     jackknife_sentence,
@@ -76,12 +77,13 @@ def report_html(
         linear=solution.linear,
         sigmas=[(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
         noise=solution.uncertainty.noise if solution.uncertainty is not None else None,
+        level_names=LEVEL_NAMES,
         correlations=_correlations(solution),
         outliers=solution.outliers,
         predicted=predicted_rows(solution),
         jackknife=jackknife_sentence(solution),
-        extras=extra_rows(solution),
-        evidence=evidence_rows(solution),
+        extras=extra_rows(solution, extraction),
+        evidence=evidence_rows(solution, extraction),
         scale=scale_sentence(solution.scale) if solution.scale is not None else "",
         logs_apart=log_rows(solution, extraction),
         nine=NINE,

@@ -81,8 +81,7 @@ def suggestions_of(fit: Fit) -> tuple[Suggestion, ...]:
         fit.optimum.state,
         fit.noise,
         fit.optimum.system,
-        fit.marginal,
-        fit.optimum.covariance,
+        fit.covariance,
         fit.held,
         fit.ties.scales,
     )
