@@ -75,7 +75,9 @@ def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
         Steps of the N - 1 legs between consecutive stations. Steps without any rotation are left out.
     """
     start = track.time_ns[0]
-    moments = np.union1d(track.time_ns, times_ns)
+    place = np.searchsorted(track.time_ns, times_ns)
+    between = track.time_ns[np.minimum(place, len(track.time_ns) - 1)] != times_ns
+    moments = np.insert(track.time_ns, place[between], times_ns[between])
     moments = moments[(moments >= times_ns[0]) & (moments <= times_ns[-1])]
     # Offsets from the start are small enough for float64 to hold every nanosecond.
     at, samples = (moments - start).astype(np.float64), (track.time_ns - start).astype(np.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,7 +30,7 @@ _LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better t
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """The measurements of N stations, as arrays.
 
@@ -118,9 +119,18 @@ class Problem:
 
     def steps(self, time_offset_s: float = 0.0) -> Increments:
         """Wheel rotations of the legs between the stations, their stamps moved by an offset."""
+        if time_offset_s == 0 or not self.moving.any():
+            return self._steps_as_stamped
+        return self._cut(self.stamps_ns(time_offset_s))
+
+    @cached_property
+    def _steps_as_stamped(self) -> Increments:
+        return self._cut(self.times_ns)
+
+    def _cut(self, stamps_ns: IntArray) -> Increments:
         parts = []
         for number, track in enumerate(self.tracks):
-            times = self.stamps_ns(time_offset_s)[self.log == number]
+            times = stamps_ns[self.log == number]
             if len(times) > 1:
                 parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)

@@ -36,7 +36,7 @@ class System:
         leg_weight: (L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed.
         S: (P, P) information of the shared numbers, all others eliminated.
         s: (P,) their gradient, the same way.
-        scale: (P,) root of the diagonal before elimination, for damping.
+        gain: how much the cost would fall, to second order, if the stations alone took their best step.
     """
 
     cost: float
@@ -45,12 +45,11 @@ class System:
     leg_weight: FloatArray
     S: FloatArray
     s: FloatArray
-    scale: FloatArray
+    gain: float
     _E_inverse: FloatArray
     _E_base: FloatArray
     _E_shared: FloatArray
     _e: FloatArray
-    _factor: FloatArray
     _Y: FloatArray
     _y: FloatArray
     _diagonal: FloatArray
@@ -190,7 +189,6 @@ def linearize(
     h += np.einsum("lap,la->p", shared, We)
     _weak_terms(problem, state, selection, noise, D, b)
 
-    scale = np.sqrt(np.diag(H))
     blocks = np.arange(_B)
     D[:, blocks, blocks] *= 1 + damping
     H[np.arange(P), np.arange(P)] *= 1 + damping
@@ -202,12 +200,14 @@ def linearize(
     solved = E_inverse @ E_shared
     H -= np.einsum("njp,njr->pr", E_shared, solved)
     h -= np.einsum("njp,nj->p", solved, e)
+    gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e))
 
     factor = cholesky_banded(_banded(D, off), lower=True, check_finite=False)
     C_flat = C.reshape(-1, P)
     right = np.concatenate([C_flat, b.reshape(-1, 1)], axis=1)
     Yy = cho_solve_banded((factor, True), right, check_finite=False)
     Y, y = Yy[:, :-1], Yy[:, -1]
+    gain += float(b.ravel() @ y)
     e_norm = float(np.sum((state.joint_errors / sigma) ** 2))
     if noise.encoder_rad:
         e_norm += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
@@ -218,12 +218,11 @@ def linearize(
         leg_weight=weight,
         S=H - C_flat.T @ Y,
         s=h - C_flat.T @ y,
-        scale=scale,
+        gain=gain,
         _E_inverse=E_inverse,
         _E_base=E_base,
         _E_shared=E_shared,
         _e=e,
-        _factor=factor,
         _Y=Y,
         _y=y,
         _diagonal=D,

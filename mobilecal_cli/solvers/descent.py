@@ -19,6 +19,10 @@ from mobilecal_cli.model import FloatArray, Parameters
 _MAX_STEPS = 120
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
+_NEAR, _ROUNDING = (
+    1e-7,
+    1e-12,
+)  # a step that would gain less than 1e-7, 0.0003 standard deviations, is not taken
 _CREEPING = 1e-6  # of the cost: a descent that still gains less than that after so many steps has arrived
 
 
@@ -139,34 +143,34 @@ def descend(problem: Problem, start: State, selection: Selection, noise: Noise, 
     state = moved(problem, start, ties.onto(problem, start), np.zeros((count, 5)), np.zeros((count, joints)))
     covariance = leg_covariance(problem, state.parameters.wheels, noise)
     weight = leg_weights(covariance, selection)
-    cost = cost_of(problem, state, selection, noise, weight) + ties.prior_terms(problem, state)[2]
-    damping, history, converged = 0.0, [cost], False
+    system = linearize(problem, state, selection, noise, covariance)
+    cost = system.cost + ties.prior_terms(problem, state)[2]
+    damping, history, arrived = 0.0, [cost], False
     while len(history) <= _MAX_STEPS + 1:
-        system = linearize(problem, state, selection, noise, covariance, damping)
         information, gradient, _ = ties.prior_terms(problem, state)
-        if converged:
-            S = system.S + np.diag(information)
-            return Optimum(state, system, S, basis, covariance, cost, np.array(history))
         S = basis.T @ (system.S + np.diag(information)) @ basis
+        s = basis.T @ (system.s + gradient)
         unit = 1 / np.sqrt(np.diag(S))
-        step = -basis @ (
-            unit * cho_solve(cho_factor(S * np.outer(unit, unit)), unit * (basis.T @ (system.s + gradient)))
-        )
+        along = -unit * cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s)
+        gain = system.gain - float(s @ along)
+        if arrived or (damping == 0 and gain <= _NEAR + _ROUNDING * cost):
+            full = system.S + np.diag(information)
+            return Optimum(state, system, full, basis, covariance, cost, np.array(history))
+        step = basis @ along
         trial = moved(problem, state, step, *system.back(step))
         trial_cost = cost_of(problem, trial, selection, noise, weight) + ties.prior_terms(problem, trial)[2]
         if trial_cost <= cost * (1 + 1e-13) and trial.parameters.wheels.separation_m > 0:
-            converged = cost - trial_cost <= _CONVERGED * cost + 1e-14 and damping < 1e-3
+            arrived = cost - trial_cost <= _CONVERGED * cost + 1e-14 and damping < 1e-3
             state, cost = trial, trial_cost
             history.append(cost)
-            converged |= len(history) > _MAX_STEPS and history[-2] - cost < _CREEPING * cost
-            damping = damping / 10 if damping > 1e-9 else 0.0
-            if converged:
-                damping = 0.0
+            arrived |= len(history) > _MAX_STEPS and history[-2] - cost < _CREEPING * cost
+            damping = damping / 10 if damping > 1e-9 and not arrived else 0.0
         else:
             damping = max(damping * 10, 1e-6)
             if damping > _LARGEST_DAMPING:
-                converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
+                arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(cost)
+        system = linearize(problem, state, selection, noise, covariance, damping)
     raise SolveError(
         f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
         "see the residuals of --method linear",

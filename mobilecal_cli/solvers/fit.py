@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.problem import Problem, State, problem_of
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import linearize
-from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
+from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.descent import Optimum, Ties, descend
 from mobilecal_cli.solvers.linear import linear_estimate, linear_from
@@ -194,18 +194,16 @@ class Fitter:
         kept = [k for k, name in enumerate(layout.names) if name not in self._asked.fixed]
         return np.eye(layout.named)[:, kept]
 
-    def shown(self, state: State, selection: Selection, noise: Noise, anchor: Parameters) -> Directions:
-        """What the data show at a state."""
+    def shown(self, information: FloatArray, at: WheelGeometry) -> Directions:
+        """What the data show, by the information (P, P) about the shared numbers."""
+        wheels = np.array([at.radius_right_m, at.radius_left_m, at.separation_m])
+        return directions(information, self.problem.layout, wheels, self.free(), len(self.problem.legs))
+
+    def _before_descent(self, state: State, selection: Selection, noise: Noise, ties: Ties) -> FloatArray:
+        """(P, P) information about the shared numbers at a state that is no optimum."""
         covariance = leg_covariance(self.problem, state.parameters.wheels, noise)
         system = linearize(self.problem, state, selection, noise, covariance)
-        prior, _, _ = self.ties(anchor, np.zeros((0, self.problem.layout.named))).prior_terms(
-            self.problem, state
-        )
-        found = state.parameters.wheels
-        wheels = np.array([found.radius_right_m, found.radius_left_m, found.separation_m])
-        return directions(
-            system.S + np.diag(prior), self.problem.layout, wheels, self.free(), len(self.problem.legs)
-        )
+        return system.S + np.diag(ties.prior_terms(self.problem, state)[0])
 
     # -- the recipe -------------------------------------------------------------------------------
 
@@ -220,14 +218,15 @@ class Fitter:
         problem = self.problem
         for _ in range(_OBSERVABILITY_ROUNDS):
             anchor = _anchor(self._extraction, self._asked, state.parameters)
-            shown = self.shown(state, selection, noise, anchor)
-            held = shown.hidden
+            free = self.ties(anchor, np.zeros((0, problem.layout.named)))
+            information = self._before_descent(state, selection, noise, free)
+            held = self.shown(information, state.parameters.wheels).hidden
             if len(held) or self._asked.fixed:
                 self._require_anchor(held)
             ties = self.ties(anchor, held)
             optimum = descend(problem, state, selection, noise, ties)
             state = optimum.state
-            again = self.shown(state, selection, noise, anchor)
+            again = self.shown(optimum.information, state.parameters.wheels)
             if _same_space(again.hidden, held):
                 break
         return self._fitted(optimum, selection, noise, ties, again, held)
