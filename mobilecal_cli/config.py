@@ -167,6 +167,7 @@ class NoiseConfig(_Section):
 
     pixel_px: PositiveFloat | None = Field(None, description="of one corner coordinate")
     wheel_rad_per_sqrt_rad: PositiveFloat | None = Field(None, description="of a wheel over one radian")
+    encoder_rad: PositiveFloat | None = Field(None, description="of one encoder reading")
     joint_rad: PositiveFloat | None = Field(None, description="of one joint reading")
 
 

@@ -255,11 +255,13 @@ class KnownNoise:
     Attributes:
         pixel_px: of one corner coordinate.
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
+        encoder_rad: of one encoder reading.
         joint_rad: of one joint reading.
     """
 
     pixel_px: float | None = None
     wheel_rad_per_sqrt_rad: float | None = None
+    encoder_rad: float | None = None
     joint_rad: float | None = None
 
     @property
@@ -268,6 +270,7 @@ class KnownNoise:
         levels = {
             "pixel_px": self.pixel_px,
             "wheel_rad_per_sqrt_rad": self.wheel_rad_per_sqrt_rad,
+            "encoder_rad": self.encoder_rad,
             "joint_rad": self.joint_rad,
         }
         return {name: value for name, value in levels.items() if value is not None}

@@ -97,7 +97,7 @@ class NoiseLevels:
     Attributes:
         pixel_px: of one corner coordinate.
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading (its step over the square root of 12); 0 without steps.
+        encoder_rad: of one encoder reading; 0 where the encoders have no steps.
         joint_rad: of one joint reading.
         estimated: names of the levels that come from the residuals; the others were given.
         redundancy: estimated level → how many residuals it rests on.

@@ -39,7 +39,7 @@ class Decisions:
     def sound(self, fit: Fit) -> bool:
         """Whether a first fit of everything, with supposed noise, shows nothing odd."""
         stats = believed_statistics(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
-        bound = _LOUD if len(self._fitter.given) < 3 else 1.0
+        bound = 1.0 if self._fitter.given >= set(fit.components) else _LOUD
         views = stats.views.max(initial=0) / limit(self.problem.stations, 6, 1e6)
         legs = stats.legs.max(initial=0) / limit(self.problem.stations, 3, 1e6)
         readings = stats.readings.max(initial=0) / limit(self.problem.stations, 1, 1e6)

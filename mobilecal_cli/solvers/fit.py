@@ -138,6 +138,7 @@ class Fitter:
         self.known = Known(T_h_c, nominal.wheels, all(name in fixed for name in NINE[:6]))
         self._levels = extraction.rig.noise.given
         self.given = frozenset(self._levels)
+        self._guess = replace(GUESS, encoder_rad=self.problem.encoder_step_rad * UNIFORM)
 
     # -- where to start ---------------------------------------------------------------------------
 
@@ -209,9 +210,7 @@ class Fitter:
 
     def first_noise(self, own_px: FloatArray) -> Noise:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
-        step = self.problem.encoder_step_rad
-        noise = replace(GUESS, pixel_px=max(float(np.median(own_px)), 1e-3), encoder_rad=step * UNIFORM)
-        return replace(noise, **self._levels)
+        return replace(self._guess, **{"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
 
     def fit(self, state: State, selection: Selection, noise: Noise) -> Fit:
         """Descend, holding what the data do not show, until that does not change."""
@@ -270,7 +269,7 @@ class Fitter:
     def levelled(self, fit: Fit, tolerance: float) -> Fit:
         """Noise levels and fit in turn, until the levels stand."""
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(fit.noise, fit.components, self.given)
+            noise = estimated(fit.noise, fit.components, self.given, self._guess)
             done = settled(fit.noise, noise, tolerance)
             fit = self.fit(fit.optimum.state, fit.selection, noise)
             if done:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from mobilecal_cli.likelihood.marginals import Marginals
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem
 from mobilecal_cli.likelihood.system import joint_sigmas
-from mobilecal_cli.model import FloatArray
 from mobilecal_cli.solvers.descent import Optimum
 
 # Where nothing else is known: a good corner fit, sound wheels on a firm floor, a servo's encoder.
@@ -65,23 +64,27 @@ def components(
     ratio = np.where(read, (optimum.state.joint_errors / sigma) ** 2, 0.0)
     left = np.where(read, 1 - variance / sigma**2, 0.0)
     result["joint_rad"] = Component(float(ratio.sum()), float(left.sum()))
+
+    if noise.encoder_rad:
+        ratio = (optimum.state.encoder_errors / noise.encoder_rad) ** 2
+        left = 1 - marginal.encoders / noise.encoder_rad**2
+        result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
     return result
 
 
-def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str]) -> Noise:
-    """The noise after one step of the fixed point; levels that are given stay."""
+def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
+    """The noise after one step of the fixed point from what was supposed; levels that are given stay."""
     changes: dict[str, float] = {}
     for name, component in found.items():
         if name in given:
             continue
-        before, guess = getattr(noise, name), getattr(GUESS, name)
-        factor = np.clip(component.factor((guess / before) ** 2), 1e-4, 1e4)
+        before, supposed = getattr(noise, name), getattr(guess, name)
+        factor = np.clip(component.factor((supposed / before) ** 2), 1e-4, 1e4)
         changes[name] = max(before * float(np.sqrt(factor)), getattr(LEAST, name))
     return replace(noise, **changes)
 
 
 def settled(before: Noise, after: Noise, tolerance: float) -> bool:
     """Whether no level moved by more than a share of itself."""
-    a = np.array([before.pixel_px, before.wheel_rad_per_sqrt_rad, before.joint_rad])
-    b: FloatArray = np.array([after.pixel_px, after.wheel_rad_per_sqrt_rad, after.joint_rad])
-    return bool(np.all(np.abs(b / a - 1) < tolerance))
+    a, b = np.array(astuple(before)), np.array(astuple(after))
+    return bool(np.all(np.abs(b - a) <= tolerance * a))

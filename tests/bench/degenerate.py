@@ -9,17 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.model import NINE, KnownNoise
+from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import asked_of, solve
 from tests.bench.simulated import (
     DISTURBED,
+    GIVEN,
     HEADER,
-    JOINT_RAD,
-    PIXEL_PX,
     RUNS_PER_ROUTE,
-    WHEEL,
     conditions,
     errors,
     map_runs,
@@ -35,7 +33,7 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
     """Error over stated sigma, NaN where the number is marked, and the marked numbers."""
     robot, route = paper_robot(), route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
     extraction = ideal_extraction(robot, route, DISTURBED, seed)
-    rig = replace(extraction.rig, noise=KnownNoise(PIXEL_PX, WHEEL, JOINT_RAD))
+    rig = replace(extraction.rig, noise=GIVEN)
     if fix:
         T_h_reference = robot.T_h_c @ rig.cameras.T_c_reference
         rig = replace(rig, nominal=replace(rig.nominal, T_h_reference=T_h_reference))

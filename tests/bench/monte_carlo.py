@@ -14,11 +14,9 @@ from mobilecal_cli.solvers import solve
 from tests.bench.simulated import (
     DEGREES_MM,
     DISTURBED,
+    GIVEN,
     HEADER,
-    JOINT_RAD,
-    PIXEL_PX,
     RUNS_PER_ROUTE,
-    WHEEL,
     both_sizes,
     bound_of,
     errors,
@@ -28,7 +26,7 @@ from tests.bench.simulated import (
 )
 
 _METHODS = {
-    "ml, noise levels given": ("ml", KnownNoise(PIXEL_PX, WHEEL, JOINT_RAD)),
+    "ml, noise levels given": ("ml", GIVEN),
     "ml, noise levels estimated": ("ml", KnownNoise()),
     "linear": ("linear", KnownNoise()),
     "paper": ("paper", KnownNoise()),

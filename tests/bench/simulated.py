@@ -26,7 +26,7 @@ from mobilecal_cli.likelihood.legs import leg_covariance  # noqa: E402
 from mobilecal_cli.likelihood.noise import Noise, Selection  # noqa: E402
 from mobilecal_cli.likelihood.problem import problem_of  # noqa: E402
 from mobilecal_cli.likelihood.system import linearize  # noqa: E402
-from mobilecal_cli.model import Corners, Extraction, FloatArray, Parameters, WheelTrack  # noqa: E402
+from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack  # noqa: E402
 from mobilecal_cli.simulate import ideal  # noqa: E402
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot  # noqa: E402
 from mobilecal_cli.simulate.route import Motion, Route, plan_route  # noqa: E402
@@ -38,6 +38,7 @@ from mobilecal_cli.vision import Miss, board_pose, triangulate  # noqa: E402
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = ideal.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
 TRUE_NOISE = Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
+GIVEN = KnownNoise(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 RUNS_PER_ROUTE = 10
 DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])
 HEADER = "| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |\n" + "| --- " * 10 + "|"

@@ -18,7 +18,7 @@ from tests.bench.simulated import errors, spoiled
 
 ROBOT = paper_robot()
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
-GIVEN = KnownNoise(0.2, 0.003, float(np.radians(0.05)))
+GIVEN = KnownNoise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.05)))
 
 
 def extraction_of(motion="standard", seed=1, noise=NOISE, **more):
@@ -70,6 +70,27 @@ def test_noise_levels_that_are_given_stay(noisy):
     levels = solve(with_noise(noisy, KnownNoise(joint_rad=0.002))).uncertainty.noise
     assert levels.joint_rad == 0.002
     assert "joint_rad" not in levels.estimated
+
+
+def test_play_of_the_encoders_is_told_from_noise_of_the_wheels():
+    # Every stop is read wrong by whole steps, 2 on average.
+    step, random = np.radians(1.2), np.random.default_rng(3)
+    route = plan_route(ROBOT, "standard", stations=30, seed=3)
+    extraction = ideal_extraction(ROBOT, route, replace(NOISE, encoder_step_rad=step), 3)
+    track, stops = extraction.wheels[0], [o.time_ns for o in extraction.observations]
+    play = np.zeros((len(track.time_ns), 2))
+    play[np.searchsorted(track.time_ns, stops)] = step * np.round(2 * random.normal(size=(30, 2)))
+    track = replace(track, right_rad=track.right_rad + play[:, 0], left_rad=track.left_rad + play[:, 1])
+    played = replace(extraction, wheels=(track,))
+
+    levels = solve(played).uncertainty.noise
+    assert levels.encoder_rad == pytest.approx(2 * step, rel=0.25)
+    assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
+    assert levels.redundancy["encoder_rad"] > 20
+
+    given = solve(with_noise(played, KnownNoise(encoder_rad=step))).uncertainty.noise
+    assert given.encoder_rad == step
+    assert "encoder_rad" not in given.estimated
 
 
 def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
