@@ -242,6 +242,9 @@ def simulate(
     exact: Annotated[
         bool, typer.Option("--exact", help="No noise, encoders without steps (use with png).")
     ] = False,
+    camera_late: Annotated[
+        float, typer.Option(min=-0.2, max=0.2, help="Seconds by which the cameras' clock is late.")
+    ] = 0.0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -262,6 +265,7 @@ def simulate(
         container=cast(Any, kind),
         pictures=cast(Any, pictures.value),
         exact=exact,
+        camera_late_s=camera_late,
     )
     with progress_bar(quiet) as progress:
         truth = record(scenario, out, force, progress)

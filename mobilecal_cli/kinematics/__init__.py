@@ -4,6 +4,7 @@ from mobilecal_cli.kinematics.head import head_jacobian, head_pose
 from mobilecal_cli.kinematics.wheels import (
     Increments,
     LegMotion,
+    between_steps,
     cut_at,
     encoder_step_rad,
     integrate,
@@ -15,6 +16,7 @@ from mobilecal_cli.kinematics.wheels import (
 __all__ = [
     "Increments",
     "LegMotion",
+    "between_steps",
     "cut_at",
     "encoder_step_rad",
     "head_jacobian",

@@ -64,6 +64,25 @@ def encoder_step_rad(readings_rad: FloatArray) -> float:
     return float(changes.min()) if np.abs(steps - np.round(steps)).max() < _WHOLE_STEPS else 0.0
 
 
+def between_steps(track: WheelTrack) -> WheelTrack:
+    """A track without the stairs that an encoder makes: straight lines from one change of a reading to the next.
+
+    A reading changes where the wheel passes from one step to the next, and so tells best then. At every other moment
+    it may be wrong by half a step, always the same way for as long as it does not change.
+    """
+
+    def smooth(readings_rad: FloatArray) -> FloatArray:
+        changes = np.flatnonzero(np.diff(readings_rad))
+        middle_ns = (offsets[changes] + offsets[changes + 1]) / 2
+        middle_rad = (readings_rad[changes] + readings_rad[changes + 1]) / 2
+        at = np.concatenate([offsets[:1], middle_ns, offsets[-1:]])
+        values = np.concatenate([readings_rad[:1], middle_rad, readings_rad[-1:]])
+        return np.asarray(np.interp(offsets, at, values), dtype=np.float64)
+
+    offsets = (track.time_ns - track.time_ns[0]).astype(np.float64)
+    return WheelTrack(track.time_ns, smooth(track.right_rad), smooth(track.left_rad))
+
+
 def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
     """Cut a wheel track at the stations' times.
 

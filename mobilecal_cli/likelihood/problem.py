@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import Increments, cut_at, encoder_step_rad, head_pose, join
+from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_step_rad, head_pose, join
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES, INDEX, Layout
 from mobilecal_cli.model import (
     BoolArray,
@@ -254,6 +254,10 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         (encoder_step_rad(side) for track in extraction.wheels for side in (track.right_rad, track.left_rad)),
         default=0.0,
     )
+    moving = np.array([not o.at_rest for o in seen])
+    tracks = extraction.wheels
+    if step and moving.any():  # at rests a reading is as good as its step; in motion its changes tell more
+        tracks = tuple(between_steps(track) for track in tracks)
     logs, board = np.unique(log, return_inverse=True)
     claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
     return Problem(
@@ -264,12 +268,12 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         relative_sigma=claims / np.sqrt(np.mean(claims**2)),
         joints=np.stack([o.joints for o in seen]),
         joint_tracks=extraction.joint_tracks,
-        moving=np.array([not o.at_rest for o in seen]),
+        moving=moving,
         joint_sides=_sides(extraction),
         log=log,
         board=board.astype(np.int64),
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
-        tracks=extraction.wheels,
+        tracks=tracks,
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
         encoder_step_rad=step,
         layout=Layout(extras, len(logs)),

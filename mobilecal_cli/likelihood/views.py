@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project_with_jacobian
+from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
@@ -168,5 +168,4 @@ def predicted_px(problem: Problem, state: State, T_c_k: FloatArray) -> FloatArra
     rig = cameras_at(problem, state)
     points_c = se3.act(T_c_k, (1 + state.extras[INDEX["square_scale"]]) * problem.points_k)
     points_r = se3.act(se3.inverse(rig.T_c_r), points_c)
-    left, right = project_with_jacobian(rig.left, points_c)[0], project_with_jacobian(rig.right, points_r)[0]
-    return np.stack([left, right], axis=1)
+    return np.stack([project(rig.left, points_c), project(rig.right, points_r)], axis=1)

@@ -154,7 +154,7 @@ def _picture_messages(
     sides: tuple[Side, Side] = ("left", "right")
     topics = robot.topics(compressed=scenario.pictures != "mono8")
     for i, time_s in enumerate(times):
-        stamp = int(nanoseconds(np.array([time_s]))[0])
+        stamp = int(nanoseconds(np.array([time_s + scenario.camera_late_s]))[0])
         base = base_in_world(route.drive.poses(np.array([time_s])))[0]
         T_w_c = base @ robot.head_pose(route.joints(np.array([time_s]))[0]) @ robot.T_h_c
         for side, info, renderer, T_c_x in zip(

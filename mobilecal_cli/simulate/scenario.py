@@ -40,6 +40,7 @@ class Scenario:
         pixel_noise_grey: sigma of the sensor's noise, grey levels.
         blur_px: sigma of the lens' blur, px.
         wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
+        camera_late_s: how much later than joints and wheels the cameras' clock stamps what happens.
     """
 
     robot: str = "paper"
@@ -55,6 +56,7 @@ class Scenario:
     pixel_noise_grey: float = 2.0
     blur_px: float = 0.6
     wheel_noise_rad_per_sqrt_rad: float = 0.003
+    camera_late_s: float = 0.0
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
         """The robot and its route.
@@ -114,6 +116,7 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  wheel_noise_rad_per_sqrt_rad: {_plain(0.0 if scenario.exact else scenario.wheel_noise_rad_per_sqrt_rad)}",
         f"  encoder_step_rad: {_plain(0.0 if scenario.exact else robot.encoder_step_rad)}",
         f"  joint_noise_rad: {_plain(0.0 if scenario.exact else robot.joint_noise_rad)}",
+        f"  camera_late_s: {_plain(scenario.camera_late_s)}",
         f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k",
     ]
     if len(route.rests_s):

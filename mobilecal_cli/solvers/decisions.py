@@ -24,7 +24,7 @@ ROUGH = 0.1  # how well the noise levels are to stand while decisions are made
 _CONSENSUS_REDUNDANCY = 20.0  # of the noise that the agreeing legs show
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
-_STRIKING = 1e-3  # chance of a sound measurement to be looked at more closely
+_STRIKING = 0.2  # chance that any sound measurement of a kind is looked at more closely
 _FEWEST_VIEWS = 4
 _LOUD = 4.0  # noise this many times (in variance) above what is supposed makes a consensus worth its time
 
@@ -104,7 +104,8 @@ class Decisions:
         for kind, dof in _DEGREES.items():
             values = getattr(stats, kind)
             at = np.unravel_index(int(np.argmax(values)), values.shape)
-            found.append((float(values[at]) / float(chdtri(dof, _STRIKING)), kind, tuple(int(k) for k in at)))
+            usual = float(chdtri(dof, _STRIKING / values.size))
+            found.append((float(values[at]) / usual, kind, tuple(int(k) for k in at)))
         return sorted((item for item in found if item[0] > 1), reverse=True)
 
     def _at_peace(self, fit: Fit) -> bool:
@@ -148,9 +149,13 @@ class Decisions:
             for slipped in beside:
                 views, driven = selection.views.copy(), selection.legs.copy()
                 views[station], driven[beside], driven[slipped] = True, True, False
-                changed = replace(selection, views=views, legs=driven)
+                without = replace(selection, legs=driven)
                 try:
-                    trial = self._fitter.refit(fit, changed)
+                    trial = self._fitter.refit(fit, without)
+                    off, _ = doubted_views(self.problem, trial.optimum, trial.marginal, without, trial.noise)
+                    if off[station] > limit(self.problem.stations, 6, _CONSENSUS_REDUNDANCY):
+                        continue
+                    trial = self._fitter.refit(trial, replace(without, views=views))
                 except SolveError:
                     continue
                 if self._at_peace(trial):

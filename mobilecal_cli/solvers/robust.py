@@ -1,8 +1,7 @@
-"""What does not belong: gross corners, whole stations, slipping wheels, wrong joint readings.
+"""Statistics of what may not belong: gross corners, whole stations, slipping wheels, wrong joint readings.
 
-Two passes. A consensus of few legs finds a start that no bad station or slip can pull, and casts suspicion
-widely; then everything under suspicion is tried against the fit of the rest, one by one, and taken back where
-it agrees. What is left over is tested against its own deletion, with the noise of what is believed.
+What is believed is tested against its own deletion, what is doubted against what the rest predicts; `decisions`
+judges by them.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.observability import tainted
+from mobilecal_cli.likelihood.problem import head_at
 from mobilecal_cli.model import (
     NINE,
     BoolArray,
@@ -118,6 +119,13 @@ def _pulled(loops: Loops, start: Parameters) -> LinearEstimate:
     return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
 
 
+def _with_extras(loops: Loops, fit: Fit) -> Loops:
+    """The loops with the head and the wheels where the fit's clocks, zeros, play and mount put them."""
+    problem, state = fit.problem, fit.optimum.state
+    as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
+    return replace(loops, T_v_h=head_at(problem, as_read), steps=problem.steps(state.extra("time_wheels")))
+
+
 def _by_likelihood(
     extraction: Extraction, loops: Loops, start_ratios: FloatArray | None, asked: Asked
 ) -> Solution:
@@ -144,10 +152,11 @@ def _by_likelihood(
     believed = fit.selection.legs & fit.selection.views[i] & fit.selection.views[j]
     if not believed.any():
         believed[:] = True
-    rms = point_rms_m(loops, parameters)
+    explained = _with_extras(loops, fit)
+    rms = point_rms_m(explained, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.optimum.history))
-    solution = _solution(extraction, loops, "ml", linear, refinement, believed)
+    solution = _solution(extraction, explained, "ml", linear, refinement, believed)
     names = fit.problem.layout.names[9:]
     std = np.sqrt(np.diag(fit.covariance)[9 : fit.problem.layout.named])
     return replace(

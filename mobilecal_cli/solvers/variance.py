@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 
@@ -17,7 +18,7 @@ from mobilecal_cli.solvers.descent import Optimum
 GUESS = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.004, encoder_rad=0.0, joint_rad=float(np.radians(0.03)))
 LEAST = Noise(pixel_px=1e-3, wheel_rad_per_sqrt_rad=1e-5, encoder_rad=0.0, joint_rad=1e-6)
 _WORTH, _FADES_AT = 2.0, 4.0
-UNIFORM = 1 / np.sqrt(12)  # sigma of an encoder's reading, in steps
+UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
 def guess_worth(redundancy: float) -> float:

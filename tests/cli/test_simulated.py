@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from tests.cli.edited import run
@@ -52,7 +54,8 @@ def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
 
 def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     log = tmp_path_factory.mktemp("logs") / "moving.mcap"
-    made = run("simulate", log, "--exact", "--motion", "moving", "--stations", "4", cwd=tmp_path)
+    moving = ("--motion", "moving", "--stations", "4", "--camera-late", "0.025")
+    made = run("simulate", log, "--exact", *moving, cwd=tmp_path)
     assert made.code == 0, made.err
     result = run("calibrate", log, "--output", "out", cwd=tmp_path)
     assert result.code == 0, result.err
@@ -60,7 +63,12 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     assert turn < 0.3
     assert move < 6
     assert wheels < 0.3
-    assert load(tmp_path / "out/params.yaml")["quality"]["stations"] > 30
+    quality = load(tmp_path / "out/params.yaml")["quality"]
+    assert quality["stations"] > 30
+    assert quality["point_rms_mm"] < 5
+    extras = json.loads((tmp_path / "out/report.json").read_text())["extras"]
+    for clock in ("time_joints", "time_wheels"):
+        assert extras[clock]["value"] == pytest.approx(-0.025, abs=max(0.0005, 4 * extras[clock]["std"]))
 
 
 def test_simulate_refuses_what_is_there(tmp_path):

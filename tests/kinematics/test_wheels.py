@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.kinematics import (
     Increments,
+    between_steps,
     cut_at,
     encoder_step_rad,
     integrate,
@@ -119,6 +120,22 @@ def test_a_leg_without_motion_stands_still():
     motion = integrate(steps, WHEELS)
     assert np.all(motion.t_m[[0, 2]] == 0)
     assert np.all(motion.psi_rad[[0, 2]] == 0)
+
+
+def test_between_its_steps_a_reading_runs_on():
+    """At a constant rate the line through the changes is the motion itself; a rest stays where it is read."""
+    time_ns = np.arange(0, 400, dtype=np.int64) * 10_000_000
+    true_rad = np.clip(0.73 * (np.arange(400) * 0.01 - 1), 0, 1.5)
+    step = 0.05
+    read = np.floor(true_rad / step) * step + step / 2
+    smooth = between_steps(WheelTrack(time_ns, read, read[::-1].copy()))
+    running = (time_ns > 1.1e9) & (time_ns < 3.0e9)
+    assert np.abs(read - true_rad)[running].max() > 0.9 * step / 2
+    assert np.abs(smooth.right_rad - true_rad)[running].max() < 0.73 * 0.01 / 2 + 1e-9  # half a sample
+    assert np.allclose(smooth.left_rad, smooth.right_rad[::-1])
+    assert np.abs(smooth.right_rad - true_rad).max() < step
+    assert smooth.right_rad[0] == read[0]
+    assert smooth.right_rad[-1] == read[-1]
 
 
 def test_the_step_of_an_encoder():

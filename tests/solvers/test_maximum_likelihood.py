@@ -7,10 +7,11 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.problem import problem_of
 from mobilecal_cli.model import NINE, Corners, KnownNoise, WheelGeometry
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import asked_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
@@ -122,6 +123,31 @@ def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
     assert tuple(name for name, ok in zip(NINE, seen, strict=True) if not ok) == held
     ratio = errors(found.parameters, ROBOT)[seen] / found.uncertainty.std[seen]
     assert np.abs(ratio).max() < 4
+
+
+def test_a_head_held_tilted_hides_the_base_s_vertical_and_no_more():
+    """The drawing is wrong by (4, 3, -6) mm: along the vertical it stays so, across it the log puts it right."""
+    robot, tilt = tick_robot(), np.array([0.0, np.radians(20)])
+    level, tilted = head_pose(robot.chain, np.stack([np.zeros(2), tilt]))
+    T_h_c = se3.inverse(tilted) @ level @ robot.T_h_c  # the same camera on a tilted head
+    wrong = T_h_c.copy()
+    wrong[:3, 3] += (0.004, 0.003, -0.006)
+    extraction = ideal_extraction(robot, plan_route(robot, "head_fixed", seed=2), NOISE, 2)
+    seen = tuple(replace(o, joints=o.joints + tilt) for o in extraction.observations)
+    nominal = replace(extraction.rig.nominal, T_h_reference=wrong @ extraction.rig.cameras.T_c_reference)
+    rig = replace(extraction.rig, nominal=nominal)
+    found = solve(replace(extraction, observations=seen, rig=rig, joint_tracks=()))
+
+    vertical_h = tilted[2, :3]
+    (held,) = found.uncertainty.held[:, 3:6]
+    assert abs(held @ vertical_h) == pytest.approx(1, abs=1e-3)
+    hidden = {name for name, ok in zip(NINE, found.uncertainty.observable, strict=True) if not ok}
+    assert {"t_z"} <= hidden <= {"t_x", "t_z"}
+    off = found.parameters.T_h_c[:3, 3] - T_h_c[:3, 3]
+    assert off @ vertical_h == pytest.approx((wrong - T_h_c)[:3, 3] @ vertical_h, abs=2e-4)
+    across = off - off @ vertical_h * vertical_h
+    covariance = found.uncertainty.covariance[3:6, 3:6]
+    assert across @ np.linalg.pinv(covariance, rcond=1e-3) @ across < 15  # two degrees of freedom
 
 
 def test_a_head_that_never_moves_needs_a_nominal_height():
