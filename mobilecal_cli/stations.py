@@ -239,8 +239,9 @@ def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozense
         picked = _keyframes(moving, channels, KEYFRAMES) if moving else []
         moments += [([shot], False) for shot in picked]
         notes.append(
-            f"The robot rests only {len(rests)} times with pictures: {len(picked)} of {len(moving)} pictures taken "
-            "in motion are used as well, whose stamps must fit the joints' and wheels' clocks."
+            f"The robot rests {len(rests)} times with pictures, too few: {len(picked)} of {len(moving)} "
+            "pictures taken in motion are used as well. Clocks that are apart by a constant are put right (not by the "
+            "methods linear, paper and lm)."
         )
     moments.sort(key=lambda moment: moment[0][0].time_ns)
     stations = tuple(_station(i, run, joints, signals, at_rest) for i, (run, at_rest) in enumerate(moments))

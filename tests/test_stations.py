@@ -68,7 +68,7 @@ def test_a_turning_head_is_no_rest():
     plan = plan_stations(signals(lambda t: np.abs((t / 3) % 2 - 1), lambda t: 0 * t), ("pan",))
     assert not any(station.at_rest for station in plan.stations)
     assert 20 < len(plan.stations) <= KEYFRAMES
-    assert "rests only 0 times" in plan.notes[0]
+    assert "rests 0 times" in plan.notes[0]
 
 
 def test_keyframes_spread_over_the_motion():

@@ -33,8 +33,20 @@ class Extra:
 
 
 EXTRAS = (
-    Extra("time_joints", "time_offsets", "s", 0.2, "the cameras' clock behind the joints' clock"),
-    Extra("time_wheels", "time_offsets", "s", 0.2, "the cameras' clock behind the wheels' clock"),
+    Extra(
+        "time_joints",
+        "time_offsets",
+        "s",
+        0.2,
+        "to be added to the cameras' stamps, to be on the joints' clock",
+    ),
+    Extra(
+        "time_wheels",
+        "time_offsets",
+        "s",
+        0.2,
+        "to be added to the cameras' stamps, to be on the wheels' clock",
+    ),
     Extra("pan_zero", "pan_zero", "rad", 0.2, "what the pan joint really stands at when it reads zero"),
     Extra("mount_x", "mount", "m", 0.1, "the head's mount further forward than the chain says"),
     Extra("mount_y", "mount", "m", 0.1, "the head's mount further to the left than the chain says"),
