@@ -197,6 +197,7 @@ class MotionName(StrEnum):
 
     standard = "standard"
     head_fixed = "head_fixed"
+    pan_only = "pan_only"
     straight = "straight"
     spin = "spin"
     base_fixed = "base_fixed"

@@ -18,7 +18,9 @@ from mobilecal_cli.simulate.drive import Drive, Pose, Stretch, base_in_world, mo
 from mobilecal_cli.simulate.robot import SimulatedRobot, pose
 from mobilecal_cli.simulate.stereo import pixels
 
-Motion = Literal["standard", "head_fixed", "straight", "spin", "base_fixed", "large_turns", "moving"]
+Motion = Literal[
+    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
+]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
 REST_S = 1.2
@@ -158,6 +160,19 @@ class Planner:
                 return joints
         return None
 
+    def panned(self, base: Pose) -> FloatArray:
+        """Joints that look near the board by pan alone; all others stay at zero."""
+        point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
+        level = np.zeros(len(self._robot.joint_names))
+        level[self._pan] = self.look_at(base, point, level)[self._pan]
+        return level
+
+    def looking(self, base: Pose, motion: Motion, first: FloatArray) -> FloatArray | None:
+        """Joints for a stop, None where the board cannot be seen; `first` is for a head that never moves."""
+        if motion == "head_fixed":
+            return first
+        return self.panned(base) if motion == "pan_only" else self.gaze(base)
+
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
         """Some way on from a pose: turn, drive (on an arc), turn."""
         random = self._random
@@ -205,7 +220,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
     base: Pose = (0.0, 0.0, 0.0)
     fixed = planner.look_at(base, planner._centre_w, np.zeros(len(robot.joint_names)))
     stretches: list[Stretch] = [Stretch(REST_S)]
-    first = fixed if motion == "head_fixed" else planner.gaze(base)
+    first = planner.looking(base, motion, fixed)
     if first is None:
         raise ConfigError(
             "the simulated robot does not see the whole board from its start", "use a smaller board"
@@ -226,7 +241,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
             there = moved(there, stretch, stretch.duration_s)
         if not planner.allowed(there):
             continue
-        joints = fixed if motion == "head_fixed" else planner.gaze(there)
+        joints = planner.looking(there, motion, fixed)
         if joints is None or not planner.sees_board(there, joints):
             continue
         if not way:

@@ -25,7 +25,14 @@ from tests.bench.simulated import (
 )
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
-_CASES = (("head_fixed", ""), ("straight", ""), ("spin", ""), ("base_fixed", ""), ("standard", "head_eye"))
+_CASES = (
+    ("head_fixed", ""),
+    ("pan_only", ""),
+    ("straight", ""),
+    ("spin", ""),
+    ("base_fixed", ""),
+    ("standard", "head_eye"),
+)
 _STATIONS = 12
 
 

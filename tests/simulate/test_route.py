@@ -74,6 +74,9 @@ def test_each_motion_is_what_its_name_says():
     assert min(along, across) > 0.1
     assert turned > 0.5
     assert ranges("head_fixed")[:2] == pytest.approx((0, 0), abs=1e-12)
+    pan, tilt = ranges("pan_only")[:2]
+    assert pan > 0.1
+    assert tilt == pytest.approx(0, abs=1e-12)
     assert ranges("straight")[3:] == pytest.approx((0, 0), abs=1e-12)
     assert ranges("straight")[2] > 0.3
     assert ranges("spin")[2:4] == pytest.approx((0, 0), abs=1e-12)

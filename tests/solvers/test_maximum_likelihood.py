@@ -111,6 +111,7 @@ def test_the_jackknife_agrees_over_many_legs():
     ("motion", "held"),
     [
         ("head_fixed", ("t_y",)),
+        ("pan_only", ("t_y",)),
         ("straight", ("separation",)),
         ("spin", NINE[6:]),
         ("base_fixed", NINE[6:]),
