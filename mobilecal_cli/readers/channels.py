@@ -11,9 +11,12 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers.values import Decoder, json_decoder, like_ros, protobuf_decoder, ros_type
 
-DefinitionFormat = Literal["msg", "idl", ""]
+DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
 Payload = bytes | memoryview
+
+_ENCODINGS = ("cdr", "ros1", "protobuf", "json")
 
 #: Two lines of this precede each file in concatenated IDL definitions.
 _IDL_SEPARATOR = "=" * 80 + "\n"
@@ -38,9 +41,9 @@ class Channel:
     Attributes:
         id: the container's own number for it.
         topic: the topic.
-        type: message type in ROS 2 spelling.
-        encoding: "cdr" (ROS 2), "ros1", or whatever else the container says.
-        definition: text of the message definition with its dependencies, "" where the container has none.
+        type: message type; ROS's in ROS 2 spelling.
+        encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or whatever else the container says.
+        definition: the message definition with its dependencies, "" where the container has none; bytes for protobuf.
         definition_format: its language.
     """
 
@@ -48,8 +51,13 @@ class Channel:
     topic: str
     type: str
     encoding: str
-    definition: str = ""
+    definition: str | bytes = ""
     definition_format: DefinitionFormat = ""
+
+    @property
+    def ros_type(self) -> str:
+        """The ROS type that the messages are read as; its own name for a type that stands for none."""
+        return ros_type(self.type)
 
     def check(self) -> None:
         """Make sure that payloads can be decoded at all.
@@ -57,13 +65,16 @@ class Channel:
         Raises:
             RecordingError: unknown encoding, or no definition of the message type.
         """
-        if self.encoding not in ("cdr", "ros1"):
+        if self.encoding not in _ENCODINGS:
             raise RecordingError(
                 f"{self.topic}: messages of type {self.type or '(none)'} are encoded as "
-                f"{self.encoding or '(nothing stated)'!r}; only cdr (ROS 2) and ros1 are read",
+                f"{self.encoding or '(nothing stated)'!r}; read are {', '.join(_ENCODINGS)}",
                 "record the topic through ROS, or name another topic in rig.yaml",
             )
-        _decoder(self.encoding, self.type, self.definition, self.definition_format)
+        try:
+            _decoder(self.encoding, self.type, self.definition, self.definition_format)
+        except RecordingError as error:
+            raise RecordingError(f"{self.topic}: {error.message}", error.hint) from error
 
     def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
         """The message as an object with the definition's fields; arrays are views of the payload.
@@ -89,8 +100,32 @@ def ros2_spelling(name: str) -> str:
 
 @lru_cache(maxsize=256)
 def _decoder(
-    encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
+    encoding: str, type_name: str, definition: str | bytes, definition_format: DefinitionFormat
 ) -> Callable[[Payload], object]:
+    if isinstance(definition, str) and encoding in ("cdr", "ros1"):
+        decode = _ros_decoder(encoding, type_name, definition, definition_format)
+        if ros_type(type_name) == type_name:
+            return decode
+    elif encoding == "json":
+        decode = json_decoder()
+    else:
+        decode = _protobuf_decoder(type_name, definition)
+    return lambda payload: like_ros(decode(payload), type_name)
+
+
+def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
+    try:
+        return protobuf_decoder(definition.encode() if isinstance(definition, str) else definition, type_name)
+    except Exception as error:  # a damaged definition raises almost anything
+        raise RecordingError(
+            f"the definition of the protobuf type {type_name} cannot be used: {error}",
+            "the recording is damaged there, or was written without the definition's dependencies",
+        ) from error
+
+
+def _ros_decoder(
+    encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
+) -> Decoder:
     store = _embedded_types(encoding, type_name, definition, definition_format)
     if store is None:
         store = _default_types(encoding)

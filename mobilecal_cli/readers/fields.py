@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers.values import fields_of
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)")
 
@@ -76,16 +77,12 @@ def listing(message: Any, prefix: str = "") -> str:  # noqa: ANN401
 
 def _paths(value: Any, prefix: str) -> list[str]:  # noqa: ANN401
     found: list[str] = []
-    if not is_dataclass(value) or isinstance(value, type):
-        return found
-    for item in fields(value):
-        if item.name.startswith("__"):
-            continue
-        inner, name = getattr(value, item.name), f"{prefix}{item.name}"
-        if is_dataclass(inner):
+    for item, inner in fields_of(value).items():
+        name = f"{prefix}{item}"
+        if fields_of(inner):
             found += _paths(inner, f"{name}.")
         elif isinstance(inner, (list, np.ndarray)):
             found.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
-        elif not isinstance(inner, str):
+        elif isinstance(inner, (int, float, np.number)):
             found.append(name)
     return found

@@ -29,6 +29,7 @@ _FORMATS: dict[str, DefinitionFormat] = {
     "ros2msg": "msg",
     "ros2idl": "idl",
     "omgidl": "idl",
+    "protobuf": "protobuf",
 }
 
 
@@ -156,14 +157,18 @@ class McapStorage(BlockStorage):
         if channel.id in self.channels:
             return
         schema = self._schemas.get(channel.schema_id)
+        kind = _FORMATS.get(schema.encoding, "") if schema else ""
+        definition: str | bytes = schema.data if schema else ""
+        if isinstance(definition, bytes) and kind != "protobuf":
+            definition = definition.decode(errors="replace")
         encoding = channel.message_encoding or {"ros2": "cdr", "ros1": "ros1"}.get(self._profile, "")
         self.channels[channel.id] = Channel(
             channel.id,
             channel.topic,
             ros2_spelling(schema.name) if schema else "",
             encoding,
-            schema.data.decode(errors="replace") if schema else "",
-            _FORMATS.get(schema.encoding, "") if schema else "",
+            definition,
+            kind,
         )
 
 

@@ -137,7 +137,7 @@ class Recording:
         unknown = set()
         for part in self.parts:
             for number, channel in part.channels.items():
-                types.setdefault(channel.topic, channel.type)
+                types.setdefault(channel.topic, channel.ros_type)
                 if part.counts is None:
                     unknown.add(channel.topic)
                 else:

@@ -85,11 +85,12 @@ class _Joints:
                 for name in self.position
                 if name in self._names
             ]
+        positions, velocities = (getattr(message, name, ()) for name in ("position", "velocity"))
         for place, position, velocity in self._places:
-            if place < len(message.position):
-                position.add(time_ns, float(message.position[place]))
-            if place < len(message.velocity):
-                velocity.add(time_ns, float(message.velocity[place]))
+            if place < len(positions):
+                position.add(time_ns, float(positions[place]))
+            if place < len(velocities):
+                velocity.add(time_ns, float(velocities[place]))
 
 
 class _Field:

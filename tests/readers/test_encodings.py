@@ -1,0 +1,182 @@
+"""Recordings in protobuf and JSON: the paper's robot's sample log, written anew with Foxglove's own schemas."""
+
+import base64
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer
+from mcap_protobuf.writer import Writer as ProtobufWriter
+
+from mobilecal_cli.config import RigConfig
+from mobilecal_cli.discovery import settle_rig
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
+from tests.readers.recordings import START_NS
+
+LOG = Path(__file__).parents[2] / "sample_logs" / "paper_robot.mcap"
+STEP_NS = 10_000_000
+
+
+def stamp(message):
+    return Timestamp(seconds=message.header.stamp.sec, nanos=message.header.stamp.nanosec)
+
+
+def in_protobuf(message):
+    """A picture or calibration of ROS as Foxglove's message; other messages stay."""
+    frame = {"timestamp": stamp(message), "frame_id": message.header.frame_id}
+    if hasattr(message, "distortion_model"):
+        matrices = {name: getattr(message, name.lower()).tolist() for name in "DKRP"}
+        size = {"width": message.width, "height": message.height}
+        return CameraCalibration(**frame, **size, distortion_model=message.distortion_model, **matrices)
+    return CompressedImage(**frame, data=bytes(message.data), format="jpeg")
+
+
+def in_json(message):
+    """A joint state as bridges write it, pictures and calibrations as Foxglove's JSON schemas have them."""
+    sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
+    frame = {"timestamp": {"sec": sec, "nsec": nanosec}, "frame_id": message.header.frame_id}
+    if hasattr(message, "distortion_model"):
+        matrices = {name: getattr(message, name.lower()).tolist() for name in "DKRP"}
+        size = {"width": message.width, "height": message.height}
+        model = {"distortion_model": message.distortion_model}
+        return "foxglove.CameraCalibration", {**frame, **size, **model, **matrices}
+    if hasattr(message, "position"):
+        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}
+        return "sensor_msgs/JointState", {
+            "header": header,
+            "name": message.name,
+            "position": message.position.tolist(),
+        }
+    data = base64.b64encode(bytes(message.data)).decode()
+    return "foxglove.CompressedImage", {**frame, "format": "jpeg", "data": data}
+
+
+def written_in_json(out, messages):
+    """An MCAP file of (topic, log time, schema name, object)."""
+    with out.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channels = {}
+        for topic, log_ns, kind, fields in messages:
+            if topic not in channels:
+                schema = writer.register_schema(kind, "jsonschema", b'{"type": "object"}')
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            writer.add_message(channels[topic], log_ns, json.dumps(fields).encode(), log_ns)
+        writer.finish()
+    return out
+
+
+@pytest.fixture(scope="module")
+def original():
+    with open_recording([LOG]) as recording:
+        yield recording
+
+
+@pytest.fixture(scope="module", params=["protobuf", "json"])
+def other(request, original, tmp_path_factory):
+    """The sample log without a single ROS message, but for its URDF and (beside protobuf) its joint states."""
+    folder = tmp_path_factory.mktemp("encodings")
+    topics = [info.name for info in original.topics if info.name != "/robot_description"]
+    if request.param == "json":
+        messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(topics))
+        paths = [written_in_json(folder / "json.mcap", messages)]
+    else:
+        pictured = [name for name in topics if "joint" not in name]
+        with (folder / "protobuf.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
+            for m in original.messages(pictured):
+                writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
+        joints = [name for name in topics if "joint" in name]
+        messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(joints))
+        paths = [folder / "protobuf.mcap", written_in_json(folder / "joints.mcap", messages)]
+    with open_recording(paths) as recording:
+        yield recording
+
+
+def test_it_says_the_same_as_the_ros_recording(original, other):
+    urdf = next(iter(read_prelude(original).urdfs.values()))
+    rigs = [settle_rig(RigConfig(), read_prelude(recording), urdf).rig for recording in (original, other)]
+    for side in ("left", "right"):
+        ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
+        assert np.array_equal(ours.K, theirs.K)
+        assert np.array_equal(ours.D, theirs.D)
+    assert np.array_equal(rigs[0].cameras.T_c_r, rigs[1].cameras.T_c_r)
+    assert rigs[0].sources == rigs[1].sources
+
+    joints = rigs[0].chain.joints
+    signals = [read_signals(recording, rigs[0].sources, joints) for recording in (original, other)]
+    for name in joints:
+        assert np.array_equal(signals[0].joints[name].value, signals[1].joints[name].value)
+        assert np.array_equal(signals[0].joints[name].time_ns, signals[1].joints[name].time_ns)
+    for side in ("left", "right"):
+        assert np.array_equal(signals[0].wheels[side].value, signals[1].wheels[side].value)
+        assert np.array_equal(signals[0].image_ns[side], signals[1].image_ns[side])
+
+    wanted = {side: signals[0].image_ns[side][:2].tolist() for side in ("left", "right")}
+    pictures = [
+        {
+            (side, time): picture
+            for side, time, picture in read_images(recording, rigs[0].sources.image, wanted)
+        }
+        for recording in (original, other)
+    ]
+    assert pictures[0].keys() == pictures[1].keys()
+    assert len(pictures[0]) == 4
+    assert all(np.array_equal(picture, pictures[1][key]) for key, picture in pictures[0].items())
+
+
+def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
+    pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    time = Timestamp(seconds=START_NS // 10**9, nanos=7)
+    raw = RawImage(
+        timestamp=time, frame_id="eye", width=8, height=6, encoding="mono8", step=8, data=pixels.tobytes()
+    )
+    with (tmp_path / "log.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
+        writer.write_message("/eye", raw, START_NS)
+    with open_recording([tmp_path / "log.mcap"]) as recording:
+        assert recording.topic("/eye").type == "sensor_msgs/msg/Image"
+        ((_, time_ns, picture),) = read_images(recording, {"left": "/eye"}, {"left": [START_NS + 7]})
+    assert time_ns == START_NS + 7
+    assert np.array_equal(picture, pixels)
+
+
+@pytest.mark.parametrize(
+    ("payload", "said"),
+    [
+        (b"[1, 2]", "a JSON list, not an object"),
+        (b"{", "does not fit its type"),
+        (b"[" * 100_000, "does not fit its type"),
+        (b'{"timestamp": {"sec": 1, "nsec": 2}, "data": "!"}', "not base 64"),
+    ],
+)
+def test_json_that_is_no_message(tmp_path, payload, said):
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/eye", "json", schema), START_NS, payload, START_NS)
+        writer.finish()
+    with open_recording([tmp_path / "log.mcap"]) as recording:
+        (message,) = recording.messages(["/eye"])
+        with pytest.raises(RecordingError, match=said):
+            message.decode()
+
+
+@pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])
+def test_a_protobuf_definition_that_cannot_be_used(tmp_path, definition):
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.RawImage", "protobuf", definition)
+        writer.add_message(writer.register_channel("/eye", "protobuf", schema), START_NS, b"", START_NS)
+        writer.finish()
+    with (
+        open_recording([tmp_path / "log.mcap"]) as recording,
+        pytest.raises(RecordingError, match=r"definition of the protobuf type foxglove\.RawImage"),
+    ):
+        recording.messages(["/eye"])
