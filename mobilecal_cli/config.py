@@ -60,12 +60,21 @@ class CamerasConfig(_Section):
     rectified: bool | None = None
 
 
+class JointFieldConfig(_Section):
+    """Where one joint's reading is, in messages that are no joint states."""
+
+    topic: Text
+    field: Text
+    unit: Literal["rad", "deg", "m"] = "rad"
+
+
 class JointsConfig(_Section):
     """The pan-tilt joints."""
 
     topic: Text | None = None
     pan: Text | None = None
     tilt: Text | None = None
+    fields: dict[Text, JointFieldConfig] = Field({}, description="joint → topic and path of its reading")
 
 
 class WheelConfig(_Section):

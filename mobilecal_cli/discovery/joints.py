@@ -16,6 +16,7 @@ from mobilecal_cli.model import (
     FixedLink,
     FloatArray,
     HeadChain,
+    JointField,
     JointLink,
     Prelude,
     Side,
@@ -235,8 +236,34 @@ def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
     )
 
 
+def joint_fields(config: RigConfig, prelude: Prelude, chain: HeadChain) -> dict[str, JointField]:
+    """The chain's joints that the configuration finds in other messages than joint states.
+
+    Raises:
+        ConfigError: a joint that is not on the chain.
+        RecordingError: a topic is missing; those present are listed.
+    """
+    present = {topic.name for topic in prelude.topics}
+    found = {}
+    for joint, source in config.joints.fields.items():
+        if joint not in chain.joints:
+            raise ConfigError(
+                f"joints.fields: {joint!r} is no joint between {chain.base_frame} and {chain.head_frame}",
+                f"its joints: {_listed(chain.joints)}",
+            )
+        if source.topic not in present:
+            raise RecordingError(
+                f"joints.fields: no topic {source.topic} in this recording",
+                f"topics present: {_listed(sorted(present))}",
+            )
+        found[joint] = JointField(
+            source.topic, source.field, math.radians(1) if source.unit == "deg" else 1.0
+        )
+    return found
+
+
 def joint_topics(config: RigConfig, prelude: Prelude, chain: HeadChain) -> tuple[str, ...]:
-    """The joint-state topics that carry the chain's joints.
+    """The joint-state topics that carry the chain's joints, but for those that `joint_fields` gives.
 
     Raises:
         RecordingError: a topic or a joint is missing; those present are listed.
@@ -248,7 +275,7 @@ def joint_topics(config: RigConfig, prelude: Prelude, chain: HeadChain) -> tuple
             f"joint-state topics present: {_listed(prelude.joint_names)}",
         )
     names = {topic: prelude.joint_names[topic]} if topic is not None else prelude.joint_names
-    for joint in chain.joints:
+    for joint in set(chain.joints) - set(config.joints.fields):
         if not any(joint in present for present in names.values()):
             raise RecordingError(
                 f"no joint state for {joint!r}, a joint between {chain.base_frame} and {chain.head_frame}",

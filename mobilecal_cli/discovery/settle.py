@@ -11,6 +11,7 @@ from mobilecal_cli.discovery.joints import (
     drawn_head_eye,
     explicit_chain,
     frames,
+    joint_fields,
     joint_topics,
     nominal_head_eye,
     nominal_wheels,
@@ -88,7 +89,7 @@ def _head(
         if len(set(prelude.urdfs.values())) > 1:
             notes.append(f"The log holds several URDFs; the one of {topic} was used.")
     urdf = parse_urdf(urdf_text)
-    in_states = {name for names in prelude.joint_names.values() for name in names}
+    in_states = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
     pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
     if not tilt and config.head.head_frame is None:
         # Joint states may be short of the head's joints; the URDF still tells which they should be.
@@ -133,6 +134,7 @@ def settle_rig(
             f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
             "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
         )
+    fields = joint_fields(config, prelude, chain)
     topics = joint_topics(config, prelude, chain)
     given, head_eye = config.nominal.wheels, nominal_head_eye(config)
     nominal = Nominal(
@@ -170,7 +172,7 @@ def settle_rig(
             cameras,
             chain,
             nominal,
-            Sources(images, info_topics, topics, wheels),
+            Sources(images, info_topics, topics, wheels, fields),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
         ),

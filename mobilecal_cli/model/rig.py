@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -206,6 +206,21 @@ class WheelSource:
 
 
 @dataclass(frozen=True, slots=True)
+class JointField:
+    """Where the log keeps one joint's reading, in messages that are no joint states.
+
+    Attributes:
+        topic: the topic.
+        field: a path into any message ("data", "pan.angle", "values[0]").
+        scale: rad (or m) of one unit of the field.
+    """
+
+    topic: str
+    field: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Sources:
     """The topics in use.
 
@@ -214,12 +229,14 @@ class Sources:
         info: camera-info topic of each side, "" where the calibration comes from elsewhere.
         joints: joint-state topics for the head's joints.
         wheels: each wheel's source.
+        joint_fields: joints that are read from other messages than joint states.
     """
 
     image: Mapping[Side, str]
     info: Mapping[Side, str]
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
+    joint_fields: Mapping[str, JointField] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from mobilecal_cli import se3
@@ -45,6 +46,7 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
 def settings_of(extraction: Extraction) -> dict[str, Any]:
     """Every setting that the result depends on, nested as in rig.yaml, and what settled each."""
     rig, board = extraction.rig, extraction.board
+    fields = rig.sources.joint_fields
     settings: dict[str, Any] = {
         "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
         "cameras": {
@@ -55,7 +57,12 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,
         },
-        "joints": {"topics": list(rig.sources.joints), "pan": rig.chain.pan, "tilt": rig.chain.tilt},
+        "joints": {
+            "topics": list(rig.sources.joints),
+            "pan": rig.chain.pan,
+            "tilt": rig.chain.tilt,
+            **({"fields": {n: asdict(f) for n, f in fields.items()}} if fields else {}),
+        },
         "wheels": {side: _wheel(rig.sources.wheels[side]) for side in ("left", "right")},
         "head": {
             "base_frame": rig.chain.base_frame,

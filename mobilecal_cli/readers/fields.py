@@ -44,8 +44,12 @@ class FieldPath:
             steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
         return cls(text, tuple(steps))
 
-    def number(self, message: Any, topic: str) -> int | float:  # noqa: ANN401 - the type is the recording's
+    def number(self, message: Any, topic: str, setting: str) -> int | float:  # noqa: ANN401 - the type is the recording's
         """The number at the path.
+
+        Args:
+            message: any decoded message.
+            topic, setting: where it is from and what in rig.yaml names the path, for messages.
 
         Raises:
             RecordingError: a step is missing (what is there is listed) or it leads to no number.
@@ -57,7 +61,7 @@ class FieldPath:
             except (AttributeError, IndexError, TypeError, KeyError) as error:
                 raise RecordingError(
                     f"{topic}: no field {self.text} ({step!r} is missing); fields present: {listing(message)}",
-                    "correct the wheel's field in rig.yaml",
+                    f"correct {setting} in rig.yaml",
                 ) from error
         if isinstance(value, (bool, int, np.integer)):
             return int(value)
@@ -66,7 +70,7 @@ class FieldPath:
         raise RecordingError(
             f"{topic}: field {self.text} is a {type(value).__name__}, not a number; "
             f"fields present: {listing(message)}",
-            "correct the wheel's field in rig.yaml",
+            f"correct {setting} in rig.yaml",
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import IntArray, Side, Signals, Sources, Track, WheelSource
+from mobilecal_cli.model import IntArray, JointField, Side, Signals, Sources, Track, WheelSource
 from mobilecal_cli.readers.fields import FieldPath
 from mobilecal_cli.readers.prelude import IMAGES, JOINT_STATE
 from mobilecal_cli.readers.recording import Recording
@@ -43,7 +43,9 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
     for side in SIDES:
         reader.image(side, sources.image[side])
     for topic in sources.joints:
-        reader.joints(topic, joints)
+        reader.joints(topic, [name for name in joints if name not in sources.joint_fields])
+    for name, field in sources.joint_fields.items():
+        reader.joint_field(name, field)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
     reader.run()
@@ -107,7 +109,7 @@ class _Field:
     def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401
         """Read one message."""
         try:
-            value = self.path.number(message, self.source.topic)
+            value = self.path.number(message, self.source.topic, "the wheel's field")
         except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
             self.missing += 1
             self.error = self.error or error
@@ -116,12 +118,42 @@ class _Field:
 
     def track(self, notes: list[str]) -> Track:
         """The wheel's rotation."""
-        if self.error is not None:
-            if not len(self.series):
-                raise self.error
-            notes.append(f"{self.series.label}: the field is missing in {self.missing} messages; left out")
-        time_ns, value = self.series.ordered(notes)
-        return Track(time_ns, value)
+        return _found(self.series, self.error, self.missing, notes)
+
+
+class _JointReading:
+    """One joint's reading, by field path."""
+
+    def __init__(self, name: str, source: JointField) -> None:
+        self.source = source
+        self.series = Series(f"joint {name} ({source.topic} {source.field})")
+        self._path = FieldPath.parse(source.field)
+        self._error: RecordingError | None = None
+        self._missing = 0
+
+    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401
+        """Read one message."""
+        try:
+            value = self._path.number(message, self.source.topic, "the joint's field")
+        except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
+            self._missing += 1
+            self._error = self._error or error
+            return
+        self.series.add(time_ns, value * self.source.scale)
+
+    def track(self, notes: list[str]) -> Track:
+        """The joint over time."""
+        return _found(self.series, self._error, self._missing, notes)
+
+
+def _found(series: Series, error: RecordingError | None, missing: int, notes: list[str]) -> Track:
+    """What was read by a field path; the error where there is nothing, a note where some is missing."""
+    if error is not None:
+        if not len(series):
+            raise error
+        notes.append(f"{series.label}: the field is missing in {missing} messages; left out")
+    time_ns, value = series.ordered(notes)
+    return Track(time_ns, value)
 
 
 class _Reader:
@@ -134,6 +166,7 @@ class _Reader:
         self._stamps: dict[Side, array[int]] = {}
         self._joints: dict[str, _Joints] = {}
         self._fields: dict[Side, _Field] = {}
+        self._readings: dict[str, _JointReading] = {}
         self._broken: dict[str, int] = {}
 
     def _subscribe(self, topic: str, taker: Taker) -> None:
@@ -161,6 +194,12 @@ class _Reader:
         for name in names:
             group.want(name)
         self._subscribe(topic, group.take)
+
+    def joint_field(self, name: str, source: JointField) -> None:
+        """Collect a joint from messages that are no joint states."""
+        self.recording.topic(source.topic)
+        reading = self._readings[name] = _JointReading(name, source)
+        self._subscribe(source.topic, reading.take)
 
     def wheel(self, side: Side, source: WheelSource) -> None:
         """Collect a wheel."""
@@ -215,7 +254,12 @@ class _Reader:
         return ", ".join(names) or "none"
 
     def joint_track(self, name: str, topics: Sequence[str], notes: list[str]) -> Track:
-        """A head joint, from the topic that has most of it."""
+        """A head joint, from its own field or the joint-state topic that has most of it."""
+        if name in self._readings:
+            reading = self._readings[name]
+            if not self.clocks[reading.source.topic].messages:
+                raise self._empty(reading.source.topic)
+            return reading.track(notes)
         found = [self._joints[topic].position[name] for topic in topics]
         best = max(found, key=len, default=None)
         if best is None or not len(best):

@@ -9,7 +9,7 @@ from mobilecal_cli.discovery import draft_rig, settle_rig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import CameraInfo, Prelude, TopicInfo
+from mobilecal_cli.model import CameraInfo, JointField, Prelude, TopicInfo
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -260,3 +260,17 @@ def test_a_draft_of_a_poor_log_says_what_is_not_settled():
     assert "# not settled: no stereo pair" in text
     assert "spell the chain out" in text
     RigConfig.model_validate(YAML(typ="safe").load(text))
+
+
+def test_joints_in_other_messages_than_joint_states():
+    """Only the pan is in joint states; the tilt has a field of its own."""
+    topic = TopicInfo("/servo", "std_msgs/msg/Float64", 100)
+    names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
+    fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
+    rig = settle_rig(config(joints={"fields": fields}), prelude(extra=[topic], joint_names=names)).rig
+    assert rig.sources.joint_fields == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
+    assert rig.sources.joints == ("/joint_states",)
+    with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
+        settle_rig(config(joints={"fields": fields}), prelude(joint_names=names))
+    with pytest.raises(ConfigError, match="'arm' is no joint between base_link and tilt"):
+        settle_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))

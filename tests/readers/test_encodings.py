@@ -16,6 +16,7 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery import settle_rig
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
 from tests.readers.recordings import START_NS
 
@@ -128,6 +129,50 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
     assert pictures[0].keys() == pictures[1].keys()
     assert len(pictures[0]) == 4
     assert all(np.array_equal(picture, pictures[1][key]) for key, picture in pictures[0].items())
+
+
+def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
+    """Degrees in nested JSON, and a joint that some messages lack."""
+    messages = [
+        (
+            "/head",
+            START_NS + i * STEP_NS,
+            "my.Head",
+            {
+                "timestamp": {"sec": 7, "nsec": i},
+                "pan": {"angle": 90.0 + i},
+                "tilts": [0.1 * i] if i != 3 else [],
+                "odometer": {"left": 10 * i, "right": 20 * i},
+            },
+        )
+        for i in range(6)
+    ]
+    path = written_in_json(tmp_path / "log.mcap", messages)
+    wheels = {
+        side: WheelSource("/head", field=f"odometer.{side}", ticks_per_revolution=100)
+        for side in ("left", "right")
+    }
+    joints = {
+        "pan": JointField("/head", "pan.angle", np.radians(1)),
+        "tilt": JointField("/head", "tilts[0]"),
+    }
+    images = {"left": "/eye", "right": "/eye"}
+    pictures = [
+        ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
+    ]
+    eyes = written_in_json(tmp_path / "eyes.mcap", pictures)
+    with open_recording([path, eyes]) as recording:
+        signals = read_signals(recording, Sources(images, {}, (), wheels, joints), ("pan", "tilt"))
+        wrong = {"pan": JointField("/head", "pan.angel")}
+        with pytest.raises(
+            RecordingError, match=r"/head: no field pan\.angel .*fields present: .*pan\.angle"
+        ):
+            read_signals(recording, Sources(images, {}, (), wheels, wrong), ("pan",))
+    assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
+    assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
+    assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])
+    assert any("missing in 1 messages" in note for note in signals.notes)
+    assert signals.wheels["right"].value[-1] == pytest.approx(2 * np.pi)
 
 
 def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):

@@ -224,10 +224,10 @@ def test_joint_state_inside_another_message_by_field(shared_data, tmp_path):
         message = next(rec.messages([topic.name])).decode()
         names = message.joint_states.name
         place = names.index("head_pan_joint")
-        found = FieldPath.parse(f"joint_states.position[{place}]").number(message, topic.name)
+        found = FieldPath.parse(f"joint_states.position[{place}]").number(message, topic.name, "the field")
         assert found == message.joint_states.position[place]
         with pytest.raises(RecordingError, match=r"fields present: .*joint_states\.position\[0\.\."):
-            FieldPath.parse("joint_states.angle").number(message, topic.name)
+            FieldPath.parse("joint_states.angle").number(message, topic.name, "the field")
 
 
 @given(
