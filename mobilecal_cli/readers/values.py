@@ -1,10 +1,11 @@
-"""Messages that are not ROS's, as objects with fields: protobuf and JSON, with the stamps that ROS would give them."""
+"""Messages as the readers want them: protobuf and JSON as objects, types that say the same as others in one form."""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import json
+import math
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ _FOXGLOVE = {
     "CompressedImage": "sensor_msgs/msg/CompressedImage",
     "CameraCalibration": "sensor_msgs/msg/CameraInfo",
 }
+_DYNAMIC_JOINTS = "control_msgs/msg/DynamicJointState"
 _PREFIXES = ("foxglove.", "foxglove_msgs.", "foxglove/", "foxglove_msgs/msg/")
 
 Decoder = Callable[[bytes | memoryview], Any]
@@ -30,7 +32,8 @@ def ros_type(name: str) -> str:
         if name.startswith(prefix) and name.removeprefix(prefix) in _FOXGLOVE:
             return _FOXGLOVE[name.removeprefix(prefix)]
     package, _, rest = name.replace(".", "/").partition("/")
-    return f"{package}/msg/{rest.removeprefix('msg/')}" if package.endswith("_msgs") and rest else name
+    spelled = f"{package}/msg/{rest.removeprefix('msg/')}" if package.endswith("_msgs") and rest else name
+    return "sensor_msgs/msg/JointState" if spelled == _DYNAMIC_JOINTS else spelled
 
 
 def protobuf_decoder(definition: bytes, type_name: str) -> Decoder:
@@ -90,7 +93,9 @@ def json_decoder() -> Decoder:
 
 
 def like_ros(message: Any, type_name: str) -> Any:  # noqa: ANN401
-    """The message with a ROS header where it has a `timestamp`, and Foxglove's types in the fields of ROS's."""
+    """The message in the fields of the ROS type that it stands for, with a header where it has a `timestamp`."""
+    if hasattr(message, "interface_values"):
+        return _with(message, name=list(message.joint_names), **_interfaces(message.interface_values))
     stamp = getattr(message, "timestamp", None)
     if stamp is None or hasattr(message, "header"):
         return message
@@ -106,6 +111,16 @@ def like_ros(message: Any, type_name: str) -> Any:  # noqa: ANN401
     if meant in ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"):
         return _with(message, header=header, is_bigendian=0, data=_bytes(message.data))
     return _with(message, header=header)
+
+
+def _interfaces(joints: Any) -> dict[str, list[float]]:  # noqa: ANN401
+    """Positions and velocities of a DynamicJointState; NaN for a joint that has none."""
+    found: dict[str, list[float]] = {"position": [], "velocity": []}
+    for joint in joints:
+        values = dict(zip(joint.interface_names, joint.values, strict=False))
+        for kind, numbers in found.items():
+            numbers.append(float(values.get(kind, math.nan)))
+    return {kind: numbers for kind, numbers in found.items() if not all(map(math.isnan, numbers))}
 
 
 def _with(message: Any, **more: Any) -> SimpleNamespace:  # noqa: ANN401

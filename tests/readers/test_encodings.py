@@ -175,6 +175,35 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     assert signals.wheels["right"].value[-1] == pytest.approx(2 * np.pi)
 
 
+def test_dynamic_joint_states(tmp_path):
+    """ros2_control's message: each joint with the interfaces that it happens to have."""
+
+    def joint(**values):
+        return {"interface_names": list(values), "values": list(values.values())}
+
+    messages = [
+        (
+            "/dynamic_joint_states",
+            START_NS + i * STEP_NS,
+            "control_msgs/DynamicJointState",
+            {
+                "header": {"stamp": {"sec": 5, "nanosec": i}, "frame_id": ""},
+                "joint_names": ["wheel", "pan"],
+                "interface_values": [joint(velocity=2.0, effort=9.0), joint(effort=1.0, position=0.1 * i)],
+            },
+        )
+        for i in range(4)
+    ]
+    eyes = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
+    images, wheel = {"left": "/eye", "right": "/eye"}, WheelSource("/dynamic_joint_states", joint="wheel")
+    with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, eyes])]) as recording:
+        assert read_prelude(recording).joint_names == {"/dynamic_joint_states": ("wheel", "pan")}
+        sources = Sources(images, {}, ("/dynamic_joint_states",), {"left": wheel, "right": wheel})
+        signals = read_signals(recording, sources, ("pan",))
+    assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)
+
+
 def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     time = Timestamp(seconds=START_NS // 10**9, nanos=7)
