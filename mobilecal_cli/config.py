@@ -103,6 +103,9 @@ class WheelsConfig(_Section):
 
     left: WheelConfig = WheelConfig()
     right: WheelConfig = WheelConfig()
+    odometry: Text | None = Field(
+        None, description="nav_msgs/Odometry made with nominal.wheels, in their place"
+    )
 
 
 class ChainLink(_Section):

@@ -29,6 +29,8 @@ _PAN_WORDS = {"pan", "yaw"}
 _TILT_WORDS = {"tilt", "pitch"}
 _COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
 _MIDWAY_M = 1e-6
+ODOMETRY = "nav_msgs/msg/Odometry"
+_AS_THE_DRIVER = "nominal.wheels in rig.yaml exactly as the robot's driver has them"
 
 
 def _joint_state_names(prelude: Prelude) -> list[str]:
@@ -179,6 +181,8 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
         RecordingError: no wheel is found; what is there is listed.
         ConfigError: several pairs fit, or a counter lacks its ticks per revolution.
     """
+    if config.wheels.odometry is not None:
+        return _odometry(config, prelude, config.wheels.odometry)
     found = pairs(name for name in _joint_state_names(prelude) if _is_wheel(name))
     result: dict[Side, WheelSource] = {}
     sides: tuple[tuple[Side, WheelConfig], ...] = (
@@ -222,7 +226,38 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
     return result
 
 
+def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, WheelSource]:
+    """Odometry as the source of both wheels' rotation.
+
+    Raises:
+        RecordingError: there is no odometry on the topic.
+        ConfigError: the wheels that it was made with are not stated.
+    """
+    present = {info.name: info.type for info in prelude.topics}
+    if present.get(topic) != ODOMETRY:
+        others = _listed(name for name, kind in present.items() if kind == ODOMETRY)
+        raise RecordingError(
+            f"wheels.odometry: {topic} holds no {ODOMETRY} in this recording", f"topics that do: {others}"
+        )
+    wheels = config.nominal.wheels
+    if wheels is None:
+        raise ConfigError(
+            f"wheels.odometry: the poses on {topic} were made from the wheels' rotations with some radii and "
+            "separation, and the rotations cannot be had back without them",
+            f"state {_AS_THE_DRIVER}",
+        )
+    baked_in = WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
+    sides: tuple[Side, Side] = ("left", "right")
+    return {side: WheelSource(topic, baked_in=baked_in) for side in sides}
+
+
 def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
+    odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
+    if odometry and not any(_COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
+        return RecordingError(
+            f"wheels.{side}: no joint is called a wheel; there is odometry on {_listed(odometry)}",
+            f"set wheels.odometry to {odometry[0]}, and state {_AS_THE_DRIVER}",
+        )
     counters = [t.name for t in prelude.topics if _COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
     if counters:
         return RecordingError(

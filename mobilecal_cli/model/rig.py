@@ -195,6 +195,7 @@ class WheelSource:
         ticks_per_revolution: counter steps per turn of the wheel; None: the field is an angle in rad.
         bits: width of the counter, which wraps round; None: it never wraps.
         sign: +1, or -1 for a counter that falls when the robot drives forward.
+        baked_in: the topic is nav_msgs/Odometry, made with these wheels; None for all others.
     """
 
     topic: str
@@ -203,6 +204,7 @@ class WheelSource:
     ticks_per_revolution: float | None = None
     bits: Literal[8, 16, 32, 64] | None = None
     sign: Literal[1, -1] = 1
+    baked_in: WheelGeometry | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,7 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
         "ticks_per_revolution": source.ticks_per_revolution,
         "bits": source.bits,
         "sign": source.sign,
+        "odometry_made_with": asdict(source.baked_in) if source.baked_in is not None else None,
     }
     return {key: value for key, value in settings.items() if value is not None}
 

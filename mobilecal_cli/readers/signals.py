@@ -11,6 +11,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray, JointField, Side, Signals, Sources, Track, WheelSource
 from mobilecal_cli.readers.fields import FieldPath
+from mobilecal_cli.readers.odometry import Odometry
 from mobilecal_cli.readers.prelude import IMAGES, JOINT_STATE
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
@@ -166,6 +167,7 @@ class _Reader:
         self._stamps: dict[Side, array[int]] = {}
         self._joints: dict[str, _Joints] = {}
         self._fields: dict[Side, _Field] = {}
+        self._odometry: Odometry | None = None
         self._readings: dict[str, _JointReading] = {}
         self._broken: dict[str, int] = {}
 
@@ -205,6 +207,11 @@ class _Reader:
         """Collect a wheel."""
         if source.joint is not None:
             self.joints(source.topic, [source.joint])
+            return
+        if source.baked_in is not None:
+            if self._odometry is None:
+                self._odometry = Odometry(source.topic, source.baked_in)
+            self._subscribe(source.topic, self._odometry.take)
             return
         if source.field is None:
             raise RecordingError(
@@ -277,6 +284,10 @@ class _Reader:
 
     def wheel_track(self, side: Side, source: WheelSource, notes: list[str]) -> Track:
         """A wheel's rotation, rad, positive forward."""
+        if self._odometry is not None:
+            if not self.clocks[source.topic].messages:
+                raise self._empty(source.topic)
+            return self._odometry.tracks(notes)[side]
         if side in self._fields:
             if not self.clocks[source.topic].messages:
                 raise self._empty(source.topic)

@@ -9,7 +9,7 @@ from mobilecal_cli.discovery import draft_rig, settle_rig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import CameraInfo, JointField, Prelude, TopicInfo
+from mobilecal_cli.model import CameraInfo, JointField, Prelude, TopicInfo, WheelGeometry, WheelSource
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -274,3 +274,19 @@ def test_joints_in_other_messages_than_joint_states():
         settle_rig(config(joints={"fields": fields}), prelude(joint_names=names))
     with pytest.raises(ConfigError, match="'arm' is no joint between base_link and tilt"):
         settle_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))
+
+
+def test_odometry_needs_the_wheels_that_it_was_made_with():
+    topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
+    bare = prelude(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
+    with pytest.raises(RecordingError, match="there is odometry on /odom") as told:
+        settle_rig(RigConfig(), bare)
+    assert "wheels.odometry to /odom" in told.value.hint
+    with pytest.raises(ConfigError, match="cannot be had back without them"):
+        settle_rig(config(wheels={"odometry": "/odom"}), bare)
+    nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
+    rig = settle_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
+    assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
+    with pytest.raises(RecordingError, match=r"/joint_states holds no nav_msgs/msg/Odometry") as told:
+        settle_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
+    assert told.value.hint == "topics that do: /odom"

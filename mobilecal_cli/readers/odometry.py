@@ -1,0 +1,93 @@
+"""Wheel rotations out of a driver's odometry, which it made with wheels of known (nominal) size."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray, Side, Track, WheelGeometry
+from mobilecal_cli.readers.series import Series
+
+_SMALL = 1e-6
+#: No robot on wheels goes so far, or turns so far, from one message to the next: the driver was reset.
+_JUMP_M, _JUMP_RAD = 0.5, 1.5
+
+
+class Odometry:
+    """Poses of nav_msgs/Odometry on one topic.
+
+    Args:
+        topic: the topic.
+        baked_in: the wheels that the driver made its poses with.
+    """
+
+    def __init__(self, topic: str, baked_in: WheelGeometry) -> None:
+        self.baked_in = baked_in
+        self._topic = topic
+        self._x, self._y, self._heading = (Series(f"{what} on {topic}") for what in ("x", "y", "heading"))
+
+    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+        """Read one message."""
+        position, turned = message.pose.pose.position, message.pose.pose.orientation
+        heading = 2 * math.atan2(turned.z, turned.w)
+        if all(math.isfinite(value) for value in (position.x, position.y, heading)):
+            self._x.add(time_ns, position.x)
+            self._y.add(time_ns, position.y)
+        self._heading.add(time_ns, heading if math.isfinite(position.x + position.y) else math.nan)
+
+    def tracks(self, notes: list[str]) -> dict[Side, Track]:
+        """Both wheels' rotation, rad, from zero on.
+
+        Raises:
+            RecordingError: no finite pose.
+        """
+        time_ns, heading = self._heading.ordered(notes)
+        quiet: list[str] = []  # the same stamps once more
+        xy = np.stack([self._x.ordered(quiet)[1], self._y.ordered(quiet)[1]], axis=1)
+        right, left, jumps = rotations(xy, heading, self.baked_in)
+        wheels = self.baked_in
+        notes.append(
+            f"{self._topic}: wheel rotations are worked out from odometry that was made with radii of "
+            f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right), "
+            f"{wheels.separation_m * 1e3:g} mm apart; if it was made with others, the result is as far off"
+        )
+        if jumps:
+            notes.append(
+                f"{self._topic}: the pose jumps {jumps} times; the wheels are taken to stand still there"
+            )
+        return {"right": Track(time_ns, right), "left": Track(time_ns, left)}
+
+
+def rotations(
+    xy_m: FloatArray, heading_rad: FloatArray, wheels: WheelGeometry
+) -> tuple[FloatArray, FloatArray, int]:
+    """The rotations that move a differential drive along poses (paper, eqs. 8-10, the other way round).
+
+    Between two poses the base goes along an arc: its length is the chord times h / sin(h), h half the turn.
+
+    Args:
+        xy_m: (n, 2) positions.
+        heading_rad: (n,) headings, wrapped or not.
+        wheels: their sizes.
+
+    Returns:
+        (n,) right and left rotation from zero on, rad, and how many steps were no motion but jumps.
+    """
+    turn = np.remainder(np.diff(heading_rad) + math.pi, 2 * math.pi) - math.pi
+    step = np.diff(xy_m, axis=0)
+    half = turn / 2
+    middle = heading_rad[:-1] + half
+    forward = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    small = np.abs(half) < _SMALL
+    way = forward * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
+    jumps = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+    way, turn = np.where(jumps, 0.0, way), np.where(jumps, 0.0, turn)
+    ahead = turn * wheels.separation_m / 2
+    right, left = (way + ahead) / wheels.radius_right_m, (way - ahead) / wheels.radius_left_m
+    return (
+        np.concatenate([[0.0], np.cumsum(right)]),
+        np.concatenate([[0.0], np.cumsum(left)]),
+        int(jumps.sum()),
+    )

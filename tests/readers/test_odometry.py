@@ -1,0 +1,65 @@
+"""Wheel rotations out of odometry."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
+from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers.odometry import rotations
+from tests.readers.recordings import START_NS, STEP_NS
+from tests.readers.test_encodings import written_in_json
+
+WHEELS = WheelGeometry(0.1, 0.2, 0.5)
+
+
+def test_straight_on_by_hand():
+    """One metre along a heading of 90 degrees: 10 rad of the wheel of 0.1 m, 5 rad of that of 0.2 m."""
+    right, left, jumps = rotations(
+        np.array([[1, 1], [1, 1.25], [1, 1.5], [1, 1.75], [1, 2.0]]), np.full(5, math.pi / 2), WHEELS
+    )
+    assert (right[-1], left[-1], jumps) == (pytest.approx(10), pytest.approx(5), 0)
+
+
+def test_backwards_on_the_spot_and_round_by_hand():
+    """Back by 0.1 m; 1 rad to the left on the spot; a quarter circle of radius 1 m to the left."""
+    assert rotations(np.array([[0, 0], [-0.1, 0]]), np.zeros(2), WHEELS)[0][-1] == pytest.approx(-1)
+    right, left, _ = rotations(np.zeros((2, 2)), np.array([3.0, 4.0 - 2 * math.pi]), WHEELS)
+    assert (right[-1], left[-1]) == (pytest.approx(2.5), pytest.approx(-1.25))
+    at = np.linspace(0, math.pi / 2, 10)
+    arc = np.stack([np.sin(at), 1 - np.cos(at)], axis=1)
+    right, left, _ = rotations(arc, at, WHEELS)
+    assert right[-1] == pytest.approx(math.pi / 2 * 1.25 / 0.1)
+    assert left[-1] == pytest.approx(math.pi / 2 * 0.75 / 0.2)
+
+
+def test_a_reset_of_the_driver_is_no_motion(tmp_path):
+    xs = [0.0, 0.1, 0.2, 0.0, 0.1, 5.1, 5.2]  # m: 20 cm back between two messages may be true, 5 m are not
+
+    def odometry(i, x):
+        header = {"stamp": {"sec": 9, "nanosec": i * 1000}, "frame_id": "odom"}
+        place = {
+            "position": {"x": x, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }
+        return (
+            "/odom",
+            START_NS + i * STEP_NS,
+            "nav_msgs/Odometry",
+            {"header": header, "pose": {"pose": place}},
+        )
+
+    eyes = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 9, "nsec": 0}, "data": ""})
+    path = written_in_json(tmp_path / "log.mcap", [*(odometry(i, x) for i, x in enumerate(xs)), eyes])
+    source = WheelSource("/odom", baked_in=WHEELS)
+    with open_recording([path]) as recording:
+        assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
+        sources = Sources({"left": "/eye", "right": "/eye"}, {}, (), {"left": source, "right": source})
+        signals = read_signals(recording, sources, ())
+    assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
+    assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]
+    assert any(
+        "made with radii of 200 mm (left) and 100 mm (right), 500 mm apart" in n for n in signals.notes
+    )
+    assert any("jumps 1 times" in note for note in signals.notes)
