@@ -51,13 +51,27 @@ class CameraTopics(_Section):
     info: Text | None = None
 
 
+class BothInOneConfig(_Section):
+    """Both cameras' pictures in one: the left camera's on the left, or on top."""
+
+    image: Text
+    layout: Literal["side_by_side", "stacked"] = "side_by_side"
+
+
 class CamerasConfig(_Section):
     """The stereo pair."""
 
     left: CameraTopics = CameraTopics()
     right: CameraTopics = CameraTopics()
+    both: BothInOneConfig | None = None
     reference: Literal["left", "right"] = "left"
     rectified: bool | None = None
+
+    @model_validator(mode="after")
+    def _both_or_each(self) -> CamerasConfig:
+        if self.both is not None and (self.left.image or self.right.image):
+            raise ValueError("give both.image, or left.image and right.image")
+        return self
 
 
 class JointFieldConfig(_Section):

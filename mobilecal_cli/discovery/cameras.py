@@ -47,6 +47,14 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
     candidates = [
         pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in _SIDES)
     ]
+    if config.cameras.both is not None:
+        both = config.cameras.both.image
+        if both not in present:
+            raise RecordingError(
+                f"cameras.both: the topic {both} holds no images in this recording",
+                f"image topics present: {', '.join(sorted(present)) or 'none'}",
+            )
+        return {"left": both, "right": both}
     if configured["left"] and configured["right"]:
         return {"left": configured["left"], "right": configured["right"]}
     if config.cameras.rectified is not None:
@@ -80,16 +88,18 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
         return configured
     namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
     beside = f"{namespace}/camera_info"
-    if beside in prelude.infos:
+    both = config.cameras.both is not None
+    if beside in prelude.infos and not both:
         return beside
-    frame = prelude.image_frames.get(image, "")
+    frame = "" if both else prelude.image_frames.get(image, "")
     same_frame = sorted(name for name, info in prelude.infos.items() if frame and info.frame_id == frame)
     same_side = sorted(name for name in prelude.infos if side_of(name) == side)
     for found in (same_frame, same_side):
         if len(found) == 1:
             return found[0]
     raise RecordingError(
-        f"no camera info for the {side} images of {image}: looked for {beside}",
+        f"no camera info for the {side} images of {image}: looked for "
+        + (f"one topic called {side}" if both else beside),
         f"set cameras.{side}.info; camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
     )
 

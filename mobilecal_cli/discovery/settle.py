@@ -25,6 +25,7 @@ from mobilecal_cli.model import (
     HeadChain,
     JointLink,
     KnownNoise,
+    Layout,
     Nominal,
     Prelude,
     Rig,
@@ -134,6 +135,7 @@ def settle_rig(
             f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
             "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
         )
+    layout: Layout = "separate" if config.cameras.both is None else config.cameras.both.layout
     fields = joint_fields(config, prelude, chain)
     topics = joint_topics(config, prelude, chain)
     given, head_eye = config.nominal.wheels, nominal_head_eye(config)
@@ -172,7 +174,7 @@ def settle_rig(
             cameras,
             chain,
             nominal,
-            Sources(images, info_topics, topics, wheels, fields),
+            Sources(images, info_topics, topics, wheels, fields, layout),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
         ),

@@ -207,6 +207,9 @@ class WheelSource:
     baked_in: WheelGeometry | None = None
 
 
+Layout = Literal["separate", "side_by_side", "stacked"]
+
+
 @dataclass(frozen=True, slots=True)
 class JointField:
     """Where the log keeps one joint's reading, in messages that are no joint states.
@@ -232,6 +235,7 @@ class Sources:
         joints: joint-state topics for the head's joints.
         wheels: each wheel's source.
         joint_fields: joints that are read from other messages than joint states.
+        layout: how the two pictures of a stereo pair come: each by itself, or both in one (of one topic).
     """
 
     image: Mapping[Side, str]
@@ -239,6 +243,7 @@ class Sources:
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
     joint_fields: Mapping[str, JointField] = field(default_factory=dict)
+    layout: Layout = "separate"
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ def first_pictures(
     """A few pictures spread over the log, left and right, to find the board's size in."""
     stride = max(1, -(-len(stations) // SIZE_PICTURES))
     wanted = stamps(station.shots[0] for station in stations[::stride])
-    for _, _, picture in read_images(recording, sources.image, wanted):
+    for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
         if not isinstance(picture, Rejection):
             yield picture
 
@@ -132,7 +132,7 @@ def look(
         progress("looking for the board", done, total)
 
     with ThreadPoolExecutor(workers) as pool:
-        for side, stamp, picture in read_images(recording, sources.image, wanted):
+        for side, stamp, picture in read_images(recording, sources.image, wanted, sources.layout):
             place = looks[where[side][stamp]]
             if isinstance(picture, Rejection):
                 place.rejections.append(picture)

@@ -55,6 +55,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
                 side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}
                 for side in ("left", "right")
             },
+            **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,
         },

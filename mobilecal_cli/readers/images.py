@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, Rejection, Side
+from mobilecal_cli.model import GrayImage, Layout, Rejection, Side
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 
@@ -51,7 +51,10 @@ _ENCODINGS: dict[str, _Encoding] = {
 
 
 def read_images(
-    recording: Recording, image_topics: Mapping[Side, str], wanted: Mapping[Side, Collection[int]]
+    recording: Recording,
+    image_topics: Mapping[Side, str],
+    wanted: Mapping[Side, Collection[int]],
+    layout: Layout = "separate",
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
     """The wanted pictures, one at a time, in the order of the recording.
 
@@ -60,6 +63,7 @@ def read_images(
         image_topics: image topic of each side.
         wanted: stamps of each side, ns, as `read_signals` gave them. Of several pictures with one stamp the
             first is given.
+        layout: how the two pictures of a pair come.
 
     Yields:
         Side, stamp, and the picture as (height, width) uint8; or, in its place, why it cannot be decoded.
@@ -68,24 +72,37 @@ def read_images(
         RecordingError: see `Recording.messages`.
     """
     missing = {side: set(stamps) for side, stamps in wanted.items() if stamps}
-    sides = {image_topics[side]: side for side in missing}
+    sides: dict[str, list[Side]] = {}
+    for side in missing:
+        sides.setdefault(image_topics[side], []).append(side)
     for message in recording.messages(sides) if sides else ():
-        side = sides[message.topic]
         try:
             decoded = message.decode()
         except RecordingError:
             continue  # it has no stamp that could have been asked for
         stamp_ns = stamp_of(decoded, message.log_time_ns)
-        if stamp_ns not in missing[side]:
+        asked = [side for side in sides[message.topic] if stamp_ns in missing[side]]
+        if not asked:
             continue
-        missing[side].remove(stamp_ns)
+        picture: GrayImage | Rejection
         try:
-            yield side, stamp_ns, decode_image(decoded)
+            picture = decode_image(decoded)
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
-            yield side, stamp_ns, Rejection("readers", "picture cannot be decoded", detail, stamp_ns)
+            picture = Rejection("readers", "picture cannot be decoded", detail, stamp_ns)
+        for side in asked:
+            missing[side].remove(stamp_ns)
+            yield side, stamp_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
         if not any(missing.values()):
             return
+
+
+def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:
+    """One camera's part of a picture."""
+    if layout == "separate":
+        return picture
+    first, second = np.array_split(picture, 2, axis=1 if layout == "side_by_side" else 0)
+    return np.ascontiguousarray(first if side == "left" else second)
 
 
 def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's

@@ -290,3 +290,15 @@ def test_odometry_needs_the_wheels_that_it_was_made_with():
     with pytest.raises(RecordingError, match=r"/joint_states holds no nav_msgs/msg/Odometry") as told:
         settle_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
     assert told.value.hint == "topics that do: /odom"
+
+
+def test_both_cameras_in_one_topic():
+    both = {"image": "/stereo/image_raw", "layout": "stacked"}
+    rig = settle_rig(config(cameras={"both": both}), prelude(("/stereo/image_raw",))).rig
+    assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
+    assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
+    assert rig.sources.layout == "stacked"
+    with pytest.raises(RecordingError, match=r"cameras\.both: the topic /other holds no images"):
+        settle_rig(config(cameras={"both": {"image": "/other"}}), prelude())
+    with pytest.raises(ValueError, match=r"give both\.image, or"):
+        config(cameras={"both": both, "left": {"image": "/l"}})

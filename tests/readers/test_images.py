@@ -147,3 +147,16 @@ def test_largest_picture_of_a_forged_png_is_refused():
     message.data = np.frombuffer(bytes(header), dtype=np.uint8)
     with pytest.raises(RecordingError, match="picture damaged"):
         decode_image(message)
+
+
+@pytest.mark.parametrize(("layout", "axis"), [("side_by_side", 1), ("stacked", 0)])
+def test_two_cameras_in_one_picture(tmp_path, layout, axis):
+    other = 255 - GRAY
+    both = np.concatenate([GRAY, other], axis=axis)
+    items = [r.Item("/both", "sensor_msgs/msg/Image", r.START_NS, r.image(both, "mono8", r.START_NS))]
+    images = {"left": "/both", "right": "/both"}
+    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
+        wanted = {"left": [r.START_NS], "right": [r.START_NS]}
+        found = {side: picture for side, _, picture in read_images(recording, images, wanted, layout)}
+    np.testing.assert_array_equal(found["left"], GRAY)
+    np.testing.assert_array_equal(found["right"], other)
