@@ -8,7 +8,9 @@ from typing import TypeVar
 
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.cameras import IMAGE_TYPES, image_topics, info_topic, is_rectified
-from mobilecal_cli.discovery.joints import frames, pan_and_tilt, wheel_sources
+from mobilecal_cli.discovery.chain import frames
+from mobilecal_cli.discovery.joints import pan_and_tilt
+from mobilecal_cli.discovery.wheels import wheel_sources
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import Prelude, Side, WheelSource

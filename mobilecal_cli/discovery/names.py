@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from mobilecal_cli.model import Side
+from mobilecal_cli.model import Prelude, Side
 
 _SIDES: dict[str, Side] = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _NUMBERED: dict[str, Side] = {"infra1": "left", "infra2": "right", "cam0": "left", "cam1": "right"}
@@ -36,3 +36,13 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
         if side is not None:
             by_key.setdefault(mirrored(name), {}).setdefault(side, name)
     return [found for found in by_key.values() if len(found) == 2]
+
+
+def joint_state_names(prelude: Prelude) -> list[str]:
+    """All joints in the recording's joint states."""
+    return sorted({name for names in prelude.joint_names.values() for name in names})
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for people."""
+    return ", ".join(names) or "none"

@@ -6,20 +6,17 @@ from dataclasses import dataclass
 
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
-from mobilecal_cli.discovery.joints import (
+from mobilecal_cli.discovery.chain import (
     chain_from_urdf,
     drawn_head_eye,
     explicit_chain,
     frames,
-    joint_fields,
-    joint_topics,
     nominal_head_eye,
-    nominal_wheels,
-    pan_and_tilt,
-    wheel_sources,
 )
+from mobilecal_cli.discovery.joints import joint_fields, joint_topics, joint_transforms, pan_and_tilt
+from mobilecal_cli.discovery.wheels import nominal_wheels, wheel_sources
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.model import (
     CameraInfo,
     HeadChain,
@@ -63,19 +60,38 @@ def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
     return "file"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Head:
+    """The chain and where it is from.
+
+    Attributes:
+        chain: base to head.
+        urdf: what it was made of, None for a chain that the configuration spells out.
+        drawn: what the URDF draws of the unknowns.
+        origin: where the chain is from, in words.
+        notes: what was odd.
+    """
+
+    chain: HeadChain
+    urdf: Urdf | None
+    drawn: Nominal
+    origin: str
+    notes: tuple[str, ...]
+
+
 def _head(
     config: RigConfig,
     prelude: Prelude,
     urdf_text: str | None,
     wheels: dict[Side, WheelSource],
     camera_frame: str,
-) -> tuple[HeadChain, Nominal, list[str], str]:
-    """The chain, what the URDF draws of the unknowns, notes, and where the chain is from."""
+) -> _Head:
     if config.head.chain is not None:
         moving = [link.joint for link in config.head.chain if link.joint]
         pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
-        return explicit_chain(config, base, head, pan, tilt), Nominal(), [], "chain of the configuration"
+        chain = explicit_chain(config, base, head, pan, tilt)
+        return _Head(chain, None, Nominal(), "chain of the configuration", ())
     origin = "URDF of the configuration"
     notes = []
     if urdf_text is None:
@@ -98,7 +114,7 @@ def _head(
     chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
     base, _ = frames(config, urdf, tilt)
     drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
-    return chain, drawn, notes + chain_notes, origin
+    return _Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
 
 
 def settle_rig(
@@ -129,7 +145,8 @@ def settle_rig(
     cameras = stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference)
     wheels = wheel_sources(config, prelude)
     camera_frame = infos[config.cameras.reference].frame_id
-    chain, drawn, notes, chain_origin = _head(config, prelude, urdf_text, wheels, camera_frame)
+    mounted = _head(config, prelude, urdf_text, wheels, camera_frame)
+    chain, drawn = mounted.chain, mounted.drawn
     if not any(isinstance(link, JointLink) for link in chain.links):
         raise ConfigError(
             f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
@@ -137,7 +154,8 @@ def settle_rig(
         )
     layout: Layout = "separate" if config.cameras.both is None else config.cameras.both.layout
     fields = joint_fields(config, prelude, chain)
-    topics = joint_topics(config, prelude, chain)
+    transforms = joint_transforms(config, prelude, chain, mounted.urdf)
+    topics = joint_topics(config, prelude, chain, fields.keys() | transforms.keys())
     given, head_eye = config.nominal.wheels, nominal_head_eye(config)
     nominal = Nominal(
         drawn.T_h_reference if head_eye is None else head_eye,
@@ -161,7 +179,7 @@ def settle_rig(
         f"joint states {', '.join(topics)}": settled("joints.topic"),
         f"pan joint {chain.pan or 'none'}": settled("joints.pan", "its name"),
         f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "its name"),
-        f"head chain {chain.base_frame} to {chain.head_frame}": chain_origin,
+        f"head chain {chain.base_frame} to {chain.head_frame}": mounted.origin,
         **{
             f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
             for side, source in wheels.items()
@@ -174,9 +192,9 @@ def settle_rig(
             cameras,
             chain,
             nominal,
-            Sources(images, info_topics, topics, wheels, fields, layout),
+            Sources(images, info_topics, topics, wheels, fields, transforms, layout),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
         ),
-        tuple(notes),
+        mounted.notes,
     )

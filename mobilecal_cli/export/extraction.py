@@ -25,7 +25,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 _FORMAT = "mobilecal extraction"
 _OBSERVATION_ARRAYS: dict[str, type] = {
     "log": np.int64,

@@ -207,6 +207,26 @@ class WheelSource:
     baked_in: WheelGeometry | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JointTransform:
+    """Where the log keeps one joint's reading, as the transform of the link that it moves.
+
+    Attributes:
+        topic: a topic of tf2_msgs/TFMessage.
+        parent, child: the links' frames.
+        T_parent_child: (4, 4) at the joint's zero, m.
+        axis: (3,) unit vector in the joint's frame.
+        kind: of the joint.
+    """
+
+    topic: str
+    parent: str
+    child: str
+    T_parent_child: FloatArray
+    axis: FloatArray
+    kind: Literal["revolute", "prismatic"]
+
+
 Layout = Literal["separate", "side_by_side", "stacked"]
 
 
@@ -235,6 +255,7 @@ class Sources:
         joints: joint-state topics for the head's joints.
         wheels: each wheel's source.
         joint_fields: joints that are read from other messages than joint states.
+        joint_transforms: joints that are read from transforms, where there are no joint states of them.
         layout: how the two pictures of a stereo pair come: each by itself, or both in one (of one topic).
     """
 
@@ -243,6 +264,7 @@ class Sources:
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
     joint_fields: Mapping[str, JointField] = field(default_factory=dict)
+    joint_transforms: Mapping[str, JointTransform] = field(default_factory=dict)
     layout: Layout = "separate"
 
 

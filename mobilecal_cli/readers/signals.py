@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import IntArray, JointField, Side, Signals, Sources, Track, WheelSource
+from mobilecal_cli.model import (
+    IntArray,
+    JointField,
+    JointTransform,
+    Side,
+    Signals,
+    Sources,
+    Track,
+    WheelSource,
+)
 from mobilecal_cli.readers.fields import FieldPath
 from mobilecal_cli.readers.odometry import Odometry
 from mobilecal_cli.readers.prelude import IMAGES, JOINT_STATE
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
 from mobilecal_cli.readers.stamps import Clock, clock_notes
+from mobilecal_cli.readers.transforms import Transforms
 
 SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -44,9 +54,11 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
     for side in SIDES:
         reader.image(side, sources.image[side])
     for topic in sources.joints:
-        reader.joints(topic, [name for name in joints if name not in sources.joint_fields])
+        elsewhere = sources.joint_fields.keys() | sources.joint_transforms.keys()
+        reader.joints(topic, [name for name in joints if name not in elsewhere])
     for name, field in sources.joint_fields.items():
         reader.joint_field(name, field)
+    reader.joint_transforms(sources.joint_transforms)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
     reader.run()
@@ -168,6 +180,7 @@ class _Reader:
         self._joints: dict[str, _Joints] = {}
         self._fields: dict[Side, _Field] = {}
         self._odometry: Odometry | None = None
+        self._transforms: dict[str, Transforms] = {}
         self._readings: dict[str, _JointReading] = {}
         self._broken: dict[str, int] = {}
 
@@ -202,6 +215,14 @@ class _Reader:
         self.recording.topic(source.topic)
         reading = self._readings[name] = _JointReading(name, source)
         self._subscribe(source.topic, reading.take)
+
+    def joint_transforms(self, sources: Mapping[str, JointTransform]) -> None:
+        """Collect joints from the transforms of the links that they move."""
+        for topic in dict.fromkeys(source.topic for source in sources.values()):
+            here = {name: source for name, source in sources.items() if source.topic == topic}
+            found = Transforms(topic, here)
+            self._transforms.update(dict.fromkeys(here, found))
+            self._subscribe(topic, found.take)
 
     def wheel(self, side: Side, source: WheelSource) -> None:
         """Collect a wheel."""
@@ -267,6 +288,8 @@ class _Reader:
             if not self.clocks[reading.source.topic].messages:
                 raise self._empty(reading.source.topic)
             return reading.track(notes)
+        if name in self._transforms:
+            return self._transforms[name].track(name, notes)
         found = [self._joints[topic].position[name] for topic in topics]
         best = max(found, key=len, default=None)
         if best is None or not len(best):

@@ -14,9 +14,16 @@ from mobilecal_cli.model import BoolArray, IntArray
 CLOCKS_DIFFER_S = 1.0
 
 
+def _header_stamp(message: Any) -> Any:  # noqa: ANN401
+    """The stamp in a message's header; of a TFMessage, that of its first transform."""
+    if getattr(message, "transforms", None):
+        message = message.transforms[0]
+    return getattr(getattr(message, "header", None), "stamp", None)
+
+
 def stamp_of(message: Any, log_time_ns: int) -> int:  # noqa: ANN401 - the type is the recording's
     """The message's header stamp, ns; the log time where there is no header or its stamp is zero."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    stamp = _header_stamp(message)
     if stamp is None:
         return log_time_ns
     return (int(stamp.sec) * 10**9 + int(stamp.nanosec)) or log_time_ns
@@ -43,8 +50,8 @@ class Clock:
         """`stamp_of` the message, counted."""
         time_ns = stamp_of(message, log_time_ns)
         self.messages += 1
-        self.has_header = hasattr(message, "header")
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamp = _header_stamp(message)
+        self.has_header = stamp is not None
         if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
             self.unstamped += 1
         elif len(self.lag_s) < 101:

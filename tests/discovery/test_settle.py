@@ -302,3 +302,16 @@ def test_both_cameras_in_one_topic():
         settle_rig(config(cameras={"both": {"image": "/other"}}), prelude())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
         config(cameras={"both": both, "left": {"image": "/l"}})
+
+
+def test_joints_that_only_tf_tells():
+    tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
+    states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
+    rig = settle_rig(RigConfig(), prelude(extra=[tf], joint_names=states)).rig
+    assert (rig.sources.joints, set(rig.sources.joint_transforms)) == ((), set(rig.chain.joints))
+    tilt = rig.sources.joint_transforms["head_tilt_joint"]
+    assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
+    # Joint states come first, where there are any.
+    assert settle_rig(RigConfig(), prelude(extra=[tf])).rig.sources.joint_transforms == {}
+    with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
+        settle_rig(RigConfig(), prelude(joint_names=states))

@@ -182,7 +182,7 @@ def test_numpy_alone_can_read_it():
     with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
         assert archive["observations.points_c"].shape == (3, 54, 3)
         assert archive["wheels.0.time_ns"].dtype == np.int64
-        assert json.loads(archive["header"].tobytes())["schema_version"] == 2
+        assert json.loads(archive["header"].tobytes())["schema_version"] == 3
 
 
 def test_the_bytes_hold_no_time():
@@ -205,7 +205,7 @@ def with_header(change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda h: h.update(schema_version=3), "schema version 3"),
+        (lambda h: h.update(schema_version=4), "schema version 4"),
         (lambda h: h.pop("schema_version"), "schema version None"),
         (lambda h: h.update(format="something"), "not an extraction"),
         (lambda h: h.pop("rig"), "damaged"),

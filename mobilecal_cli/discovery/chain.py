@@ -1,0 +1,109 @@
+"""The chain from base to head, and what a URDF or the configuration draws of the head."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.config import ChainLink, RigConfig
+from mobilecal_cli.discovery.names import listed
+from mobilecal_cli.discovery.wheels import urdf_wheels
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.kinematics.urdf import Urdf, head_chain, vehicle_frame, wheel_centres
+from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink, Side, WheelSource
+
+_MIDWAY_M = 1e-6
+
+
+def explicit_chain(config: RigConfig, base_frame: str, head_frame: str, pan: str, tilt: str) -> HeadChain:
+    """The chain that rig.yaml spells out."""
+    links = tuple(_chain_link(link) for link in config.head.chain or ())
+    return HeadChain(base_frame, head_frame, links, pan, tilt)
+
+
+def _chain_link(link: ChainLink) -> FixedLink | JointLink:
+    if link.joint is not None and link.axis is not None:
+        axis = np.array(link.axis)
+        return JointLink(link.joint, axis / math.hypot(*link.axis), link.kind)
+    rotation = se3.from_rpy(np.array(link.rpy_rad or (0, 0, 0)))
+    return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
+
+
+def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
+    """Base and head link of a URDF: as configured, or base_link and what the tilt joint carries.
+
+    Raises:
+        ConfigError: there is no tilt joint to hang the head on.
+    """
+    base = config.head.base_frame
+    if base is None:
+        base = next((name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root)
+    if config.head.head_frame is not None:
+        return base, config.head.head_frame
+    if tilt not in urdf.joints:
+        raise ConfigError(
+            f"no joint of the URDF {urdf.name!r} is called tilt: which link carries the camera is not known",
+            f"set joints.tilt or head.head_frame in rig.yaml; its joints: {listed(urdf.joints)}",
+        )
+    carried = urdf.joints[tilt].child
+    if "head_link" in urdf.links and carried != "head_link":
+        above = {joint.child: joint for joint in urdf.joints.values()}
+        link = "head_link"
+        while link in above and above[link].kind == "fixed":
+            link = above[link].parent
+        if link == carried:
+            return base, "head_link"
+    return base, carried
+
+
+def chain_from_urdf(
+    config: RigConfig, urdf: Urdf, sources: dict[Side, WheelSource], pan: str, tilt: str
+) -> tuple[HeadChain, list[str]]:
+    """The chain from v to the head, and notes on where v is.
+
+    The vehicle frame v lies midway between the wheels, facing across their axle. Where the URDF's base link
+    does not, the difference is taken out of the wheel joints' origins.
+
+    Raises:
+        ConfigError: links missing or not connected.
+    """
+    base, head = frames(config, urdf, tilt)
+    wheels = urdf_wheels(urdf, sources, base)
+    if len(wheels) < 2:
+        return head_chain(urdf, base, head, pan, tilt), []
+    T_base_v = vehicle_frame(*wheel_centres(urdf, base, wheels["left"], wheels["right"]))
+    shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
+    if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
+        return head_chain(urdf, base, head, pan, tilt), []
+    note = (
+        f"The URDF's {base} is not midway between the wheels: the vehicle frame was put there, "
+        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, turned by {turn:.2f} degrees."
+    )
+    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note]
+
+
+def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
+    """What the URDF draws: (4, 4) camera to head, where fixed joints lead from the head to the camera's frame."""
+    if camera_frame not in urdf.links:
+        return None
+    try:
+        path = urdf.path(head, camera_frame)
+    except ConfigError:
+        return None  # the camera hangs elsewhere
+    if any(joint.kind != "fixed" for joint in path):
+        return None
+    T_h_reference = np.eye(4)
+    for joint in path:
+        T_h_reference = T_h_reference @ joint.T_parent_child
+    return T_h_reference
+
+
+def nominal_head_eye(config: RigConfig) -> FloatArray | None:
+    """(4, 4) nominal T_h_reference of the configuration."""
+    prior = config.nominal.head_eye
+    if prior is None:
+        return None
+    rotation = se3.from_quaternion_xyzw(np.array(prior.quaternion_xyzw))
+    return se3.transform(rotation, np.array(prior.translation_m))

@@ -1,0 +1,139 @@
+"""Where the wheels' rotations are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.config import RigConfig, WheelConfig
+from mobilecal_cli.discovery.names import joint_state_names, listed, pairs, side_of, words
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
+from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+_COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
+_AS_THE_DRIVER = "nominal.wheels in rig.yaml exactly as the robot's driver has them"
+
+
+def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource]:
+    """Where each wheel's rotation is: as configured, or the pair of joints that are called wheels.
+
+    Raises:
+        RecordingError: no wheel is found; what is there is listed.
+        ConfigError: several pairs fit, or a counter lacks its ticks per revolution.
+    """
+    if config.wheels.odometry is not None:
+        return _odometry(config, prelude, config.wheels.odometry)
+    found = pairs(name for name in joint_state_names(prelude) if _is_wheel(name))
+    result: dict[Side, WheelSource] = {}
+    sides: tuple[tuple[Side, WheelConfig], ...] = (
+        ("left", config.wheels.left),
+        ("right", config.wheels.right),
+    )
+    for side, wheel in sides:
+        if wheel.field is not None and wheel.topic is not None:
+            if wheel.topic not in {topic.name for topic in prelude.topics}:
+                raise RecordingError(
+                    f"wheels.{side}: no topic {wheel.topic} in this recording",
+                    f"topics present: {listed(topic.name for topic in prelude.topics)}",
+                )
+            result[side] = WheelSource(
+                wheel.topic, None, wheel.field, wheel.ticks_per_revolution, wheel.bits, wheel.sign
+            )
+            continue
+        joint = wheel.joint
+        if joint is None:
+            if len(found) > 1:
+                several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in found)
+                raise ConfigError(
+                    f"several pairs of joints could be the wheels: {several}",
+                    "set wheels.left.joint and wheels.right.joint in rig.yaml",
+                )
+            if not found:
+                raise _no_wheels(side, prelude)
+            joint = found[0][side]
+        topics = (
+            [wheel.topic]
+            if wheel.topic
+            else [t for t, names in prelude.joint_names.items() if joint in names]
+        )
+        if not topics or joint not in prelude.joint_names.get(topics[0], ()):
+            raise RecordingError(
+                f"wheels.{side}: no joint {joint!r} in the joint states"
+                + (f" of {wheel.topic}" if wheel.topic else ""),
+                f"joints present: {listed(joint_state_names(prelude))}",
+            )
+        result[side] = WheelSource(topics[0], joint, None, wheel.ticks_per_revolution, wheel.bits, wheel.sign)
+    return result
+
+
+def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, WheelSource]:
+    """Odometry as the source of both wheels' rotation.
+
+    Raises:
+        RecordingError: there is no odometry on the topic.
+        ConfigError: the wheels that it was made with are not stated.
+    """
+    present = {info.name: info.type for info in prelude.topics}
+    if present.get(topic) != ODOMETRY:
+        others = listed(name for name, kind in present.items() if kind == ODOMETRY)
+        raise RecordingError(
+            f"wheels.odometry: {topic} holds no {ODOMETRY} in this recording", f"topics that do: {others}"
+        )
+    wheels = config.nominal.wheels
+    if wheels is None:
+        raise ConfigError(
+            f"wheels.odometry: the poses on {topic} were made from the wheels' rotations with some radii and "
+            "separation, and the rotations cannot be had back without them",
+            f"state {_AS_THE_DRIVER}",
+        )
+    baked_in = WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
+    sides: tuple[Side, Side] = ("left", "right")
+    return {side: WheelSource(topic, baked_in=baked_in) for side in sides}
+
+
+def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
+    odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
+    if odometry and not any(_COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
+        return RecordingError(
+            f"wheels.{side}: no joint is called a wheel; there is odometry on {listed(odometry)}",
+            f"set wheels.odometry to {odometry[0]}, and state {_AS_THE_DRIVER}",
+        )
+    counters = [t.name for t in prelude.topics if _COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
+    if counters:
+        return RecordingError(
+            f"wheels.{side}: no joint is called a wheel; {listed(counters)} look like tick counters",
+            "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
+        )
+    return RecordingError(
+        f"wheels.{side}: no pair of joints is called left and right wheel",
+        f"set wheels.left and wheels.right in rig.yaml; joints present: {listed(joint_state_names(prelude))}; "
+        f"topics present: {listed(topic.name for topic in prelude.topics)}",
+    )
+
+
+def urdf_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> dict[Side, str]:
+    """Wheel joints of the URDF: those that the wheels are read from, or else those whose names fit."""
+    named = {side: source.joint for side, source in sources.items() if source.joint in urdf.joints}
+    if len(named) == 2:
+        return {side: joint for side, joint in named.items() if joint}
+    found = pairs(name for name in urdf.joints if _is_wheel(name))
+    return found[0] if len(found) == 1 else {}
+
+
+def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
+    """What the URDF draws: separation from the wheel joints, radii from the wheels' cylinders."""
+    wheels = urdf_wheels(urdf, sources, base)
+    if len(wheels) < 2:
+        return None
+    radii = {side: urdf.cylinder_radius_m.get(urdf.joints[name].child) for side, name in wheels.items()}
+    left, right = wheel_centres(urdf, base, wheels["left"], wheels["right"])
+    separation = float(np.linalg.norm(left - right))
+    if not radii["left"] or not radii["right"] or separation <= 0:
+        return None
+    return WheelGeometry(radii["right"], radii["left"], separation)
+
+
+def _is_wheel(name: str) -> bool:
+    found = set(words(name))
+    return "wheel" in "".join(words(name)) and "caster" not in found and "castor" not in found

@@ -1,0 +1,98 @@
+"""Joint readings out of /tf, where a robot publishes what its joints do but not the joints themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import FloatArray, JointTransform, Track
+from mobilecal_cli.readers.series import Series
+from mobilecal_cli.readers.stamps import stamp_of
+
+#: A joint's transform that leaves its axis or its place by more than this belongs to another robot, or URDF.
+_OFF_RAD, _OFF_M = 0.02, 0.005
+
+
+class Transforms:
+    """Joints in the transforms of one topic.
+
+    Args:
+        topic: the topic.
+        joints: name → what the joint moves.
+    """
+
+    def __init__(self, topic: str, joints: Mapping[str, JointTransform]) -> None:
+        self._topic = topic
+        self._joints = dict(joints)
+        self._wanted = {(source.parent, source.child): name for name, source in joints.items()}
+        self._series = {name: Series(f"joint {name} on {topic}") for name in joints}
+        self._worst = dict.fromkeys(joints, (0.0, 0.0))
+        self._present: dict[str, None] = {}
+
+    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+        """Read one TFMessage."""
+        for item in message.transforms:
+            ends = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
+            name = self._wanted.get(ends)
+            if name is None:
+                if len(self._present) < 40:
+                    self._present[" to ".join(ends)] = None
+                continue
+            value, off_rad, off_m = reading(self._joints[name], item.transform)
+            self._series[name].add(stamp_of(item, time_ns), value)
+            worst = self._worst[name]
+            self._worst[name] = (max(worst[0], off_rad), max(worst[1], off_m))
+
+    def track(self, name: str, notes: list[str]) -> Track:
+        """A joint over time.
+
+        Raises:
+            RecordingError: its transform is not there, or moves otherwise than the URDF says.
+        """
+        source, series = self._joints[name], self._series[name]
+        if not len(series) and not series.not_finite:
+            raise RecordingError(
+                f"{self._topic}: no transform from {source.parent} to {source.child}, which would tell joint {name}; "
+                f"present: {', '.join(self._present) or 'none'}",
+                "record /joint_states, or use the URDF that the robot's transforms were made with",
+            )
+        off_rad, off_m = self._worst[name]
+        if off_rad > _OFF_RAD or off_m > _OFF_M:
+            raise RecordingError(
+                f"{self._topic}: the transform from {source.parent} to {source.child} leaves the axis of joint {name} "
+                f"by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm",
+                "use the URDF that the robot's transforms were made with",
+            )
+        time_ns, value = series.ordered(notes)
+        notes.append(f"{series.label}: read from the transform from {source.parent} to {source.child}")
+        return Track(time_ns, value if source.kind == "prismatic" else np.unwrap(value))
+
+
+def reading(source: JointTransform, transform: Any) -> tuple[float, float, float]:  # noqa: ANN401
+    """A joint's position out of the transform of its link.
+
+    Returns:
+        rad (or m), and how far the transform is from one of that joint: rad, m. NaN for one that is not finite.
+    """
+    q, t = transform.rotation, transform.translation
+    quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    if not (np.isfinite(quaternion).all() and np.isfinite(place).all() and np.linalg.norm(quaternion) > 0.5):
+        return math.nan, 0.0, 0.0
+    T = se3.transform(se3.from_quaternion_xyzw(quaternion / np.linalg.norm(quaternion)), place)
+    moved: FloatArray = se3.inverse(source.T_parent_child) @ T
+    turn = se3.log_so3(moved[:3, :3])
+    if source.kind == "prismatic":
+        way = float(source.axis @ moved[:3, 3])
+        return way, float(np.linalg.norm(turn)), float(np.linalg.norm(moved[:3, 3] - way * source.axis))
+    # About a known axis also near half a turn, where the logarithm may choose the other sign.
+    R, a = moved[:3, :3], source.axis
+    angle = math.atan2(
+        float(a @ np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])), float(np.trace(R) - 1)
+    )
+    rest = se3.log_so3(se3.rotation_about(a, np.array(-angle)) @ R)
+    return angle, float(np.linalg.norm(rest)), float(np.linalg.norm(moved[:3, 3]))

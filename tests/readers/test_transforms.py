@@ -1,0 +1,114 @@
+"""Joint readings out of /tf."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import JointTransform, Sources, WheelSource
+from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers.transforms import reading
+from tests.readers.recordings import START_NS, STEP_NS
+from tests.readers.test_encodings import written_in_json
+
+ORIGIN = se3.transform(Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix(), np.array([0.1, 0.2, 0.3]))
+AXIS = np.array([0.0, 0.6, 0.8])
+PAN = JointTransform("/tf", "torso", "neck", ORIGIN, AXIS, "revolute")
+LIFT = JointTransform("/tf", "base_link", "torso", np.eye(4), np.array([0.0, 0.0, 1.0]), "prismatic")
+
+
+def moved(source, value):
+    """The transform of a joint's link, by another library than the reader's."""
+    turn, way = Rotation.identity(), source.axis * value
+    if source.kind == "revolute":
+        turn, way = Rotation.from_rotvec(value * source.axis), np.zeros(3)
+    rotation = Rotation.from_matrix(source.T_parent_child[:3, :3])
+    place = source.T_parent_child[:3, 3] + rotation.apply(way)
+    return place, (rotation * turn).as_quat()
+
+
+def as_message(place, quaternion):
+    """A geometry_msgs/Transform."""
+    translation = SimpleNamespace(**dict(zip("xyz", place.tolist(), strict=True)))
+    return SimpleNamespace(
+        translation=translation,
+        rotation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
+    )
+
+
+@pytest.mark.parametrize("value", [0.0, 0.4, -1.5, 3.1, -3.1])
+def test_a_turning_joint(value):
+    angle, off_rad, off_m = reading(PAN, as_message(*moved(PAN, value)))
+    assert angle == pytest.approx(value, abs=1e-12)
+    assert max(off_rad, off_m) < 1e-7
+
+
+def test_a_sliding_joint():
+    assert reading(LIFT, as_message(*moved(LIFT, 0.25))) == pytest.approx((0.25, 0, 0))
+
+
+def test_another_axis_and_another_place_are_told():
+    place, _ = moved(PAN, 0.0)
+    turned = Rotation.from_matrix(ORIGIN[:3, :3]) * Rotation.from_rotvec([0.3, 0, 0])
+    angle, off_rad, off_m = reading(PAN, as_message(place + np.array([0.0, 0.03, 0.04]), turned.as_quat()))
+    assert (angle, off_rad, off_m) == pytest.approx((0, 0.3, 0.05))
+
+
+def tf_message(i, *frames):
+    transforms = []
+    for parent, child, (place, quaternion) in frames:
+        header = {"stamp": {"sec": 5, "nanosec": 1000 * i}, "frame_id": parent}
+        transform = {
+            "translation": dict(zip("xyz", place.tolist(), strict=True)),
+            "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
+        }
+        transforms.append({"header": header, "child_frame_id": child, "transform": transform})
+    return ("/tf", START_NS + i * STEP_NS, "tf2_msgs/TFMessage", {"transforms": transforms})
+
+
+def signals_of(folder, messages, sources):
+    count = {"data": 7}
+    rest = [
+        ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 5, "nsec": 0}, "data": ""}),
+        *(("/count", START_NS + i, "std_msgs/Int32", count) for i in range(2)),
+    ]
+    wheel = WheelSource("/count", field="data")
+    path = written_in_json(folder / "log.mcap", [*messages, *rest])
+    images = {"left": "/eye", "right": "/eye"}
+    with open_recording([path]) as recording:
+        wheels = {"left": wheel, "right": wheel}
+        return read_signals(
+            recording, Sources(images, {}, (), wheels, joint_transforms=sources), tuple(sources)
+        )
+
+
+def test_joints_over_time_with_their_own_stamps(tmp_path):
+    """One message holds both joints and a stranger; the pan goes beyond half a turn."""
+    pan = np.linspace(2.0, 4.0, 9)
+    lift = np.linspace(0, 0.2, 9)
+    messages = [
+        tf_message(
+            i,
+            ("/torso", "neck", moved(PAN, pan[i])),
+            ("map", "odom", moved(LIFT, 1.0)),
+            ("base_link", "torso", moved(LIFT, lift[i])),
+        )
+        for i in range(9)
+    ]
+    found = signals_of(tmp_path, messages, {"pan": PAN, "lift": LIFT})
+    assert found.joints["pan"].value == pytest.approx(pan)
+    assert found.joints["lift"].value == pytest.approx(lift)
+    assert found.joints["pan"].time_ns.tolist() == [5_000_000_000 + 1000 * i for i in range(9)]
+    assert "joint pan on /tf: read from the transform from torso to neck" in found.notes
+
+
+def test_transforms_of_another_robot(tmp_path):
+    strangers = [tf_message(i, ("map", "odom", moved(LIFT, 0.1))) for i in range(3)]
+    with pytest.raises(RecordingError, match=r"no transform from torso to neck.*present: map to odom"):
+        signals_of(tmp_path, strangers, {"pan": PAN})
+    skewed = [tf_message(i, ("torso", "neck", moved(LIFT, 0.1 * i))) for i in range(3)]
+    with pytest.raises(RecordingError, match=r"leaves the axis of joint pan by up to .* degrees and .* mm"):
+        signals_of(tmp_path, skewed, {"pan": PAN})
