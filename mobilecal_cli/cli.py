@@ -22,9 +22,6 @@ app = typer.Typer(
 )
 
 
-_INTERRUPTED = 130
-
-
 class MethodName(StrEnum):
     """How the nine numbers are solved for."""
 
@@ -283,7 +280,3 @@ def main() -> None:
         if error.hint:
             print(f"hint: {error.hint}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except SystemExit as leaving:
-        if leaving.code == _INTERRUPTED:  # typer has turned Ctrl-C into an exit by now
-            print("interrupted: nothing was written", file=sys.stderr)
-        raise

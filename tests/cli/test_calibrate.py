@@ -288,7 +288,8 @@ def test_force_replaces_an_earlier_output(first, workplace, sample_logs):
     assert (workplace / "twice/params.yaml").read_text() != before
 
 
-def test_ctrl_c_leaves_nothing(sample_logs, tmp_path):
+@pytest.mark.parametrize("after_s", [0.5, 3.0])  # while modules are loaded, and while it works
+def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, after_s):
     command = [
         sys.executable,
         "-m",
@@ -306,7 +307,7 @@ def test_ctrl_c_leaves_nothing(sample_logs, tmp_path):
         # A shell's background jobs ignore Ctrl-C, and what they start inherits that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    time.sleep(3)
+    time.sleep(after_s)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
