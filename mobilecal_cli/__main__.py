@@ -11,16 +11,14 @@ def main() -> None:
         from mobilecal_cli.cli import main as run
 
         run()
-    except KeyboardInterrupt:
-        leaving = _INTERRUPTED
-    except SystemExit as error:  # typer has turned Ctrl-C into an exit by now
-        if error.code != _INTERRUPTED:
-            raise
-        leaving = _INTERRUPTED
-    else:
         return
+    except KeyboardInterrupt:
+        pass
+    except SystemExit as leaving:  # typer has turned Ctrl-C into an exit by now
+        if leaving.code != _INTERRUPTED:
+            raise
     print("interrupted: nothing was written", file=sys.stderr)
-    sys.exit(leaving)
+    sys.exit(_INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.model import (
     CameraInfo,
     HeadChain,
+    JointField,
     JointLink,
+    JointTransform,
     KnownNoise,
     Layout,
     Nominal,
@@ -153,9 +155,11 @@ def settle_rig(
             "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
         )
     layout: Layout = "separate" if config.cameras.both is None else config.cameras.both.layout
-    fields = joint_fields(config, prelude, chain)
-    transforms = joint_transforms(config, prelude, chain, mounted.urdf)
-    topics = joint_topics(config, prelude, chain, fields.keys() | transforms.keys())
+    elsewhere: dict[str, JointField | JointTransform] = {
+        **joint_fields(config, prelude, chain),
+        **joint_transforms(config, prelude, chain, mounted.urdf),
+    }
+    topics = joint_topics(config, prelude, chain, elsewhere)
     given, head_eye = config.nominal.wheels, nominal_head_eye(config)
     nominal = Nominal(
         drawn.T_h_reference if head_eye is None else head_eye,
@@ -192,7 +196,7 @@ def settle_rig(
             cameras,
             chain,
             nominal,
-            Sources(images, info_topics, topics, wheels, fields, transforms, layout),
+            Sources(images, info_topics, topics, wheels, elsewhere, layout),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
         ),

@@ -226,6 +226,11 @@ class JointTransform:
     axis: FloatArray
     kind: Literal["revolute", "prismatic"]
 
+    @property
+    def where(self) -> str:
+        """What is read of the topic's messages, for people."""
+        return f"{self.parent} to {self.child}"
+
 
 Layout = Literal["separate", "side_by_side", "stacked"]
 
@@ -244,6 +249,11 @@ class JointField:
     field: str
     scale: float = 1.0
 
+    @property
+    def where(self) -> str:
+        """What is read of the topic's messages, for people."""
+        return self.field
+
 
 @dataclass(frozen=True, slots=True)
 class Sources:
@@ -254,8 +264,7 @@ class Sources:
         info: camera-info topic of each side, "" where the calibration comes from elsewhere.
         joints: joint-state topics for the head's joints.
         wheels: each wheel's source.
-        joint_fields: joints that are read from other messages than joint states.
-        joint_transforms: joints that are read from transforms, where there are no joint states of them.
+        elsewhere: the head's joints that are read from other messages than joint states.
         layout: how the two pictures of a stereo pair come: each by itself, or both in one (of one topic).
     """
 
@@ -263,8 +272,7 @@ class Sources:
     info: Mapping[Side, str]
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
-    joint_fields: Mapping[str, JointField] = field(default_factory=dict)
-    joint_transforms: Mapping[str, JointTransform] = field(default_factory=dict)
+    elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
     layout: Layout = "separate"
 
 

@@ -47,7 +47,7 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
 def settings_of(extraction: Extraction) -> dict[str, Any]:
     """Every setting that the result depends on, nested as in rig.yaml, and what settled each."""
     rig, board = extraction.rig, extraction.board
-    fields = rig.sources.joint_fields
+    elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
     settings: dict[str, Any] = {
         "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
         "cameras": {
@@ -63,7 +63,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "topics": list(rig.sources.joints),
             "pan": rig.chain.pan,
             "tilt": rig.chain.tilt,
-            **({"fields": {n: asdict(f) for n, f in fields.items()}} if fields else {}),
+            **({"elsewhere": elsewhere} if elsewhere else {}),
         },
         "wheels": {side: _wheel(rig.sources.wheels[side]) for side in ("left", "right")},
         "head": {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,12 +38,19 @@ class Odometry:
             self._y.add(time_ns, position.y)
         self._heading.add(time_ns, heading if math.isfinite(position.x + position.y) else math.nan)
 
-    def tracks(self, notes: list[str]) -> dict[Side, Track]:
-        """Both wheels' rotation, rad, from zero on.
+    def track(self, side: Side, notes: list[str]) -> Track:
+        """A wheel's rotation, rad, from zero on.
 
         Raises:
             RecordingError: no finite pose.
         """
+        tracks, found = self._taken_apart
+        notes += found
+        return tracks[side]
+
+    @cached_property
+    def _taken_apart(self) -> tuple[dict[Side, Track], list[str]]:
+        notes: list[str] = []
         time_ns, heading = self._heading.ordered(notes)
         quiet: list[str] = []  # the same stamps once more
         xy = np.stack([self._x.ordered(quiet)[1], self._y.ordered(quiet)[1]], axis=1)
@@ -57,7 +65,7 @@ class Odometry:
             notes.append(
                 f"{self._topic}: the pose jumps {jumps} times; the wheels are taken to stand still there"
             )
-        return {"right": Track(time_ns, right), "left": Track(time_ns, left)}
+        return {"right": Track(time_ns, right), "left": Track(time_ns, left)}, notes
 
 
 def rotations(

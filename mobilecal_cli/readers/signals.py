@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,11 +56,8 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
     for side in SIDES:
         reader.image(side, sources.image[side])
     for topic in sources.joints:
-        elsewhere = sources.joint_fields.keys() | sources.joint_transforms.keys()
-        reader.joints(topic, [name for name in joints if name not in elsewhere])
-    for name, field in sources.joint_fields.items():
-        reader.joint_field(name, field)
-    reader.joint_transforms(sources.joint_transforms)
+        reader.joints(topic, [name for name in joints if name not in sources.elsewhere])
+    reader.joints_elsewhere(sources.elsewhere)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
     reader.run()
@@ -108,65 +107,60 @@ class _Joints:
                 velocity.add(time_ns, float(velocities[place]))
 
 
+def _scaled(series: Series, scale: float, time_ns: int, value: float) -> None:
+    series.add(time_ns, value * scale)
+
+
 class _Field:
-    """One wheel's counter or angle, by field path."""
+    """A number by field path, over time.
 
-    def __init__(self, side: Side, source: WheelSource, path: FieldPath) -> None:
-        self.source = source
-        self.path = path
-        self.series = Series(f"{side} wheel ({source.topic} {path.text})")
-        self.missing = 0
-        self.error: RecordingError | None = None
-        self._counter = TickCounter(self.series, source)
+    Args:
+        topic, path: where it is.
+        setting: what in rig.yaml names the path, for messages.
+        series: where the readings go.
+        add: what takes a reading to the series.
+    """
 
-    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401
-        """Read one message."""
-        try:
-            value = self.path.number(message, self.source.topic, "the wheel's field")
-        except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
-            self.missing += 1
-            self.error = self.error or error
-            return
-        self._counter.add(time_ns, value)
-
-    def track(self, notes: list[str]) -> Track:
-        """The wheel's rotation."""
-        return _found(self.series, self.error, self.missing, notes)
-
-
-class _JointReading:
-    """One joint's reading, by field path."""
-
-    def __init__(self, name: str, source: JointField) -> None:
-        self.source = source
-        self.series = Series(f"joint {name} ({source.topic} {source.field})")
-        self._path = FieldPath.parse(source.field)
-        self._error: RecordingError | None = None
+    def __init__(
+        self, topic: str, path: str, setting: str, series: Series, add: Callable[[int, float], None]
+    ) -> None:
+        self._topic, self._setting = topic, setting
+        self._path = FieldPath.parse(path)
+        self._series, self._add = series, add
         self._missing = 0
+        self._error: RecordingError | None = None
 
     def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401
         """Read one message."""
         try:
-            value = self._path.number(message, self.source.topic, "the joint's field")
+            value = self._path.number(message, self._topic, self._setting)
         except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
             self._missing += 1
             self._error = self._error or error
             return
-        self.series.add(time_ns, value * self.source.scale)
+        self._add(time_ns, value)
 
     def track(self, notes: list[str]) -> Track:
-        """The joint over time."""
-        return _found(self.series, self._error, self._missing, notes)
+        """What was read; the error where there is nothing, a note where some is missing."""
+        if self._error is not None:
+            if not len(self._series):
+                raise self._error
+            notes.append(f"{self._series.label}: the field is missing in {self._missing} messages; left out")
+        time_ns, value = self._series.ordered(notes)
+        return Track(time_ns, value)
 
 
-def _found(series: Series, error: RecordingError | None, missing: int, notes: list[str]) -> Track:
-    """What was read by a field path; the error where there is nothing, a note where some is missing."""
-    if error is not None:
-        if not len(series):
-            raise error
-        notes.append(f"{series.label}: the field is missing in {missing} messages; left out")
-    time_ns, value = series.ordered(notes)
-    return Track(time_ns, value)
+@dataclass(frozen=True, slots=True)
+class _Apart:
+    """A joint or wheel that is read from other messages than joint states.
+
+    Attributes:
+        topic: their topic.
+        track: what was read, once all messages have gone by; given where notes go.
+    """
+
+    topic: str
+    track: Callable[[list[str]], Track]
 
 
 class _Reader:
@@ -178,10 +172,9 @@ class _Reader:
         self._takers: dict[str, list[Taker]] = {}
         self._stamps: dict[Side, array[int]] = {}
         self._joints: dict[str, _Joints] = {}
-        self._fields: dict[Side, _Field] = {}
+        self._joints_apart: dict[str, _Apart] = {}
+        self._wheels_apart: dict[Side, _Apart] = {}
         self._odometry: Odometry | None = None
-        self._transforms: dict[str, Transforms] = {}
-        self._readings: dict[str, _JointReading] = {}
         self._broken: dict[str, int] = {}
 
     def _subscribe(self, topic: str, taker: Taker) -> None:
@@ -210,19 +203,23 @@ class _Reader:
             group.want(name)
         self._subscribe(topic, group.take)
 
-    def joint_field(self, name: str, source: JointField) -> None:
-        """Collect a joint from messages that are no joint states."""
-        self.recording.topic(source.topic)
-        reading = self._readings[name] = _JointReading(name, source)
-        self._subscribe(source.topic, reading.take)
-
-    def joint_transforms(self, sources: Mapping[str, JointTransform]) -> None:
-        """Collect joints from the transforms of the links that they move."""
-        for topic in dict.fromkeys(source.topic for source in sources.values()):
-            here = {name: source for name, source in sources.items() if source.topic == topic}
-            found = Transforms(topic, here)
-            self._transforms.update(dict.fromkeys(here, found))
-            self._subscribe(topic, found.take)
+    def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> None:
+        """Collect joints from other messages than joint states."""
+        moved: dict[str, dict[str, JointTransform]] = {}
+        for name, source in sources.items():
+            self.recording.topic(source.topic)
+            if isinstance(source, JointTransform):
+                moved.setdefault(source.topic, {})[name] = source
+                continue
+            series = Series(f"joint {name} ({source.topic} {source.field})")
+            add = partial(_scaled, series, source.scale)
+            field = _Field(source.topic, source.field, "joints.fields", series, add)
+            self._joints_apart[name] = _Apart(source.topic, field.track)
+            self._subscribe(source.topic, field.take)
+        for topic, joints in moved.items():
+            transforms = Transforms(topic, joints)
+            self._joints_apart |= {name: _Apart(topic, partial(transforms.track, name)) for name in joints}
+            self._subscribe(topic, transforms.take)
 
     def wheel(self, side: Side, source: WheelSource) -> None:
         """Collect a wheel."""
@@ -232,7 +229,8 @@ class _Reader:
         if source.baked_in is not None:
             if self._odometry is None:
                 self._odometry = Odometry(source.topic, source.baked_in)
-            self._subscribe(source.topic, self._odometry.take)
+                self._subscribe(source.topic, self._odometry.take)
+            self._wheels_apart[side] = _Apart(source.topic, partial(self._odometry.track, side))
             return
         if source.field is None:
             raise RecordingError(
@@ -240,7 +238,10 @@ class _Reader:
                 f"name wheels.{side}.joint or wheels.{side}.field in rig.yaml",
             )
         self.recording.topic(source.topic)
-        field = self._fields[side] = _Field(side, source, FieldPath.parse(source.field))
+        series = Series(f"{side} wheel ({source.topic} {source.field})")
+        add = TickCounter(series, source).add
+        field = _Field(source.topic, source.field, f"wheels.{side}.field", series, add)
+        self._wheels_apart[side] = _Apart(source.topic, field.track)
         self._subscribe(source.topic, field.take)
 
     def run(self) -> None:
@@ -283,13 +284,8 @@ class _Reader:
 
     def joint_track(self, name: str, topics: Sequence[str], notes: list[str]) -> Track:
         """A head joint, from its own field or the joint-state topic that has most of it."""
-        if name in self._readings:
-            reading = self._readings[name]
-            if not self.clocks[reading.source.topic].messages:
-                raise self._empty(reading.source.topic)
-            return reading.track(notes)
-        if name in self._transforms:
-            return self._transforms[name].track(name, notes)
+        if name in self._joints_apart:
+            return self._read(self._joints_apart[name], notes)
         found = [self._joints[topic].position[name] for topic in topics]
         best = max(found, key=len, default=None)
         if best is None or not len(best):
@@ -307,14 +303,8 @@ class _Reader:
 
     def wheel_track(self, side: Side, source: WheelSource, notes: list[str]) -> Track:
         """A wheel's rotation, rad, positive forward."""
-        if self._odometry is not None:
-            if not self.clocks[source.topic].messages:
-                raise self._empty(source.topic)
-            return self._odometry.tracks(notes)[side]
-        if side in self._fields:
-            if not self.clocks[source.topic].messages:
-                raise self._empty(source.topic)
-            return self._fields[side].track(notes)
+        if side in self._wheels_apart:
+            return self._read(self._wheels_apart[side], notes)
         group, name = self._joints[source.topic], source.joint or ""
         if name not in group.present:
             if not self.clocks[source.topic].messages:
@@ -325,6 +315,11 @@ class _Reader:
                 f"correct wheels.{side}.joint in rig.yaml",
             )
         return wheel_track(group.position[name], group.velocity[name], source, notes)
+
+    def _read(self, apart: _Apart, notes: list[str]) -> Track:
+        if not self.clocks[apart.topic].messages:
+            raise self._empty(apart.topic)
+        return apart.track(notes)
 
     def _empty(self, topic: str) -> RecordingError:
         broken = self._broken.get(topic, 0)

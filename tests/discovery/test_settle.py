@@ -268,7 +268,7 @@ def test_joints_in_other_messages_than_joint_states():
     names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
     fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
     rig = settle_rig(config(joints={"fields": fields}), prelude(extra=[topic], joint_names=names)).rig
-    assert rig.sources.joint_fields == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
+    assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
     assert rig.sources.joints == ("/joint_states",)
     with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
         settle_rig(config(joints={"fields": fields}), prelude(joint_names=names))
@@ -308,10 +308,10 @@ def test_joints_that_only_tf_tells():
     tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
     rig = settle_rig(RigConfig(), prelude(extra=[tf], joint_names=states)).rig
-    assert (rig.sources.joints, set(rig.sources.joint_transforms)) == ((), set(rig.chain.joints))
-    tilt = rig.sources.joint_transforms["head_tilt_joint"]
+    assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
+    tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
-    assert settle_rig(RigConfig(), prelude(extra=[tf])).rig.sources.joint_transforms == {}
+    assert settle_rig(RigConfig(), prelude(extra=[tf])).rig.sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
         settle_rig(RigConfig(), prelude(joint_names=states))

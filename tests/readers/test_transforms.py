@@ -80,9 +80,7 @@ def signals_of(folder, messages, sources):
     images = {"left": "/eye", "right": "/eye"}
     with open_recording([path]) as recording:
         wheels = {"left": wheel, "right": wheel}
-        return read_signals(
-            recording, Sources(images, {}, (), wheels, joint_transforms=sources), tuple(sources)
-        )
+        return read_signals(recording, Sources(images, {}, (), wheels, elsewhere=sources), tuple(sources))
 
 
 def test_joints_over_time_with_their_own_stamps(tmp_path):
