@@ -162,6 +162,31 @@ def suggest(
 
 
 @app.command()
+def inspect(
+    logs: Logs,
+    config: Config = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="JSON for programs instead of text.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
+    """Say what a recording holds, what would be used of it, and what is missing for a calibration.
+
+    Looks at a part of a long recording only, so it answers in seconds, and writes nothing.
+
+    Example: mobilecal inspect log.mcap
+    """
+    from mobilecal_cli import pipeline
+    from mobilecal_cli.report import inspection_json, inspection_text
+    from mobilecal_cli.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        found = pipeline.inspect(logs, config, _flags(None, None, setting or []), progress)
+    typer.echo(inspection_json(found) if as_json else inspection_text(found), nl=False)
+
+
+@app.command()
 def init(
     log: Annotated[Path, typer.Argument(help="A recording.")],
     output: Annotated[
@@ -276,7 +301,9 @@ def main() -> None:
     try:
         app()
     except MobilecalError as error:
-        print(f"error: {error.message}", file=sys.stderr)
+        from mobilecal_cli.model.text import visible  # names out of a log must not steer the terminal
+
+        print(f"error: {visible(error.message)}", file=sys.stderr)
         if error.hint:
-            print(f"hint: {error.hint}", file=sys.stderr)
+            print(f"hint: {visible(error.hint)}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.kinematics import cut_at, head_pose
-from mobilecal_cli.model import Extraction, FloatArray
+from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
 FEWEST_STATIONS = 4  # three legs give nine equations in translation and nine in rotation for nine unknowns
 _TILTED_RAD = np.radians(3.0)  # a smaller range leaves Tsai-Lenz with parallel axes, whatever the noise
@@ -40,8 +41,27 @@ def _vertical_range_rad(R_v_h: FloatArray) -> float:
 def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
     """The cases of motion in which some of the nine numbers are not observable (`method.md`, last table)."""
     observations = extraction.observations
+    times = [
+        np.array([o.time_ns for o in observations if o.log == log]) for log in range(len(extraction.wheels))
+    ]
+    return gaps_between(
+        extraction.rig.chain, np.stack([o.joints for o in observations]), extraction.wheels, times
+    )
+
+
+def gaps_between(
+    chain: HeadChain, joints: FloatArray, wheels: Sequence[WheelTrack], times_ns: Sequence[IntArray]
+) -> tuple[Gap, ...]:
+    """`motion_gaps` of stations, whatever was seen there.
+
+    Args:
+        chain: base to head.
+        joints: (N, J) head joint readings at the stations of all logs, rad or m.
+        wheels: both wheels of each log.
+        times_ns: (n,) stations' times in each log, increasing.
+    """
     gaps = []
-    T_v_h = head_pose(extraction.rig.chain, np.stack([o.joints for o in observations]))
+    T_v_h = head_pose(chain, joints)
     tilted = _vertical_range_rad(T_v_h[:, :3, :3])
     if tilted < _TILTED_RAD:
         gaps.append(
@@ -52,10 +72,9 @@ def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
             )
         )
     Phi = [np.zeros((0, 2))]
-    for log, track in enumerate(extraction.wheels):
-        times = [o.time_ns for o in observations if o.log == log]
+    for track, times in zip(wheels, times_ns, strict=True):
         if len(times) > 1:
-            Phi.append(cut_at(track, np.array(times)).totals_rad)
+            Phi.append(cut_at(track, times).totals_rad)
     right, left = np.concatenate(Phi).T
     turned, driven = np.abs(right - left).max(initial=0), np.abs(right + left).max(initial=0) / 2
     if turned < _TURNED_RAD and driven < _DRIVEN_RAD:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
@@ -35,6 +38,7 @@ from mobilecal_cli.model import (
 )
 
 _SIDES: tuple[Side, Side] = ("left", "right")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,3 +206,38 @@ def settle_rig(
         ),
         mounted.notes,
     )
+
+
+def lacking(
+    config: RigConfig, prelude: Prelude, urdf_text: str | None = None
+) -> tuple[RecordingError | ConfigError, ...]:
+    """Everything that keeps `settle_rig` from a rig, as far as one lack does not hide the next."""
+    found: list[RecordingError | ConfigError] = []
+
+    def tried(step: Callable[[], T]) -> T | None:
+        try:
+            return step()
+        except (RecordingError, ConfigError) as error:
+            found.append(error)
+            return None
+
+    images = tried(lambda: image_topics(config, prelude))
+    infos: dict[Side, CameraInfo] = {}
+    for side in _SIDES if images else ():
+        topic = tried(partial(info_topic, side, images[side], config, prelude)) if images else None
+        if topic is not None:
+            infos[side] = prelude.infos[topic]
+    if len(infos) == 2:
+        rectified = config.cameras.rectified or False
+        tried(lambda: check_sizes(infos))
+        tried(lambda: stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference))
+    wheels = tried(lambda: wheel_sources(config, prelude))
+    camera = infos.get(config.cameras.reference)
+    frame = camera.frame_id if camera else ""
+    mounted = tried(lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
+    if mounted is not None:
+        chain, urdf = mounted.chain, mounted.urdf
+        fields = tried(lambda: joint_fields(config, prelude, chain)) or {}
+        transforms = joint_transforms(config, prelude, chain, urdf)
+        tried(lambda: joint_topics(config, prelude, chain, {**fields, **transforms}))
+    return tuple(found)

@@ -2,6 +2,7 @@
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.model.observations import (
     Corners,
     Extraction,
@@ -51,6 +52,7 @@ __all__ = [
     "NINE",
     "BetweenLogs",
     "Board",
+    "BoardView",
     "BoolArray",
     "Camera",
     "CameraInfo",
@@ -62,15 +64,19 @@ __all__ = [
     "FloatArray",
     "GrayImage",
     "HeadChain",
+    "Inspection",
     "IntArray",
     "JointField",
     "JointLink",
+    "JointRange",
     "JointTransform",
     "KnownNoise",
+    "Lack",
     "Layout",
     "LinearEstimate",
     "LogSource",
     "Method",
+    "MotionView",
     "NoiseLevels",
     "Nominal",
     "Observation",
@@ -94,6 +100,7 @@ __all__ = [
     "StereoRig",
     "Suggestion",
     "TopicInfo",
+    "TopicView",
     "Track",
     "Uncertainty",
     "WheelGeometry",

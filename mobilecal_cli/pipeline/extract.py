@@ -16,6 +16,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     Board,
     Extraction,
+    HeadChain,
     JointLink,
     LogSource,
     Observation,
@@ -45,12 +46,16 @@ class Seen:
     notes: tuple[str, ...]
 
 
+def sliding_joints(chain: HeadChain) -> frozenset[str]:
+    """The joints of a head that slide: their readings are m."""
+    return frozenset(
+        link.joint for link in chain.links if isinstance(link, JointLink) and link.kind == "prismatic"
+    )
+
+
 def _plan(recording: Recording, rig: Rig) -> tuple[Plan, tuple[str, ...]]:
     signals = read_signals(recording, rig.sources, rig.chain.joints)
-    sliding = frozenset(
-        link.joint for link in rig.chain.links if isinstance(link, JointLink) and link.kind == "prismatic"
-    )
-    plan = plan_stations(signals, rig.chain.joints, sliding)
+    plan = plan_stations(signals, rig.chain.joints, sliding_joints(rig.chain))
     return plan, (*signals.notes, *plan.notes)
 
 

@@ -5,7 +5,7 @@ everything but the pictures' contents in one pass, `read_images` streams the pic
 """
 
 from mobilecal_cli.readers.hashing import sha256_of
-from mobilecal_cli.readers.images import decode_image, read_images
+from mobilecal_cli.readers.images import decode_image, pictures_near, read_images
 from mobilecal_cli.readers.opening import join_parts, open_recording
 from mobilecal_cli.readers.prelude import read_prelude
 from mobilecal_cli.readers.recording import Message, Recording
@@ -17,6 +17,7 @@ __all__ = [
     "decode_image",
     "join_parts",
     "open_recording",
+    "pictures_near",
     "read_images",
     "read_prelude",
     "read_signals",

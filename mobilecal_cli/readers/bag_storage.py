@@ -10,7 +10,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
+import numpy as np
+
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, Payload, ros2_spelling
 from mobilecal_cli.readers.compression import decompress
 from mobilecal_cli.readers.storage import Block, BlockStorage
@@ -76,6 +79,8 @@ class BagStorage(BlockStorage):
     Attributes:
         first: where the first record behind the bag header begins, bytes.
     """
+
+    container = "ROS 1 bag"
 
     first: int
 
@@ -154,6 +159,17 @@ class BagStorage(BlockStorage):
                 yield _u32(fields, b"conn"), _time_ns(fields, b"time"), view[body:end]
             elif kind == _CONNECTION:
                 self.define(fields, data[body:end])
+            at = end
+
+    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Connection id and log times of a chunk's messages, from the index records behind it."""
+        at = block.offset + block.size
+        while at < self.size:
+            fields, body, end = self.head(at)
+            if fields[b"op"][0] != _INDEX:
+                return
+            entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
+            yield _u32(fields, b"conn"), entries[:, 0] * 10**9 + entries[:, 1]
             at = end
 
     def define(self, fields: Fields, data: bytes) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, Layout, Rejection, Side
+from mobilecal_cli.model import GrayImage, Layout, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 
@@ -95,6 +95,32 @@ def read_images(
             yield side, stamp_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
         if not any(missing.values()):
             return
+
+
+def pictures_near(
+    recording: Recording, sources: Sources, times_ns: Sequence[int]
+) -> Iterator[GrayImage | Rejection]:
+    """Both cameras' first pictures from some moments on, without reading all of the recording.
+
+    Args:
+        recording: the open recording.
+        sources: its image topics.
+        times_ns: log times.
+
+    Yields:
+        (height, width) uint8, or why a picture cannot be decoded.
+    """
+    sides: dict[str, list[Side]] = {}
+    for side, topic in sources.image.items():
+        sides.setdefault(topic, []).append(side)
+    for message in recording.near(sides, times_ns):
+        try:
+            picture = decode_image(message.decode())
+        except RecordingError as error:
+            yield Rejection("readers", "picture cannot be decoded", error.message, message.log_time_ns)
+            continue
+        for side in sides[message.topic]:
+            yield _part(picture, side, sources.layout)
 
 
 def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:

@@ -8,12 +8,14 @@ from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
+from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, Payload, ros2_spelling
 from mobilecal_cli.readers.compression import decompress, message_payload
 from mobilecal_cli.readers.storage import SIZE_LIMIT, Block, BlockStorage
@@ -40,6 +42,8 @@ class McapStorage(BlockStorage):
     walked once, skipping payloads; the message indexes behind the chunks tell channels and counts, and only
     chunks that have none, or name a channel not met before, are decompressed for it.
     """
+
+    container = "MCAP"
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, records.Schema] = {}
@@ -144,6 +148,18 @@ class McapStorage(BlockStorage):
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.define(opcode, bytes(view[at : at + length]))
             at += length
+
+    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Channel id and log times of a chunk's messages, from the message indexes behind it."""
+        at = block.offset + block.size
+        while at + _HEAD.size <= self.size:
+            opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
+            if opcode != Opcode.MESSAGE_INDEX:
+                return
+            body = self.read_at(at + _HEAD.size, length)
+            (number,) = struct.unpack_from("<H", body)
+            yield number, np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)[:, 0].astype(np.int64)
+            at += _HEAD.size + length
 
     def define(self, opcode: int, body: bytes) -> None:
         """Take in a schema or channel record."""

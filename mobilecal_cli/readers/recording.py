@@ -11,8 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.model import TopicInfo
+from mobilecal_cli.model import IntArray, TopicInfo
 from mobilecal_cli.readers.channels import Channel, Payload
 from mobilecal_cli.readers.storage import RawMessage, Storage
 
@@ -161,10 +163,43 @@ class Recording:
             f"{self.name}: no topic {name}; topics present: {present}", "name one of them in rig.yaml"
         )
 
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+    @property
+    def containers(self) -> tuple[str, ...]:
+        """What kinds of files these are."""
+        return tuple(dict.fromkeys(part.container for part in self.parts))
+
+    def log_times(self) -> dict[str, IntArray]:
+        """Topic → (n,) log times in the order of the files; only topics of which all times can be had cheaply."""
+        times: dict[str, list[IntArray]] = {}
+        unknown = set()
+        for part in self.parts:
+            known = part.log_times()
+            for number, channel in part.channels.items():
+                if number in known:
+                    times.setdefault(channel.topic, []).append(known[number])
+                elif part.counts is None or part.counts.get(number, 0):
+                    unknown.add(channel.topic)
+        return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
+
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
+        """For every time and topic the first message from then on in the file that goes on at that time."""
+        for part in self.parts:
+            if part.start_ns is None or part.end_ns is None:
+                continue
+            inside = [time_ns for time_ns in times_ns if part.start_ns <= time_ns <= part.end_ns]
+            with boundary(part.path):
+                for channel, time_ns, payload in part.near(topics, inside):
+                    yield Message(time_ns, channel, payload)
+
+    def messages(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[Message]:
         """The topics' messages in order of log time.
 
         Files that follow one another are read one after the other; files that overlap in time are merged.
+
+        Args:
+            topics: which.
+            within_bytes: read only stretches of about so many bytes in all, evenly spread, where the topics cannot be
+                had with less; None: everything.
 
         Raises:
             RecordingError: a topic is missing or its encoding is not read, or a file is damaged beyond use.
@@ -176,24 +211,25 @@ class Recording:
             for channel in part.channels.values():
                 if channel.topic in names:
                     channel.check()
-        return self._stream(names)
+        return self._stream(names, within_bytes)
 
-    def _stream(self, topics: frozenset[str]) -> Iterator[Message]:
+    def _stream(self, topics: frozenset[str], within_bytes: int | None) -> Iterator[Message]:
         seen: Counter[str] = Counter()
+        each = None if within_bytes is None else within_bytes // len(self.parts)
         for group in _overlapping(self.parts):
-            streams = [self._part(part, topics) for part in group]
+            streams = [self._part(part, topics, each) for part in group]
             for channel, time_ns, payload in heapq.merge(*streams, key=lambda raw: raw[1]):
                 seen[channel.topic] += 1
                 yield Message(time_ns, channel, payload)
-        for topic in sorted(topics & self._stated.keys()):
+        for topic in sorted(topics & self._stated.keys()) if within_bytes is None else ():
             if seen[topic] < self._stated[topic]:
                 self.note(
                     f"{topic}: metadata.yaml states {self._stated[topic]} messages, {seen[topic]} could be read"
                 )
 
-    def _part(self, part: Storage, topics: frozenset[str]) -> Iterator[RawMessage]:
+    def _part(self, part: Storage, topics: frozenset[str], within_bytes: int | None) -> Iterator[RawMessage]:
         with boundary(part.path):
-            yield from part.raw(topics)
+            yield from part.raw(topics, within_bytes)
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:

@@ -34,7 +34,13 @@ SIDES: tuple[Side, Side] = ("left", "right")
 Taker = Callable[[Any, int], None]
 
 
-def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) -> Signals:
+def read_signals(
+    recording: Recording,
+    sources: Sources,
+    joints: Sequence[str],
+    sides: Sequence[Side] = SIDES,
+    within_bytes: int | None = None,
+) -> Signals:
     """Read everything but the pictures' contents, in one pass.
 
     Time is the header stamp where there is one that is not zero, the log time otherwise. Of equal stamps the
@@ -47,23 +53,25 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
         recording: the open recording.
         sources: the topics in use.
         joints: names of the head's joints.
+        sides: whose pictures' stamps are wanted.
+        within_bytes: see `Recording.messages`.
 
     Raises:
         RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
             type, a side has no images, or nothing finite is left of a joint or wheel.
     """
     reader = _Reader(recording)
-    for side in SIDES:
+    for side in sides:
         reader.image(side, sources.image[side])
     for topic in sources.joints:
         reader.joints(topic, [name for name in joints if name not in sources.elsewhere])
     reader.joints_elsewhere(sources.elsewhere)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
-    reader.run()
+    reader.run(within_bytes)
 
     notes: list[str] = []
-    images = {side: reader.image_stamps(side, sources.image[side], notes) for side in SIDES}
+    images = {side: reader.image_stamps(side, sources.image[side], notes) for side in sides}
     tracks = {name: reader.joint_track(name, sources.joints, notes) for name in joints}
     wheels: dict[Side, Track] = {}
     for side in SIDES:
@@ -244,9 +252,9 @@ class _Reader:
         self._wheels_apart[side] = _Apart(source.topic, field.track)
         self._subscribe(source.topic, field.take)
 
-    def run(self) -> None:
+    def run(self, within_bytes: int | None) -> None:
         """The pass."""
-        for message in self.recording.messages(self._takers):
+        for message in self.recording.messages(self._takers, within_bytes):
             try:
                 decoded = message.decode()
             except RecordingError:

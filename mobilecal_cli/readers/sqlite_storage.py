@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from array import array
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
+import numpy as np
+
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, ros2_spelling
 from mobilecal_cli.readers.compression import message_payload
 from mobilecal_cli.readers.storage import RawMessage, Storage
@@ -31,6 +35,8 @@ class SqliteStorage(Storage):
     The file is opened immutable, so nothing is ever written beside it. A write-ahead log that a killed recorder
     left behind holds messages: both are then copied to a temporary directory and read there.
     """
+
+    container = "rosbag2 SQLite"
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -108,8 +114,11 @@ class SqliteStorage(Storage):
             self.start_ns = min(row[2] for row in rows)
             self.end_ns = max(row[3] for row in rows)
 
-    def raw(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the table can be read."""
+    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the table can be read.
+
+        Rows of other topics cost nothing but their place in the table, so `within_bytes` changes nothing.
+        """
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
         if connection is None or not wanted:
@@ -136,6 +145,39 @@ class SqliteStorage(Storage):
                     yield self.channels[number], time_ns, self._payload(number, payload)
             self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
         self.compare_counts(topics, seen)
+
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+        """For every time and topic the first message from then on."""
+        connection = self._connection
+        if connection is None:
+            return
+        order = self._order(connection)
+        for time_ns in times_ns:
+            for number in [number for number, channel in self.channels.items() if channel.topic in topics]:
+                try:
+                    found = connection.execute(
+                        "SELECT timestamp, data FROM messages WHERE topic_id = ? AND timestamp >= ? "
+                        f"ORDER BY {order} LIMIT 1",
+                        (number, time_ns),
+                    ).fetchone()
+                except sqlite3.Error:  # a damaged page
+                    continue
+                if found is not None and isinstance(found[0], int):
+                    yield self.channels[number], found[0], self._payload(number, found[1])
+
+    def log_times(self) -> dict[int, IntArray]:
+        """Topic id → (n,) log times in the order of the table; empty where the table is damaged."""
+        times: dict[int, array[int]] = {}
+        if self._connection is None:
+            return {}
+        try:
+            for number, time_ns in self._connection.execute(
+                "SELECT topic_id, timestamp FROM messages ORDER BY id"
+            ):
+                times.setdefault(number, array("q")).append(time_ns)
+        except (sqlite3.Error, TypeError, OverflowError):
+            return {}
+        return {number: np.array(values, dtype=np.int64) for number, values in times.items()}
 
     def _payload(self, number: int, payload: object) -> bytes:
         data = payload if isinstance(payload, bytes) else str(payload).encode()

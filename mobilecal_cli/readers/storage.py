@@ -5,17 +5,23 @@ from __future__ import annotations
 import heapq
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
+
+from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, Payload
 
 RawMessage = tuple[Channel, int, Payload]
 
 #: No chunk, message or decompressed payload may claim more than this.
 SIZE_LIMIT = 2**31
+#: So much may be decompressed to learn the times of messages that no index tells, bytes in the file.
+UNINDEXED_BYTES = 2**26
 #: A log time beyond the year 2262 is damage; times fit 64 signed bits everywhere.
 LATEST_NS = 2**63
 
@@ -24,6 +30,7 @@ class Storage(ABC):
     """One file of a recording.
 
     Attributes:
+        container: what kind of file it is, for people.
         path: the file, as the user knows it.
         channels: channel id → channel.
         counts: channel id → number of messages that the file itself states (or that counting found), None
@@ -32,6 +39,7 @@ class Storage(ABC):
         damage: what was lost, whole sentences; complete after a full pass.
     """
 
+    container: ClassVar[str]
     path: Path
     channels: dict[int, Channel]
     counts: dict[int, int] | None
@@ -56,8 +64,22 @@ class Storage(ABC):
         self._damage[f"{self.path.name}: {sentence}"] = None
 
     @abstractmethod
-    def raw(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the file is whole."""
+    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is whole.
+
+        Args:
+            topics: which.
+            within_bytes: where the topics cannot be had without reading more of the file than this, only stretches
+                spread evenly over it are read; None: all.
+        """
+
+    @abstractmethod
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+        """For every time and topic the first message from then on; the few blocks that hold them are read."""
+
+    @abstractmethod
+    def log_times(self) -> dict[int, IntArray]:
+        """Channel id → (n,) log times in the order of the file; empty where they cannot be had without reading all."""
 
     @abstractmethod
     def close(self) -> None:
@@ -143,11 +165,20 @@ class BlockStorage(Storage):
             raise EOFError(f"the file ends at byte {self.size}, {size} bytes were expected from {offset}")
         return data
 
-    def raw(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the file is whole."""
+    @abstractmethod
+    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Channel id and log times of a block's messages as its index tells them; nothing where it has none."""
+
+    def _blocks_with(self, topics: Collection[str]) -> list[Block]:
+        """Blocks that may hold messages of the topics, in order of time."""
         wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
         blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
-        blocks.sort(key=lambda block: (block.start_ns, block.offset))
+        return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
+
+    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is whole."""
+        every = self._blocks_with(topics)
+        blocks = every if within_bytes is None else _spread(every, within_bytes)
         waiting: list[tuple[int, int, int, Payload]] = []
         order = count()
         seen: Counter[int] = Counter()
@@ -160,7 +191,39 @@ class BlockStorage(Storage):
                     heapq.heappush(waiting, (time_ns, next(order), number, payload))
         while waiting:
             yield self._release(waiting, seen)
-        self.compare_counts(topics, seen)
+        if len(blocks) == len(every):
+            self.compare_counts(topics, seen)
+
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+        """For every time and topic the first message from then on; the few blocks that hold them are read."""
+        of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}
+        for time_ns in times_ns:
+            for topic, blocks in of_topic.items():
+                # The block that goes on at that time may hold the topic's messages before it only.
+                later = (item for b in blocks if b.end_ns >= time_ns for item in self._messages_of(b))
+                for number, at_ns, payload in later:
+                    channel = self.channels.get(number)
+                    if channel is not None and channel.topic == topic and time_ns <= at_ns < LATEST_NS:
+                        yield channel, at_ns, payload
+                        break
+
+    def log_times(self) -> dict[int, IntArray]:
+        """Channel id → (n,) log times in the order of the file; empty where they cannot be had without reading all."""
+        found: dict[int, list[IntArray]] = {}
+        unindexed = 0
+        for block in sorted(self.blocks, key=lambda block: block.offset):
+            try:
+                times = list(self.indexed_times(block)) if block.is_chunk else []
+            except Exception:  # a damaged index: any exception at all; what is inside tells it
+                times = []
+            if not times:
+                unindexed += block.size
+                if unindexed > UNINDEXED_BYTES:
+                    return {}
+                times = [(number, np.array([at_ns])) for number, at_ns, _ in self._messages_of(block)]
+            for number, some in times:
+                found.setdefault(number, []).append(some)
+        return {number: np.concatenate(parts).astype(np.int64) for number, parts in found.items()}
 
     def _release(self, waiting: list[tuple[int, int, int, Payload]], seen: Counter[int]) -> RawMessage:
         time_ns, _, number, payload = heapq.heappop(waiting)
@@ -198,3 +261,12 @@ class BlockStorage(Storage):
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
+
+
+def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
+    """Blocks at even distances whose sizes add up to no more than allowed, at least one."""
+    total = sum(block.size for block in blocks)
+    if total <= within_bytes:
+        return blocks
+    count = max(1, len(blocks) * within_bytes // total)
+    return [blocks[i] for i in np.linspace(0, len(blocks) - 1, count).astype(int)]

@@ -4,7 +4,18 @@ from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.data import report_json
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.report.text import summary_table
 from mobilecal_cli.report.verdict import Verdict, judge
 
-__all__ = ["Check", "Verdict", "judge", "report_html", "report_json", "suggestion_sentences", "summary_table"]
+__all__ = [
+    "Check",
+    "Verdict",
+    "inspection_json",
+    "inspection_text",
+    "judge",
+    "report_html",
+    "report_json",
+    "suggestion_sentences",
+    "summary_table",
+]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Extraction, Provenance, Setting, Snapshot, Solution
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.findings import (
@@ -32,7 +33,6 @@ from mobilecal_cli.report.numbers import (
     rejection_counts,
     sigmas,
     stations_looked_at,
-    visible,
     written,
 )
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import unicodedata
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,18 +9,6 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
-
-_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
-
-
-def visible(text: str) -> str:
-    """Text from a log for people: what would steer a terminal or a page is written as an escape."""
-    return "".join(
-        character.encode("unicode_escape").decode("ascii")
-        if unicodedata.category(character) in _HIDDEN
-        else character
-        for character in text
-    )
 
 
 @dataclass(frozen=True, slots=True)

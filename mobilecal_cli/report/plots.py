@@ -10,13 +10,13 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, figure, style, svg
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     nine_numbers,
     predicted_point_rms_m,
     station_names,
-    visible,
 )
 
 if TYPE_CHECKING:

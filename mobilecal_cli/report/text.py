@@ -6,13 +6,13 @@ import textwrap
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import (
     nine_numbers,
     reference_frame,
     reference_pose,
     sigmas,
     stations_looked_at,
-    visible,
     written,
 )
 from mobilecal_cli.report.verdict import Verdict

@@ -15,6 +15,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
 from mobilecal_cli.report.known import believed, hidden, sigmas, square, wanting
 from mobilecal_cli.report.numbers import (
@@ -24,7 +25,6 @@ from mobilecal_cli.report.numbers import (
     rejection_counts,
     station_names,
     stations_looked_at,
-    visible,
 )
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH"]

@@ -14,8 +14,9 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import HeadChain, JointLink, LogSource, Parameters, Rejection, Snapshot
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report import judge, report_html, report_json, summary_table
-from mobilecal_cli.report.numbers import image_coverage, visible
+from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.report.overlays import leg_views
 from mobilecal_cli.report.plots import trail
 from tests.report.example import (

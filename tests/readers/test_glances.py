@@ -1,0 +1,82 @@
+"""What can be had of a recording without reading all of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import Sources
+from mobilecal_cli.readers import open_recording, pictures_near, read_signals
+from mobilecal_cli.readers.storage import BlockStorage
+
+from . import recordings as r
+
+ITEMS = r.world()
+TOPICS = {item.topic for item in ITEMS}
+
+
+@pytest.fixture(params=r.CONTAINERS)
+def recording(request, tmp_path):
+    with open_recording([r.CONTAINERS[request.param](tmp_path / "log", ITEMS)]) as opened:
+        yield opened
+
+
+def test_log_times_are_those_that_were_written(recording):
+    times = recording.log_times()
+    assert set(times) == TOPICS
+    for topic, found in times.items():
+        assert found.tolist() == [item.log_ns for item in ITEMS if item.topic == topic]
+
+
+def test_first_message_from_a_moment_on(recording):
+    moments = [r.START_NS + k * r.STEP_NS for k in (0, 17, 41)]
+    found = [(m.topic, m.log_time_ns) for m in recording.near(["/joint_states", "/left/image_raw"], moments)]
+    log = {"/joint_states": 3_000_000, "/left/image_raw": 3_000_002}
+    expected = [
+        (topic, r.START_NS + k * r.STEP_NS + log[topic])
+        for joint, image in ((0, 0), (17, 20), (41, 50))
+        for topic, k in (("/joint_states", joint), ("/left/image_raw", image))
+    ]
+    assert sorted(found) == sorted(expected)
+
+
+def test_pictures_near(recording):
+    sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
+    found = list(pictures_near(recording, sources, [r.START_NS + 25 * r.STEP_NS]))
+    assert {picture.tobytes() for picture in found} == {r.picture(30).tobytes(), r.picture(31).tobytes()}
+
+
+def test_a_part_is_read_where_blocks_are_large(recording):
+    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    if blocks and not all(block.is_chunk for block in blocks):
+        pytest.skip("one stretch outside chunks holds all of this small file's messages of a topic")
+    whole = read_signals(recording, r.SOURCES, r.JOINTS, ())
+    part = read_signals(recording, r.SOURCES, r.JOINTS, (), within_bytes=20_000)
+    assert part.image_ns == {}
+    known = dict(zip(whole.joints["pan"].time_ns.tolist(), whole.joints["pan"].value.tolist(), strict=True))
+    got = dict(zip(part.joints["pan"].time_ns.tolist(), part.joints["pan"].value.tolist(), strict=True))
+    assert got.items() <= known.items()
+    assert recording.damage == ()
+    if len(blocks) > 5:
+        assert 0 < len(got) < len(known)
+        assert max(got) - min(got) > 0.7 * (max(known) - min(known))
+    else:
+        assert got == known
+
+
+def test_times_of_a_large_file_without_an_index_stay_unknown(tmp_path, monkeypatch):
+    path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
+    monkeypatch.setattr("mobilecal_cli.readers.storage.UNINDEXED_BYTES", 10_000)
+    with open_recording([path]) as recording:
+        assert recording.log_times() == {}
+
+
+def test_times_of_several_parts_are_joined(tmp_path):
+    half = len(ITEMS) // 2
+    paths = [
+        r.write_mcap(tmp_path / f"{k}.mcap", part) for k, part in enumerate((ITEMS[:half], ITEMS[half:]))
+    ]
+    with open_recording(paths[::-1]) as recording:
+        times = recording.log_times()["/joint_states"]
+        assert times.tolist() == [item.log_ns for item in ITEMS if item.topic == "/joint_states"]
+        assert np.all(np.diff(times) > 0)
