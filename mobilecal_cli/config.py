@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,10 +18,12 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
+
+#: A robot's URDF with thousands of links is a tenth of this.
+LARGEST_URDF_BYTES = 2**24
 
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Text = Annotated[str, Field(min_length=1)]
@@ -238,12 +241,12 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        data = load_yaml(read_text(path, LARGEST_BYTES))
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be read: {error.strerror}", "check the path after --config"
         ) from error
-    except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except ValueError as error:
         where = " ".join(str(error).split())
         raise ConfigError(
             f"{path}: not valid YAML: {where}", "mobilecal init LOG writes a draft that is"
@@ -267,8 +270,8 @@ def parse_setting(text: str) -> tuple[str, Any]:
     if not equals or not key:
         raise ConfigError(f"--set {text}: not KEY=VALUE", "for example --set wheels.left.sign=-1")
     try:
-        return key, YAML(typ="safe", pure=True).load(value)
-    except (YAMLError, ValueError, RecursionError) as error:
+        return key, load_yaml(value)
+    except ValueError as error:
         raise ConfigError(f"--set {text}: the value is not valid YAML", "quote it") from error
 
 
@@ -281,8 +284,8 @@ def read_urdf(config: RigConfig) -> str | None:
     if config.head.urdf is None:
         return None
     try:
-        return config.head.urdf.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return read_text(config.head.urdf, LARGEST_URDF_BYTES)
+    except (OSError, ValueError) as error:
         raise ConfigError(
             f"head.urdf: {config.head.urdf} cannot be read: {error}", "check the path"
         ) from error
@@ -306,6 +309,8 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
         if isinstance(part, int):
             section = ChainLink
             continue
+        if part not in section.model_fields:  # a key of a mapping, such as a joint's name
+            continue
         annotation = section.model_fields[part].annotation
         arguments = [annotation, *getattr(annotation, "__args__", ())]
         inner = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
@@ -325,7 +330,7 @@ def _explained(error: ValidationError, data: Mapping[str, Any], path: Path | Non
             problems.append(f"{key}: unknown key")
             hints.append(f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
         else:
-            got = "" if isinstance(item["input"], Mapping) else f" (got {item['input']!r})"
+            got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
             problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
     where = f"{path}: " if path is not None else ""
     return ConfigError(

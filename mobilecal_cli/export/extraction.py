@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,9 @@ from mobilecal_cli.model import (
 )
 
 SCHEMA_VERSION = 3
+#: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
+LARGEST_BYTES = 2**29
+_LARGEST = 1e12
 _FORMAT = "mobilecal extraction"
 _OBSERVATION_ARRAYS: dict[str, type] = {
     "log": np.int64,
@@ -150,8 +154,27 @@ def _said(error: Exception) -> str:
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        stated = sum(member.file_size for member in archive.infolist())
+        if stated > LARGEST_BYTES:
+            raise ValueError(f"{len(data)} bytes claim to hold {stated}, at most {LARGEST_BYTES} are read")
+        return {name.removesuffix(".npy"): _array(name, archive.read(name)) for name in archive.namelist()}
+
+
+def _array(name: str, data: bytes) -> NDArray[Any]:
+    """One member, its head compared with its length before memory is asked for."""
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError(f"{name}: an array of an unknown version")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    if math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
+        raise ValueError(f"{name}: {len(data)} bytes do not hold {shape} of {dtype}")
+    stream.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    # Metres, radians, pixels: nothing that was seen is so far away, and its square would overflow.
+    if array.dtype.kind == "f" and not np.all(np.abs(array) < _LARGEST):
+        raise ValueError(f"{name}: numbers that are not finite, or beyond {_LARGEST:g}")
+    return array
 
 
 def _header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import secrets
 import shutil
@@ -13,6 +14,7 @@ from mobilecal_cli.errors import OutputError
 
 # What an output directory of ours may hold: with --force, nothing else is ever deleted.
 OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 _MARKS = ("params.yaml", "report.json")
 
 
@@ -132,12 +134,15 @@ def _put_in_place(partial: Path, target: Path) -> None:
         _sync(target.parent)
         return
     old = _free_name(target, "old")
-    target.rename(old)
-    try:
-        partial.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
+    if _exchange(partial, target):  # at no moment is there neither the old nor the new one
+        partial.rename(old)
+    else:
+        target.rename(old)
+        try:
+            partial.rename(target)
+        except BaseException:
+            old.rename(target)
+            raise
     _sync(target.parent)
     try:
         shutil.rmtree(old)
@@ -146,3 +151,13 @@ def _put_in_place(partial: Path, target: Path) -> None:
             f"{target}: written, but the directory that it replaced cannot be removed: {error.strerror}",
             f"remove {old} by hand",
         ) from error
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Let two paths change places in one step; False where the system or the file system cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    done = rename(_AT_FDCWD, os.fsencode(first), _AT_FDCWD, os.fsencode(second), _RENAME_EXCHANGE)
+    return bool(done == 0)

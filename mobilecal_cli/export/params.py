@@ -15,14 +15,13 @@ from pydantic import (
     ValidationError,
     field_validator,
 )
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Provenance, Solution, StereoRig, WheelGeometry
 from mobilecal_cli.model.arrays import freeze
+from mobilecal_cli.yaml_input import load_yaml
 
 GIMBAL_WARNING_DEG = (
     5.0  # nearer to the lock than this, x and z trade places at ten times the noise of the axis
@@ -232,8 +231,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         ConfigError: not YAML, another schema version, a missing key or a bad value.
     """
     try:
-        data = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
+        data = load_yaml(text)
+    except ValueError as error:
         raise ConfigError(f"{name}: not valid YAML: {' '.join(str(error).split())}", _HINT) from error
     if not isinstance(data, dict):
         raise ConfigError(f"{name}: holds no keys", _HINT)

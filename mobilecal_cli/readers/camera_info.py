@@ -47,6 +47,13 @@ def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the t
     Raises:
         RecordingError: K or P is zero, something is not finite, or the distortion model is not known.
     """
+    try:
+        return _converted(message, topic)
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:  # JSON holds anything
+        raise RecordingError(f"{topic}: not a camera info: {error}", _ADVICE) from error
+
+
+def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
     K = _matrix(message, "K", (3, 3), topic)
     P = _matrix(message, "P", (3, 4), topic)
     R = _matrix(message, "R", (3, 3), topic)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -18,6 +20,13 @@ Payload = bytes | memoryview
 
 _ENCODINGS = ("cdr", "ros1", "protobuf", "json")
 
+#: The largest messages of MoveIt and Autoware have a third of this; the time to make a decoder grows with it.
+_MOST_FIELDS = 2000
+_MOST_INSIDE = 100_000
+#: What a type costs beside its fields, in fields.
+_FIELDS_A_TYPE = 10
+_COMMENT = re.compile(r"#.*|//.*")
+_MESSAGE_LIST = re.compile(r"[A-Za-z]\w*(?:/|::)\w+\s*(?:\w+\s*)?\[(?:<=)?(\d+)\]")
 #: Two lines of this precede each file in concatenated IDL definitions.
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
@@ -146,6 +155,12 @@ def _embedded_types(
     """The types that the definition text declares; None where there is none that can be used."""
     if not definition.strip() or not definition_format:
         return None
+    if _cost(definition) > _MOST_FIELDS:
+        raise RecordingError(
+            f"the definition of the message type {type_name} has {_cost(definition)} fields and more, at most "
+            f"{_MOST_FIELDS} are read",
+            "record the topic with its own definition, or leave it out",
+        )
     try:
         if definition_format == "msg":
             types = get_types_from_msg(definition, type_name)
@@ -155,23 +170,86 @@ def _embedded_types(
                 types.update(get_types_from_idl(part.partition("\n")[2]))
         else:
             types = get_types_from_idl(definition)
+        _check_growth(types)
         store = get_typestore(Stores.EMPTY)
         store.register(types)
         store.get_msgdef(type_name)
+    except RecordingError:
+        raise
     except Exception:  # a damaged definition: the common types may still do
         return None
     return store if _agrees(store, _default_types(encoding)) else None
+
+
+def _cost(definition: str) -> int:
+    """About how many fields a decoder has to be made for: lists of fixed length count as often as they are long.
+
+    Only lists of messages count so; numbers are read at one stroke.
+    """
+    plain = _COMMENT.sub("", definition)
+    lengths = (int(length[:9]) for length in _MESSAGE_LIST.findall(plain))
+    types = plain.count("MSG:") + plain.count("struct ")
+    return sum(1 for line in plain.splitlines() if line.strip()) + sum(lengths) + _FIELDS_A_TYPE * types
+
+
+def _check_growth(types: Mapping[str, Any]) -> None:
+    """Refuse types of which a few bytes make messages without end.
+
+    Raises:
+        RecordingError: a type that holds millions of others, or a list of messages that take no bytes.
+        RecursionError: a type that holds itself.
+    """
+    sizes: dict[str, tuple[int, bool]] = {}
+
+    def size(name: str) -> tuple[int, bool]:
+        """Messages inside, itself included, and whether it takes bytes at all."""
+        if name not in types or name in sizes:
+            return sizes.get(name, (1, True))
+        inside, weighs = 1, False
+        for _, (kind, what) in types[name][1]:
+            length, (inner_kind, inner) = 1, (kind, what)
+            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                (inner_kind, inner), length = what
+            if inner_kind == Nodetype.BASE:
+                weighs = True
+                continue
+            count, heavy = size(inner)
+            if kind == Nodetype.SEQUENCE:
+                if not heavy:
+                    raise _endless(name)
+                weighs = True
+                continue
+            inside, weighs = inside + count * length, weighs or heavy
+        if inside > _MOST_INSIDE:
+            raise _endless(name)
+        sizes[name] = inside, weighs
+        return sizes[name]
+
+    for name in types:
+        size(name)
+
+
+def _endless(name: str) -> RecordingError:
+    return RecordingError(
+        f"the definition of the message type {name} makes millions of messages out of a few bytes",
+        "record the topic with its own definition, or leave it out",
+    )
 
 
 def _agrees(store: Typestore, common: Typestore) -> bool:
     """Whether the types that the readers rely on are as everywhere; else their definitions are damaged."""
     for name in _RELIED_ON & store.fielddefs.keys():
         ours, theirs = store.fielddefs[name][1], common.fielddefs[name][1]
-        if [(field.lower(), kind) for field, kind in ours] != [
-            (field.lower(), kind) for field, kind in theirs
+        if [(_caseless(field), kind) for field, kind in ours] != [
+            (_caseless(field), kind) for field, kind in theirs
         ]:
             return False
     return True
+
+
+def _caseless(field: str) -> str:
+    """ROS 1 spells a camera's matrices D, K, R, P, ROS 2 d, k, r, p; all else is the same."""
+    return field.lower() if len(field) == 1 else field
 
 
 @lru_cache(maxsize=2)

@@ -14,6 +14,16 @@ from mobilecal_cli.readers.storage import SIZE_LIMIT
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+#: Whatever it is made of, so much may come out of a chunk; more only where the ratio below holds.
+ALWAYS_BYTES = 2**24
+#: Pictures and readings never compress further; what claims to is made to fill memory or disk.
+LARGEST_RATIO = 1000
+
+
+def largest_size(stored: int) -> int:
+    """How many bytes may come out of so many."""
+    return min(SIZE_LIMIT, max(ALWAYS_BYTES, LARGEST_RATIO * stored))
+
 
 def decompress(data: bytes, method: str, size: int) -> bytes:
     """A chunk's bytes.
@@ -26,8 +36,8 @@ def decompress(data: bytes, method: str, size: int) -> bytes:
     Raises:
         ValueError: unknown method, or the length differs from the claim.
     """
-    if not 0 <= size <= SIZE_LIMIT:
-        raise ValueError(f"a chunk claims {size} bytes")
+    if not 0 <= size <= largest_size(len(data)):
+        raise ValueError(f"a chunk of {len(data)} bytes claims to hold {size}")
     if method in ("", "none"):
         whole = data
     elif method == "lz4":
@@ -54,10 +64,13 @@ def message_payload(payload: Payload) -> Payload:
     """
     if bytes(payload[:4]) != ZSTD_MAGIC:
         return payload
+    limit = largest_size(len(payload))
     with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
-        whole = reader.read(SIZE_LIMIT)
+        whole = reader.read(limit + 1)
     if not whole:
         raise ValueError("an empty zstd frame")
+    if len(whole) > limit:
+        raise ValueError(f"a message of {len(payload)} bytes decompresses to more than {limit}")
     return whole
 
 
@@ -70,6 +83,9 @@ def expand(source: BinaryIO, target: Path) -> str:
     Raises:
         OSError: `target` cannot be written.
     """
+    stored = source.seek(0, 2)
+    source.seek(0)
+    room = max(ALWAYS_BYTES, LARGEST_RATIO * stored)
     with target.open("wb") as sink, zstandard.ZstdDecompressor().stream_reader(source) as reader:
         while True:
             try:
@@ -78,4 +94,7 @@ def expand(source: BinaryIO, target: Path) -> str:
                 return str(error)
             if not piece:
                 return ""
+            room -= len(piece)
+            if room < 0:
+                return f"its {stored} bytes decompress to more than {LARGEST_RATIO} times as many"
             sink.write(piece)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,14 +11,16 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, Layout, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 
-#: No picture may claim more pixels than this (the largest sensors sold have a quarter of it).
-LARGEST_PIXELS = 2**30
+#: No picture may claim more pixels than this, five times those of a large stereo camera.
+LARGEST_PIXELS = 2**26
+_COMPRESSIONS = ("JPEG", "PNG")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,13 +164,33 @@ def _decompressed(message: Any) -> GrayImage:  # noqa: ANN401
     data = np.frombuffer(message.data, dtype=np.uint8)
     if not data.size:
         raise RecordingError("picture empty: 0 bytes", "")
+    _check_claim(message.data, str(message.format))
     gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
     if gray is None:
-        raise RecordingError(
-            f"picture damaged: {data.size} bytes of {message.format!r} are neither JPEG nor PNG that opens",
-            "",
-        )
+        raise _not_a_picture(data.size, str(message.format))
     return np.asarray(gray, dtype=np.uint8)
+
+
+def _not_a_picture(size: int, kind: str) -> RecordingError:
+    return RecordingError(
+        f"picture damaged: {size} bytes of {kind!r} are neither JPEG nor PNG that opens", ""
+    )
+
+
+def _check_claim(data: Any, kind: str) -> None:  # noqa: ANN401 - bytes or an array of them
+    """Read a compressed picture's head only, before memory for its pixels is asked for."""
+    stored = bytes(memoryview(data))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a large picture: it is refused below
+            with Image.open(io.BytesIO(stored), formats=_COMPRESSIONS) as picture:
+                width, height = picture.size
+    except Image.DecompressionBombError as error:  # larger still than what is refused below
+        raise RecordingError(f"picture size makes no sense: {error}", "") from error
+    except Exception as error:  # damaged heads raise almost anything
+        raise _not_a_picture(len(stored), kind) from error
+    if width * height > LARGEST_PIXELS:
+        raise RecordingError(f"picture size {width}x{height} makes no sense", "")
 
 
 def _raw(message: Any) -> GrayImage:  # noqa: ANN401

@@ -18,7 +18,7 @@ from mcap.summary import Summary
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, Payload, ros2_spelling
 from mobilecal_cli.readers.compression import decompress, message_payload
-from mobilecal_cli.readers.storage import SIZE_LIMIT, Block, BlockStorage
+from mobilecal_cli.readers.storage import LATEST_NS, SIZE_LIMIT, Block, BlockStorage
 from mobilecal_cli.readers.walk import Walk
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -69,7 +69,7 @@ class McapStorage(BlockStorage):
     def _complete_summary(self) -> Summary | None:
         """The summary, if the index in it is whole: every chunk is where it says, every channel is known."""
         try:
-            summary = SeekingReader(self._stream, record_size_limit=SIZE_LIMIT).get_summary()
+            summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
         except Exception:  # cut short or damaged: any exception at all; the walk does not need a summary
             return None
         if summary is None or not summary.chunk_indexes:
@@ -158,7 +158,8 @@ class McapStorage(BlockStorage):
                 return
             body = self.read_at(at + _HEAD.size, length)
             (number,) = struct.unpack_from("<H", body)
-            yield number, np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)[:, 0].astype(np.int64)
+            times = np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)[:, 0]
+            yield number, times[times < LATEST_NS].astype(np.int64)
             at += _HEAD.size + length
 
     def define(self, opcode: int, body: bytes) -> None:

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 
-from ruamel.yaml import YAML
-
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import bag_storage, compression, mcap_storage, sqlite_storage
 from mobilecal_cli.readers.channels import Channel
 from mobilecal_cli.readers.parts import group_parts
 from mobilecal_cli.readers.recording import Recording, boundary
 from mobilecal_cli.readers.storage import Storage
+from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → what reads it.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
@@ -120,8 +119,9 @@ class _Opened:
     def _listed(self, folder: Path) -> list[Path]:
         """The files that metadata.yaml names, and its message counts; empty when it cannot be used."""
         try:
-            text = (folder / METADATA).read_text(encoding="utf-8")
-            information = YAML(typ="safe", pure=True).load(text)["rosbag2_bagfile_information"]
+            information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))[
+                "rosbag2_bagfile_information"
+            ]
             names = [PurePath(name).name for name in information["relative_file_paths"]]
             stated = {
                 str(entry["topic_metadata"]["name"]): int(entry["message_count"])

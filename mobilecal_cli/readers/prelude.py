@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CameraInfo, Prelude
@@ -14,6 +15,8 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 STRING = "std_msgs/msg/String"
+
+T = TypeVar("T")
 
 #: So many messages of a joint-state topic are looked at: drivers that share a topic take turns on it.
 JOINT_MESSAGES = 50
@@ -39,41 +42,46 @@ def read_prelude(recording: Recording) -> Prelude:
         names.setdefault(info.type, []).append(info.name)
     images = [topic for kind in IMAGES for topic in names.get(kind, [])]
     urdfs = {
-        topic: str(message.data)
+        topic: text
         for topic in names.get(STRING, [])
         if "robot_description" in topic
-        for message in _first(recording, topic)
-        if message.data.strip()
+        for text in _first(recording, topic, lambda message: str(message.data))
+        if text.strip()
     }
     return Prelude(
         topics=recording.topics,
         infos=_infos(recording, names.get(CAMERA_INFO, [])),
         image_frames={
-            topic: str(message.header.frame_id) for topic in images for message in _first(recording, topic)
+            topic: frame
+            for topic in images
+            for frame in _first(recording, topic, lambda message: str(message.header.frame_id))
         },
         joint_names={topic: _joint_names(recording, topic) for topic in names.get(JOINT_STATE, [])},
         urdfs=urdfs,
     )
 
 
-def _first(recording: Recording, topic: str) -> list[Any]:
-    """The topic's first message that can be decoded, if one of the first few can."""
-    return _decoded(recording, topic, TRIES, enough=1)
+def _first(recording: Recording, topic: str, read: Callable[[Any], T]) -> list[T]:
+    """What is read of the topic's first message that has it, if one of the first few has."""
+    return _read(recording, topic, TRIES, 1, read)
 
 
-def _decoded(recording: Recording, topic: str, most: int, enough: int) -> list[Any]:
-    """Up to `enough` decoded messages among the topic's first `most`; a topic that cannot be read gives none.
+def _read(recording: Recording, topic: str, most: int, enough: int, read: Callable[[Any], T]) -> list[T]:
+    """What is read of up to `enough` messages among the topic's first `most`; a topic that cannot be read gives none.
 
     The reason is noted, not raised: the topic may be none that the calibration uses.
     """
-    result: list[Any] = []
+    result: list[T] = []
     reason = ""
     try:
         for message in islice(recording.messages([topic]), most):
             try:
-                result.append(message.decode())
+                decoded = message.decode()
+                result.append(read(decoded))
             except RecordingError as error:
                 reason = error.message
+            except (AttributeError, TypeError, ValueError, OverflowError) as error:  # JSON holds anything
+                reason = f"{topic}: a {message.type} that is none: {error}"
             if len(result) == enough:
                 break
     except RecordingError as error:
@@ -84,8 +92,10 @@ def _decoded(recording: Recording, topic: str, most: int, enough: int) -> list[A
 
 
 def _joint_names(recording: Recording, topic: str) -> tuple[str, ...]:
-    messages = _decoded(recording, topic, JOINT_MESSAGES, enough=JOINT_MESSAGES)
-    return tuple(dict.fromkeys(str(name) for message in messages for name in message.name))
+    messages = _read(
+        recording, topic, JOINT_MESSAGES, JOINT_MESSAGES, lambda message: [str(name) for name in message.name]
+    )
+    return tuple(dict.fromkeys(name for names in messages for name in names))
 
 
 def _infos(recording: Recording, topics: list[str]) -> dict[str, CameraInfo]:
@@ -93,7 +103,7 @@ def _infos(recording: Recording, topics: list[str]) -> dict[str, CameraInfo]:
     infos: dict[str, CameraInfo] = {}
     problems: list[RecordingError] = []
     for topic in topics:
-        for message in _first(recording, topic):
+        for message in _first(recording, topic, lambda message: message):
             try:
                 infos[topic] = camera_info(message, topic)
             except RecordingError as error:

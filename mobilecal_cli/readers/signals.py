@@ -257,12 +257,17 @@ class _Reader:
         for message in self.recording.messages(self._takers, within_bytes):
             try:
                 decoded = message.decode()
-            except RecordingError:
+                time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
+                for take in self._takers[message.topic]:
+                    take(decoded, time_ns)
+            except (
+                RecordingError,
+                AttributeError,
+                TypeError,
+                ValueError,
+                OverflowError,
+            ):  # JSON holds anything
                 self._broken[message.topic] = self._broken.get(message.topic, 0) + 1
-                continue
-            time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
-            for take in self._takers[message.topic]:
-                take(decoded, time_ns)
 
     def undecodable(self) -> list[str]:
         """Notes on messages that do not fit their type."""

@@ -17,7 +17,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, ros2_spelling
 from mobilecal_cli.readers.compression import message_payload
-from mobilecal_cli.readers.storage import RawMessage, Storage
+from mobilecal_cli.readers.storage import SIZE_LIMIT, RawMessage, Storage
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -62,6 +62,8 @@ class SqliteStorage(Storage):
             shutil.copyfile(log, folder / log.name)
             path, options = folder / path.name, "mode=rw"
         connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{options}", uri=True)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
+        connection.execute("PRAGMA trusted_schema=OFF")
         connection.text_factory = lambda raw: raw.decode(errors="replace")
         return connection
 

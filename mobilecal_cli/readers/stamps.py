@@ -48,7 +48,7 @@ class Clock:
 
     def time_ns(self, message: Any, log_time_ns: int) -> int:  # noqa: ANN401
         """`stamp_of` the message, counted."""
-        time_ns = stamp_of(message, log_time_ns)
+        time_ns = stamp_of(message, log_time_ns)  # raises for a stamp that is no time: not counted
         self.messages += 1
         stamp = _header_stamp(message)
         self.has_header = stamp is not None

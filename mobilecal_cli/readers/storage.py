@@ -18,8 +18,8 @@ from mobilecal_cli.readers.channels import Channel, Payload
 
 RawMessage = tuple[Channel, int, Payload]
 
-#: No chunk, message or decompressed payload may claim more than this.
-SIZE_LIMIT = 2**31
+#: No chunk, message or decompressed payload may claim more than this: it is held in memory as a whole.
+SIZE_LIMIT = 2**29
 #: So much may be decompressed to learn the times of messages that no index tells, bytes in the file.
 UNINDEXED_BYTES = 2**26
 #: A log time beyond the year 2262 is damage; times fit 64 signed bits everywhere.
@@ -158,7 +158,9 @@ class BlockStorage(Storage):
             EOFError: the file ends before.
         """
         if not 0 <= size <= SIZE_LIMIT:
-            raise ValueError(f"a record claims {size} bytes")
+            raise ValueError(f"a record claims {size} bytes, at most {SIZE_LIMIT} are read")
+        if offset + size > self.size:
+            raise EOFError(f"the file ends at byte {self.size}, {size} bytes were expected from {offset}")
         self._stream.seek(offset)
         data = self._stream.read(size)
         if len(data) != size:
@@ -238,11 +240,14 @@ class BlockStorage(Storage):
                 found += 1
                 yield item
         except Exception as error:  # damaged bytes raise almost anything in the decompressors and parsers
-            kept = f"its first {found} messages are used" if found else "its messages are left out"
-            self.note(
-                f"the {'chunk' if block.is_chunk else 'stretch'} at byte {block.offset} of {self.size} is "
-                f"damaged ({type(error).__name__}: {error}); {kept}"
-            )
+            self._note_block(block, found, error)
+
+    def _note_block(self, block: Block, found: int, error: Exception) -> None:
+        kept = f"its first {found} messages are used" if found else "its messages are left out"
+        self.note(
+            f"the {'chunk' if block.is_chunk else 'stretch'} at byte {block.offset} of {self.size} is "
+            f"damaged ({type(error).__name__}: {error}); {kept}"
+        )
 
     def look_inside(self, block: Block) -> tuple[dict[int, int], int, int, Exception | None]:
         """Messages per channel in a block, its first and last log time, and the damage that ended it."""
@@ -252,7 +257,8 @@ class BlockStorage(Storage):
             for number, time_ns, _ in self.parse(self.load(block)):
                 counts[number] += 1
                 start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
-        except Exception as error:  # damaged bytes raise almost anything; noted when the block is read
+        except Exception as error:  # damaged bytes raise almost anything
+            self._note_block(block, counts.total(), error)
             return dict(counts), start_ns, end_ns, error
         return dict(counts), start_ns, end_ns, None
 

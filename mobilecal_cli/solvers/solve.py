@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.observability import tainted
 from mobilecal_cli.likelihood.problem import head_at
@@ -78,9 +79,21 @@ def solve(
         SolveError: not converged, an encoder's sign or the wheels' order is wrong, or something that the log does not
             show has no nominal value to be held at.
     """
+    try:
+        return _solved(extraction, method, start_ratios, asked or Asked())
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            f"the numbers of this log cannot be solved for: {error}",
+            "calibrate from the recording again; if that ends here, too, its stations contradict one another",
+        ) from error
+
+
+def _solved(
+    extraction: Extraction, method: Method, start_ratios: FloatArray | None, asked: Asked
+) -> Solution:
     loops = closed_loops(extraction)
     if method == "ml":
-        return _by_likelihood(extraction, loops, start_ratios, asked or Asked())
+        return _by_likelihood(extraction, loops, start_ratios, asked)
     linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
     check_signs(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]

@@ -1,0 +1,77 @@
+"""YAML that others wrote: plain values only, and no more of them than the text is long."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+#: No configuration and no metadata.yaml needs more; the parser takes seconds for it.
+LARGEST_BYTES = 2**17
+_MOST_VALUES = 100_000
+_DEEPEST = 100
+_BRACKET = re.compile(r"[\[\]{}]")
+_NESTED_ITEMS = re.compile(r"(?:[-?:][ \t]+){101}")
+
+
+def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known when it is read
+    """Plain values: numbers, strings, lists, dictionaries. Tags that would make other objects are errors.
+
+    Raises:
+        ValueError: not YAML; too long or too deep; or anchors that stand for more values than anybody wrote.
+    """
+    if len(text) > LARGEST_BYTES:
+        raise ValueError(f"{len(text)} characters, at most {LARGEST_BYTES} are read")
+    if _open_brackets(text) > _DEEPEST or _NESTED_ITEMS.search(
+        text
+    ):  # the parser would take minutes to say so
+        raise ValueError(f"nested deeper than {_DEEPEST}")
+    try:
+        value = YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, RecursionError, OverflowError, TypeError) as error:
+        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
+    _count(value, 0, {})
+    return value
+
+
+def read_text(path: Path, largest_bytes: int) -> str:
+    """A text file's contents.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no file (a device, a pipe), too long, or not UTF-8.
+    """
+    if not path.is_file():
+        path.stat()  # raises where there is nothing
+        raise ValueError("not a file")
+    with path.open("rb") as stream:
+        data = stream.read(largest_bytes + 1)
+    if len(data) > largest_bytes:
+        raise ValueError(f"more than {largest_bytes} bytes")
+    return data.decode("utf-8")
+
+
+def _open_brackets(text: str) -> int:
+    """The most brackets that are open at once, those in strings counted as well."""
+    depth = most = 0
+    for bracket in _BRACKET.findall(text):
+        depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
+        most = max(most, depth)
+    return most
+
+
+def _count(value: object, depth: int, known: dict[int, int]) -> int:
+    """Values with everything below them, each use of an anchor counted: what writing them out would take."""
+    if depth > _DEEPEST:
+        raise ValueError(f"nested deeper than {_DEEPEST}, or an anchor that holds itself")
+    if not isinstance(value, (dict, list)):
+        return 1
+    if id(value) not in known:
+        items = [*value.keys(), *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_count(item, depth + 1, known) for item in items)
+    if known[id(value)] > _MOST_VALUES:
+        raise ValueError(f"anchors that stand for more than {_MOST_VALUES} values")
+    return known[id(value)]

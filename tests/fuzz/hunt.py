@@ -1,0 +1,153 @@
+"""The hunt: mutated inputs by the thousand, in processes that may hang or die without ending it.
+
+`python -m tests.fuzz.hunt COUNT [FIRST]` prints a table and every finding; case N is the same in every run.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import multiprocessing as mp
+import os
+import random
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mobilecal_cli.errors import MobilecalError
+from tests.fuzz.mutate import mutated
+from tests.fuzz.targets import Target, place, targets
+
+HANG_S = 10.0
+#: Address space that an input may make the process ask for beyond what it has when the hunt begins.
+MEMORY_BYTES = 3 * 2**29
+
+
+@dataclass
+class Haul:
+    """What a hunt found.
+
+    Attributes:
+        outcomes: target and outcome → count; "read", or the class of the documented error.
+        findings: case and what went wrong, one line and more.
+        peak_mb: the largest resident memory of a process.
+        slowest: seconds, case.
+    """
+
+    outcomes: Counter[tuple[str, str]] = field(default_factory=Counter)
+    findings: list[str] = field(default_factory=list)
+    peak_mb: float = 0.0
+    slowest: tuple[float, int] = (0.0, -1)
+
+
+def attempt(name: str, target: Target, case: int, folder: Path) -> str:
+    """Use one mutated input: "read" or the class of the documented error.
+
+    Raises:
+        Exception: anything else that the product raised: a finding.
+    """
+    dice = random.Random(f"{name} {case}")
+    contents = dict(target.files)
+    victim = dice.choice(sorted(contents))
+    contents[victim] = mutated(contents[victim], dice)
+    path = place(target, contents, folder / "input")
+    try:
+        target.use(path)
+    except MobilecalError as error:
+        if "MemoryError" in error.message:
+            raise MemoryError(error.message) from error
+        return type(error).__name__
+    return "read"
+
+
+def _work(
+    every: dict[str, Target], first: int, last: int, step: int, case: mp.Value, reports: mp.Queue
+) -> None:
+    """Cases first, first + step, ... below last."""
+    warnings.simplefilter("ignore")  # numpy's on absurd numbers
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary, Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)  # image libraries complain there
+        folder = Path(temporary)
+        names = sorted(every)
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        limit = pages * resource.getpagesize() + MEMORY_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        for number in range(first, last, step):
+            case.value = number
+            name = names[number % len(names)]
+            faulthandler.dump_traceback_later(HANG_S, exit=True)
+            start = time.perf_counter()
+            try:
+                outcome, wrong = attempt(name, every[name], number, folder), ""
+            except BaseException as error:
+                outcome = f"FOUND {type(error).__name__}"
+                wrong = f"case {number} ({name}): {''.join(traceback.format_exception(error)[-6:])}"
+            faulthandler.cancel_dump_traceback_later()
+            reports.put((number, name, outcome, wrong, time.perf_counter() - start))
+        reports.put((last, "", "peak", "", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+    case.value = -1
+
+
+def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
+    """Try so many cases."""
+    workers = workers or os.cpu_count() or 1
+    context = mp.get_context("spawn")
+    reports: mp.Queue = context.Queue()
+    haul, last = Haul(), first + count
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
+        every = targets(Path(temporary))
+
+    def start(at: int) -> tuple[mp.Process, mp.Value]:
+        case = context.Value("q", at)
+        process = context.Process(target=_work, args=(every, at, last, workers, case, reports))
+        process.start()
+        return process, case
+
+    running = [start(first + k) for k in range(min(workers, count))]
+    while running or not reports.empty():
+        while not reports.empty():
+            number, name, outcome, wrong, seconds = reports.get()
+            if outcome == "peak":
+                haul.peak_mb = max(haul.peak_mb, seconds)
+                continue
+            haul.outcomes[name, outcome] += 1
+            haul.slowest = max(haul.slowest, (seconds, number))
+            if wrong:
+                haul.findings.append(wrong)
+        for process, case in list(running):
+            if process.is_alive():
+                continue
+            running.remove((process, case))
+            if process.exitcode != 0 or case.value >= 0:
+                haul.findings.append(
+                    f"case {case.value}: the process ended with {process.exitcode}: hang or crash"
+                )
+                haul.outcomes["", "FOUND hang or crash"] += 1
+                if case.value + workers < last:
+                    running.append(start(case.value + workers))
+        time.sleep(0.05)
+    return haul
+
+
+def main() -> None:
+    """Print what a hunt of COUNT cases found."""
+    count, first = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    haul = hunt(count, first)
+    names = sorted({name for name, _ in haul.outcomes})
+    kinds = sorted({outcome for _, outcome in haul.outcomes})
+    print(f"| input | {' | '.join(kinds)} |\n|{' --- |' * (len(kinds) + 1)}")
+    for name in names:
+        print(f"| {name} | " + " | ".join(str(haul.outcomes[name, kind]) for kind in kinds) + " |")
+    print(f"\n{sum(haul.outcomes.values())} inputs, {len(haul.findings)} findings; "
+          f"peak {haul.peak_mb:.0f} MB a process; slowest {haul.slowest[0]:.1f} s (case {haul.slowest[1]})")  # fmt: skip
+    for finding in haul.findings:
+        print(f"\n{finding}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""What is fuzzed: sound inputs, and what a user's command does with them."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.writer import Writer as ProtobufWriter
+
+from mobilecal_cli import pipeline
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.discovery import lacking
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
+from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli.readers import open_recording, pictures_near, read_images, read_prelude, read_signals
+from mobilecal_cli.report import inspection_json, inspection_text
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.solvers import solve
+from mobilecal_cli.uncertainty import motion_gaps, require_stations
+from tests.readers import recordings as r
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+Use = Callable[[Path], None]
+
+
+@dataclass(frozen=True)
+class Target:
+    """One kind of input.
+
+    Attributes:
+        files: name in the input's directory → sound contents; the file of one name is the input itself.
+        path: what the command is given, "" for the directory.
+        use: what is done with it; raises MobilecalError, or nothing.
+        zipped: the files are members of an archive, which is what the command is given: damage to them passes the
+            archive's own checksums.
+    """
+
+    files: dict[str, bytes]
+    path: str
+    use: Use
+    zipped: bool = False
+
+
+def _read(path: Path) -> None:
+    """All that calibrate, inspect and init do with a recording before they look at pictures."""
+    with open_recording([path]) as recording:
+        recording.log_times()
+        prelude = read_prelude(recording)
+        lacking(load_rig(None, {}), prelude)
+        signals = read_signals(recording, r.SOURCES, r.JOINTS)
+        wanted = {side: set(stamps.tolist()) for side, stamps in signals.image_ns.items()}
+        for _ in read_images(recording, r.SOURCES.image, wanted):
+            pass
+        sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
+        for _ in pictures_near(recording, sources, [recording.start_ns or 0]):
+            pass
+
+
+def _glance(path: Path) -> None:
+    found = pipeline.inspect([path])
+    inspection_json(found)
+    inspection_text(found)
+
+
+def _rig(path: Path) -> None:
+    load_rig(path, {})
+
+
+def _params(path: Path) -> None:
+    parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
+
+
+def _urdf(path: Path) -> None:
+    urdf = parse_urdf(path.read_text(encoding="utf-8", errors="replace"))
+    for tip in urdf.links[:50]:
+        with suppress(MobilecalError):
+            urdf.path(urdf.root, tip)
+    wheels = ("wheel_left_joint", "wheel_right_joint")
+    if urdf.joints.keys() >= set(wheels):
+        with suppress(MobilecalError):
+            wheel_centres(urdf, urdf.root, *wheels)
+
+
+def _npz(path: Path) -> None:
+    extraction = extraction_from_npz(path)
+    require_stations(extraction)
+    motion_gaps(extraction)
+
+
+def _solved(path: Path) -> None:
+    extraction = extraction_from_npz(path)
+    require_stations(extraction)
+    solve(extraction, "linear")
+
+
+def _small_extraction() -> bytes:
+    robot = paper_robot()
+    route = plan_route(robot, "standard", stations=6, seed=1)
+    extraction = ideal_extraction(robot, route, Noise(0.2, 0.003, 0.0, 1e-3), 1)
+    return extraction_to_npz(extraction)
+
+
+RIG = """\
+board: {columns: 9, rows: 6, square_m: 0.08}
+cameras:
+  left: {image: /left/image_raw, info: /left/camera_info}
+  right: {image: /right/image_raw, info: /right/camera_info}
+  reference: left
+  rectified: false
+joints:
+  topic: /joint_states
+  pan: head_pan_joint
+  tilt: head_tilt_joint
+  fields: {head_pan_joint: {topic: /dynamixel, field: "motors[0].position", unit: deg}}
+wheels:
+  left: {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16, sign: 1}
+  right: {joint: wheel_right_joint}
+head:
+  base_frame: base_link
+  head_frame: head_link
+  chain:
+    - {xyz_m: [0.1, 0, 1.2], rpy_rad: [0, 0, 0]}
+    - {joint: head_pan_joint, axis: [0, 0, 1]}
+    - {joint: head_tilt_joint, axis: [0, 1, 0]}
+nominal:
+  wheels: {radius_left_m: 0.08, radius_right_m: 0.08, separation_m: 0.4}
+  head_eye: {translation_m: [0.05, 0.06, 0.02], quaternion_xyzw: [-0.5, 0.5, -0.5, 0.5]}
+noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}
+"""
+
+
+_STAMP = {"sec": 5, "nsec": 7}
+_INFO = {
+    "timestamp": _STAMP, "frame_id": "left_optical", "width": 64, "height": 48, "distortion_model": "plumb_bob",
+    "D": [0.1, 0, 0, 0, 0], "K": [50, 0, 32, 0, 50, 24, 0, 0, 1], "R": [1, 0, 0, 0, 1, 0, 0, 0, 1],
+    "P": [50, 0, 32, 0, 0, 50, 24, 0, 0, 0, 1, 0],
+}  # fmt: skip
+
+
+def _in_json(path: Path) -> None:
+    """Messages of JSON, without checksums so that damage reaches them."""
+    picture = base64.b64encode(cv2.imencode(".png", r.picture(1))[1].tobytes()).decode()
+    header = {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": ""}
+    kinds = {
+        "/left/camera_info": ("foxglove.CameraCalibration", _INFO),
+        "/left/image_raw": (
+            "foxglove.CompressedImage",
+            {"timestamp": _STAMP, "frame_id": "left", "format": "png", "data": picture},
+        ),
+        "/right/image/compressed": (
+            "foxglove.RawImage",
+            {
+                "timestamp": _STAMP,
+                "frame_id": "right",
+                "width": 2,
+                "height": 2,
+                "step": 2,
+                "encoding": "mono8",
+                "data": "AAEC",
+            },
+        ),
+        "/joint_states": (
+            "sensor_msgs/JointState",
+            {"header": header, "name": ["pan", "tilt"], "position": [0.1, 0.2]},
+        ),
+        "/ticks": ("encoders", {"header": header, "counts": [5, 6]}),
+    }
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, enable_crcs=False, compression=CompressionType.NONE)
+        writer.start()
+        for topic, (kind, fields) in kinds.items():
+            schema = writer.register_schema(kind, "jsonschema", b"{}")
+            channel = writer.register_channel(topic, "json", schema)
+            for k in range(4):
+                writer.add_message(channel, 5 * 10**9 + k, json.dumps(fields).encode(), 0)
+        writer.finish()
+
+
+def _in_protobuf(path: Path) -> None:
+    """The same in Foxglove's protobuf messages; joints and ticks are left out."""
+    stamp = Timestamp(seconds=5, nanos=7)
+    data = cv2.imencode(".png", r.picture(1))[1].tobytes()
+    info = {key: value for key, value in _INFO.items() if key != "timestamp"}
+    with path.open("wb") as stream, ProtobufWriter(stream, enable_crcs=False) as writer:
+        for k in range(4):
+            writer.write_message(
+                "/left/camera_info", CameraCalibration(timestamp=stamp, **info), 5 * 10**9 + k
+            )
+            picture = CompressedImage(timestamp=stamp, frame_id="left", data=data, format="png")
+            writer.write_message("/left/image_raw", picture, 5 * 10**9 + k)
+
+
+_ELSEWHERE = Sources(
+    image={"left": "/left/image_raw", "right": "/right/image/compressed"},
+    info={},
+    joints=("/joint_states",),
+    wheels={
+        "left": WheelSource("/ticks", field="counts[0]", ticks_per_revolution=100, bits=16),
+        "right": WheelSource("/ticks", field="counts[1]", ticks_per_revolution=100, bits=16),
+    },
+)
+
+
+def _foreign(path: Path) -> None:
+    """What does not speak ROS."""
+    with open_recording([path]) as recording:
+        recording.log_times()
+        read_prelude(recording)
+        for picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
+            assert picture is not None
+        read_signals(recording, _ELSEWHERE, r.JOINTS)
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """All of them; sound containers are written below a folder."""
+    items = r.world(12)
+    found = {}
+    for name, write in r.CONTAINERS.items():
+        (folder / name).mkdir(parents=True)
+        path = write(folder / name / "log", items)
+        inside = path if path.is_dir() else path.parent
+        files = {p.name: p.read_bytes() for p in sorted(inside.iterdir()) if p.is_file()}
+        if not path.is_dir():
+            files = {path.name: files[path.name]}
+        found[name] = Target(files, "" if path.is_dir() else path.name, _read)
+    for name, write in (("mcap-json", _in_json), ("mcap-protobuf", _in_protobuf)):
+        path = folder / f"{name}.mcap"
+        write(path)
+        found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", _foreign)
+    sample = REPOSITORY / "sample_logs"
+    found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
+    found["draft.yaml"] = Target(
+        {"rig.yaml": pipeline.draft(sample / "paper_robot.mcap").encode()}, "rig.yaml", _rig
+    )
+    found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
+    extraction = _small_extraction()
+    found["npz"] = Target({"extraction.npz": extraction}, "extraction.npz", _npz)
+    with zipfile.ZipFile(io.BytesIO(extraction)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    found["npz-members"] = Target(members, "extraction.npz", _solved, zipped=True)
+    unchecked = r.write_mcap(
+        folder / "unchecked.mcap", items, enable_crcs=False, compression=CompressionType.NONE
+    )
+    found["mcap-no-checksums"] = Target({"log.mcap": unchecked.read_bytes()}, "log.mcap", _read)
+    found["inspect-no-checksums"] = Target({"log.mcap": unchecked.read_bytes()}, "log.mcap", _glance)
+    found["inspect"] = Target(
+        {"log.mcap": r.write_mcap(folder / "inspect.mcap", items).read_bytes()}, "log.mcap", _glance
+    )
+    return found
+
+
+def place(target: Target, contents: dict[str, bytes], folder: Path) -> Path:
+    """Write an input into an empty folder; its path."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    if target.zipped:
+        with zipfile.ZipFile(folder / target.path, "w") as archive:
+            for name, data in contents.items():
+                archive.writestr(name, data)
+        return folder / target.path
+    for name, data in contents.items():
+        (folder / name).write_bytes(data)
+    return folder / target.path if target.path else folder

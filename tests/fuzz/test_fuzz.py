@@ -1,0 +1,59 @@
+"""Mutated inputs: only documented errors, no hang, no memory beyond the bound."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+
+import pytest
+
+from mobilecal_cli.errors import RecordingError
+from tests.fuzz.hunt import hunt
+from tests.fuzz.mutate import mutated
+from tests.fuzz.targets import Target
+
+
+def checked(count: int, first: int) -> None:
+    haul = hunt(count, first)
+    assert haul.findings == []
+    assert sum(haul.outcomes.values()) == count
+    kinds = {outcome for _, outcome in haul.outcomes}
+    assert kinds >= {"read", "RecordingError", "ConfigError"}
+
+
+def test_a_few_hundred():
+    checked(400, 0)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand():
+    checked(100_000, 1_000_000)
+
+
+def test_damage_is_the_same_for_the_same_seed_and_is_damage():
+    data = bytes(range(256)) * 8
+    made = [mutated(data, random.Random(seed)) for seed in range(200)]
+    assert made == [mutated(data, random.Random(seed)) for seed in range(200)]
+    assert len(set(made)) > 190
+    assert sum(item == data for item in made) < 5
+
+
+def blunder(path):
+    if path.stat().st_size % 3 == 0:
+        raise KeyError("a bug")
+    if path.stat().st_size % 3 == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    raise RecordingError("as it should be", "")
+
+
+def test_the_hunt_sees_bugs_and_crashes(monkeypatch):
+    """A product with an undocumented error and a crash: both are found, and the hunt goes on."""
+    planted = {"planted": Target({"x": bytes(300)}, "x", blunder)}
+    monkeypatch.setattr("tests.fuzz.hunt.targets", lambda folder: planted)
+    haul = hunt(16)
+    assert sum(haul.outcomes.values()) == 16
+    assert haul.outcomes["planted", "RecordingError"] > 0
+    assert haul.outcomes["planted", "FOUND KeyError"] > 0
+    assert haul.outcomes["", "FOUND hang or crash"] > 0
+    assert len(haul.findings) == 16 - haul.outcomes["planted", "RecordingError"]

@@ -1,0 +1,339 @@
+"""Recordings that somebody made to do harm: refused, or read around, within bounded memory and time."""
+
+from __future__ import annotations
+
+import bz2
+import json
+import resource
+import signal
+import struct
+import zlib
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers import open_recording, read_prelude, read_signals
+from mobilecal_cli.readers.channels import Channel
+from mobilecal_cli.readers.images import decode_image
+from tests.readers import recordings as r
+
+MEMORY_BYTES = 2**30
+SECONDS = 10
+_SEPARATOR = "=" * 80 + "\n"
+
+
+class Late(BaseException):
+    """Nothing that the product catches."""
+
+
+@contextmanager
+def bounded():
+    """The process may ask for no more than so much memory beyond what it has, and for no more time."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+
+    def late(*_: object) -> None:
+        raise Late(f"still busy after {SECONDS} s")
+
+    handler = signal.signal(signal.SIGALRM, late)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES, before[1]))
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def read(path: Path) -> tuple[int, tuple[str, ...]]:
+    """Messages that can be had, and what is said of the rest."""
+    with bounded(), open_recording([path]) as recording:
+        read_prelude(recording)
+        topics = [info.name for info in recording.topics]
+        return sum(1 for _ in recording.messages(topics)), recording.damage
+
+
+def record(opcode: int, body: bytes, claims: int | None = None) -> bytes:
+    return struct.pack("<BQ", opcode, len(body) if claims is None else claims) + body
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER = record(1, text("ros2") + text(""))
+
+
+def chunk(method: str, stored: bytes, claims: int) -> bytes:
+    head = struct.pack("<QQQI", 0, 10**9, claims, 0) + text(method)
+    return record(6, head + struct.pack("<Q", len(stored)) + stored)
+
+
+@pytest.fixture
+def sound(tmp_path):
+    """A recording with a message of each kind, as bytes."""
+    return r.write_mcap(tmp_path / "sound.mcap", r.world(12)).read_bytes()
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """Opcode, beginning and end of every record."""
+    found, at = [], len(MAGIC)
+    while at + 9 <= len(data) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+    return found
+
+
+@pytest.mark.parametrize("opcode", [1, 3, 4, 5, 6, 7, 8, 9, 0x0B, 0x7F])
+def test_a_record_of_petabytes(tmp_path, sound, opcode):
+    path = tmp_path / "log.mcap"
+    huge = record(opcode, b"x" * 100, 2**50)
+    path.write_bytes(MAGIC + huge)
+    with pytest.raises(RecordingError, match=r"nothing usable|damaged beyond use"):
+        read(path)
+    # What lies before it is used, up to the last message index of the first chunk.
+    end = next(end for kind, _, end in records(sound) if kind == 7)
+    path.write_bytes(sound[:end] + huge)
+    found, damage = read(path)
+    assert found > 0
+    assert "what follows is lost" in damage[0]
+
+
+BOMBS = {
+    "zstd": lambda size: zstandard.compress(bytes(size), 19),
+    "lz4": lambda size: lz4.frame.compress(bytes(size), store_size=False),
+}
+
+
+@pytest.mark.parametrize("honest", [True, False])
+@pytest.mark.parametrize("method", BOMBS)
+def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
+    size = 2**30
+    stored = BOMBS[method](size)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(
+        MAGIC + HEADER + chunk(method, stored, size if honest else 1000) + record(2, bytes(20)) + MAGIC
+    )
+    with pytest.raises(RecordingError, match=r"claims to hold|claims 1000 bytes|nothing usable") as caught:
+        read(path)
+    assert caught.value.hint
+
+
+def test_a_chunk_of_a_bag_that_decompresses_without_end(tmp_path):
+    def field(name: str, value: bytes) -> bytes:
+        return struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
+
+    def bag_record(fields: bytes, data: bytes) -> bytes:
+        return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
+
+    stored = bz2.compress(bytes(2**28))
+    size = field("size", struct.pack("<I", 2**28))
+    bag = field("op", b"\x03") + field("index_pos", bytes(8)) + field("conn_count", bytes(4))
+    data = bag_record(bag + field("chunk_count", bytes(4)), b" " * 4000)
+    data += bag_record(field("op", b"\x05") + field("compression", b"bz2") + size, stored)
+    path = tmp_path / "log.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + data)
+    with pytest.raises(RecordingError):
+        read(path)
+
+
+def test_a_file_that_decompresses_without_end(tmp_path):
+    path = tmp_path / "log.mcap.zstd"
+    path.write_bytes(zstandard.compress(MAGIC + HEADER + bytes(2**29), 19))
+    with pytest.raises(RecordingError, match="more than 1000 times as many"):
+        read(path)
+
+
+def test_a_message_that_decompresses_without_end(tmp_path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/robot_description", "cdr", schema)
+        writer.add_message(channel, 1, zstandard.compress(bytes(2**29), 19), 1)
+        writer.finish()
+    with pytest.raises(RecordingError, match="decompresses to more than"):
+        read(path)
+
+
+def png(width: int, height: int) -> bytes:
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    pieces = ((b"IHDR", head), (b"IDAT", zlib.compress(bytes(10**6))), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in pieces
+    )
+
+
+def jpeg(width: int, height: int) -> bytes:
+    """A small picture whose frame header says that it is large."""
+    import cv2
+
+    data = bytearray(cv2.imencode(".jpg", np.zeros((16, 16), np.uint8))[1].tobytes())
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = struct.pack(">HH", height, width)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("make", [png, jpeg])
+def test_a_compressed_picture_of_60000_by_60000(make):
+    message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
+    message.data = np.frombuffer(make(60_000, 60_000), np.uint8)
+    with bounded(), pytest.raises(RecordingError, match=r"picture size makes no sense: .*3600000000 pixels"):
+        decode_image(message)
+
+
+@pytest.mark.parametrize("kind", [".tiff", ".bmp"])
+def test_other_kinds_of_pictures_are_not_tried(kind):
+    """What OpenCV would open beside JPEG and PNG is more than a robot's camera sends."""
+    import cv2
+
+    message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
+    message.data = cv2.imencode(kind, np.zeros((8, 8), np.uint8))[1].ravel()
+    with pytest.raises(RecordingError, match="neither JPEG nor PNG"):
+        decode_image(message)
+
+
+@pytest.mark.parametrize("step", [0, 60_000])
+def test_a_raw_picture_of_60000_by_60000(step):
+    message = r.image(r.picture(0), "mono8", width=60_000, height=60_000, step=step)(r.ROS2)
+    with bounded(), pytest.raises(RecordingError, match="60000x60000"):
+        decode_image(message)
+
+
+def defined(*types: tuple[str, str]) -> str:
+    (_, first), *others = types
+    return first + "".join(f"{_SEPARATOR}MSG: {name}\n{body}" for name, body in others)
+
+
+def chain_of(depth: int, line: str, last: str) -> str:
+    bodies = [(f"a/T{i}", line.format(i + 1)) for i in range(depth)]
+    return defined(*bodies, (f"a/T{depth}", last))
+
+
+@pytest.mark.parametrize(
+    ("definition", "payload"),
+    [
+        (defined(("a/T0", "a/T0 x\n")), bytes(1000)),
+        (defined(("a/T0", "a/T1 x\n"), ("a/T1", "a/T0 x\n")), bytes(1000)),
+        (chain_of(60, "a/T{0} x\na/T{0} y\n", ""), bytes(1000)),
+        (chain_of(60, "a/T{0} x\na/T{0} y\n", "uint8 z\n"), bytes(1000)),
+        (chain_of(5000, "a/T{0} x\n", "uint8 z\n"), bytes(1000)),
+        (chain_of(6, "a/T{0}[1000] x\n", "uint8 z\n"), bytes(1000)),
+        (defined(("a/T0", "a/E[] x\n"), ("a/E", "")), b"\xff\xff\xff\x7f" + bytes(100)),
+        (defined(("a/T0", "a/E[99999999] x\n"), ("a/E", "uint8 z\n")), bytes(1000)),
+        ("".join(f"uint8 x{i}\n" for i in range(100_000)), bytes(1000)),
+        ("uint8[99999999999] x\n", bytes(1000)),
+        ("float64[] x\nstring[] y\n", b"\xff\xff\xff\xff" * 100),
+        ("uint8 x\n" + "#" * 10**6, b""),
+        ("string x=" + "(" * 100_000 + "\n", bytes(100)),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["ros1", "cdr"])
+def test_message_definitions_without_end(definition, payload, encoding):
+    channel = Channel(1, "/t", "a/msg/T0", encoding, definition, "msg")
+    head = b"\x00\x01\x00\x00" if encoding == "cdr" else b""
+    with bounded():
+        try:
+            channel.check()
+        except RecordingError as error:
+            assert error.hint  # noqa: PT017
+            return
+        # A definition that is harmless by itself: the payload does not fit it.
+        with suppress(RecordingError):
+            channel.decode(head + payload)
+
+
+def test_json_that_is_deeper_than_the_stack(tmp_path):
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
+        channel = writer.register_channel("/joint_states", "json", schema)
+        writer.add_message(channel, 1, b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}", 1)
+        writer.add_message(channel, 2, json.dumps({"name": ["pan"], "position": [1.0]}).encode(), 2)
+        writer.finish()
+    with bounded(), open_recording([path]) as recording:
+        assert read_prelude(recording).joint_names == {"/joint_states": ("pan",)}
+
+
+@pytest.mark.parametrize("escape", ["../secret.mcap", "/etc/passwd", "sub/../../secret.mcap"])
+def test_metadata_cannot_name_files_outside_its_directory(tmp_path, escape):
+    secret = r.write_mcap(tmp_path / "secret.mcap", r.world(12))
+    folder = tmp_path / "log"
+    folder.mkdir()
+    inside = r.write_mcap(folder / "log.mcap", r.world(6))
+    (folder / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n  relative_file_paths: [{escape}, log.mcap]\n"
+    )
+    with open_recording([folder]) as recording:
+        assert [part.path for part in recording.parts] == [inside]
+        assert secret not in [part.path for part in recording.parts]
+        assert "left out" in " ".join(recording.damage)
+
+
+LAUGHS = "a0: &a0 [lol, lol]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [LAUGHS, "&a [*a]", "!!python/object/apply:os.system [touch pwned]", "[" * 10_000, "a: b\n" * 10**6],
+)
+def test_metadata_that_would_harm_is_done_without(tmp_path, metadata):
+    folder = tmp_path / "log"
+    folder.mkdir()
+    r.write_mcap(folder / "log.mcap", r.world(6))
+    (folder / "metadata.yaml").write_text(metadata)
+    with bounded(), open_recording([folder]) as recording:
+        assert recording.topic("/joint_states").count == 6
+        assert "cannot be used" in recording.damage[0]
+    assert not (tmp_path / "pwned").exists()
+    assert not Path("pwned").exists()
+
+
+def test_a_database_that_computes_its_messages_is_refused(tmp_path):
+    """A view in the place of the table of messages could run without end, or read other files."""
+    import sqlite3
+
+    path = tmp_path / "log.db3"
+    connection = sqlite3.connect(path)
+    connection.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+    connection.execute(
+        "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+        "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n"
+    )
+    connection.commit()
+    connection.close()
+    with bounded(), pytest.raises(RecordingError, match="no tables topics and messages"):
+        open_recording([path])
+
+
+def test_devices_and_pipes_are_no_recordings(tmp_path):
+    import os
+
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
+        with bounded(), pytest.raises(RecordingError, match="no such file"):
+            open_recording([path])
+
+
+def test_names_that_are_numbers_out_of_range(tmp_path, sound):
+    """A log time beyond 64 signed bits, in the index as well as in the message."""
+    path = tmp_path / "log.mcap"
+    time = struct.pack("<Q", r.START_NS)
+    path.write_bytes(sound.replace(time, b"\xff" * 8))
+    with bounded(), open_recording([path]) as recording:
+        read_signals(recording, r.SOURCES, r.JOINTS)
+        recording.log_times()
