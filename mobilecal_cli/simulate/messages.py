@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -176,8 +177,8 @@ def published(
     route: Route,
     publisher: Publisher,
     drawn: Callable[[int, int], None],
-) -> list[Published]:
-    """All messages of a recording, in order of time.
+) -> Iterator[Published]:
+    """All messages of a recording, in order of time, each made when it is asked for.
 
     Args:
         scenario, robot, route: what is recorded.
@@ -185,7 +186,9 @@ def published(
         drawn: told how many stereo pairs of how many are drawn.
     """
     description = publisher.make("std_msgs/msg/String", data=urdf_text(robot))
-    messages = [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)]
-    messages += _state_messages(publisher, robot, route, scenario)
-    messages += _picture_messages(publisher, robot, route, scenario, drawn)
-    return sorted(messages, key=lambda m: m.time_ns)
+    return heapq.merge(
+        [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)],
+        _state_messages(publisher, robot, route, scenario),
+        _picture_messages(publisher, robot, route, scenario, drawn),
+        key=lambda m: m.time_ns,
+    )

@@ -58,6 +58,7 @@ class BoardRenderer:
         )
         self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
         self._background = self._clutter(random)
+        self._last = (np.zeros((0, 0)), np.zeros((0, 0)))
 
     def _clutter(self, random: np.random.Generator) -> FloatArray:
         """A wall with blurred boxes and stripes on it."""
@@ -70,7 +71,15 @@ class BoardRenderer:
         return np.asarray(cv2.GaussianBlur(wall, (0, 0), 3.0), dtype=np.float64)
 
     def picture(self, T_x_k: FloatArray) -> FloatArray:
-        """The noise-free picture (height, width), in grey levels, of a board at T_x_k in the camera's frame."""
+        """The noise-free picture (height, width), in grey levels, of a board at T_x_k in the camera's frame.
+
+        The same array comes back for the same pose in turn, as in a rest: it is not to be changed.
+        """
+        if not np.array_equal(self._last[0], T_x_k):
+            self._last = (T_x_k, self._drawn(T_x_k))
+        return self._last[1]
+
+    def _drawn(self, T_x_k: FloatArray) -> FloatArray:
         image = self._background.copy()
         squares = self._board.square_m or 1.0
         columns, rows = self._board.columns, self._board.rows

@@ -1,0 +1,70 @@
+"""Peak memory and time of the commands against the length of a recording, which `simulate` makes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.scenario import Scenario
+from tests.bench.simulated import conditions
+
+#: Stops and stereo pairs a stop, with mono8 pictures of 640 x 480: about 0.1, 1 and 5 GB.
+SIZES = ((6, 28), (20, 82), (40, 204))
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a command took: seconds, and its largest resident memory, MB."""
+
+    seconds: float
+    peak_mb: float
+
+
+def spent(*arguments: str) -> Spent:
+    """Run `mobilecal` with arguments, in a process of its own."""
+    start = time.perf_counter()
+    command = [sys.executable, "-m", "mobilecal_cli", *arguments, "--quiet"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    said = process.stderr.read().decode()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode not in (0, 6):
+        raise RuntimeError(said)
+    return Spent(time.perf_counter() - start, usage.ru_maxrss / 1024)
+
+
+def row(container: str, stations: int, pairs: int, folder: Path) -> str:
+    """One line of the table: a recording is made, measured and removed."""
+    suffix = {"mcap": ".mcap", "mcap-lz4": ".mcap", "bag": ".bag"}.get(container, "")
+    log = folder / f"log{suffix}"
+    scenario = Scenario(stations=stations, pictures_per_rest=pairs, pictures="mono8", container=container)  # type: ignore[arg-type]
+    simulate(scenario, log, force=True)
+    size = sum(p.stat().st_size for p in ([log] if log.is_file() else log.iterdir())) / 1e9
+    calibrate = spent("calibrate", str(log), "--output", str(folder / "out"), "--force")
+    inspect = spent("inspect", str(log))
+    return (
+        f"| {container} | {size:.2f} | {2 * stations * pairs} | {calibrate.peak_mb:.0f} | {calibrate.seconds:.0f} "
+        f"| {inspect.peak_mb:.0f} | {inspect.seconds:.0f} |"
+    )
+
+
+def main() -> None:
+    """All sizes as MCAP, one as the other containers."""
+    print(f"{conditions()}\n")
+    print("| container | GB | pictures | calibrate: MB | s | inspect: MB | s |\n" + "| --- " * 7 + "|")
+    cases = [("mcap", *size) for size in SIZES]
+    cases += [(container, *SIZES[1]) for container in ("mcap-lz4", "rosbag2", "bag")]
+    with tempfile.TemporaryDirectory() as folder:
+        for container, stations, pairs in cases:
+            print(row(container, stations, pairs, Path(folder)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
