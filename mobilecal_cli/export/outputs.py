@@ -45,8 +45,9 @@ def check_output(directory: Path, force: bool) -> None:
 def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
     """Write the files into a new directory, or leave everything as it was.
 
-    They go into a temporary directory beside it, which is renamed into place once all is on the disk. An old
-    output directory steps aside only then, and comes back should that last step fail.
+    They go into a temporary directory beside it, which is put in place once all is on the disk. An old output
+    directory changes places with it in that one step, or, where the file system cannot do that, steps aside only
+    then and comes back should the step fail. Killed before, the process leaves a directory `.<name>.*.partial`.
 
     Args:
         directory: what is made.
@@ -134,9 +135,9 @@ def _put_in_place(partial: Path, target: Path) -> None:
         _sync(target.parent)
         return
     old = _free_name(target, "old")
-    if _exchange(partial, target):  # at no moment is there neither the old nor the new one
+    if _exchange(partial, target):
         partial.rename(old)
-    else:
+    else:  # there is a moment with neither the old nor the new one in place
         target.rename(old)
         try:
             partial.rename(target)

@@ -152,6 +152,8 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, 
         old_output(out)
     before = tree(tmp_path)
     with monkeypatch.context() as patch:
+        if name == "rename":  # as on file systems that cannot let two directories change places
+            patch.setattr("mobilecal_cli.export.outputs._exchange", lambda first, second: False)
         calls = fail_on(patch, owner, name, nth, error)
         with pytest.raises(OutputError if isinstance(error, OSError) else KeyboardInterrupt) as caught:
             write_outputs(out, FILES, force=existing)

@@ -1,0 +1,138 @@
+"""Outputs when the process is killed, when names try to steer, and when the output is a link."""
+
+from __future__ import annotations
+
+import html.parser
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.cli.edited import edited, run
+from tests.conftest import REPOSITORY
+
+
+def killed_everywhere(folder, existing, exchange) -> list[list[str]]:
+    result = subprocess.run(
+        [sys.executable, "-m", "tests.hostile.kill_points", folder, existing, exchange],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    return [line.split() for line in result.stdout.splitlines()]
+
+
+def test_killed_while_a_new_directory_is_written(tmp_path):
+    moments = killed_everywhere(tmp_path / "w", "new", "exchange")
+    assert len(moments) >= 8
+    states = [line[1] for line in moments]
+    assert set(states) == {"none", "new"}
+    assert states == sorted(states, reverse=True)  # nothing, and from one moment on all of it
+
+
+def test_killed_while_an_old_directory_is_replaced(tmp_path):
+    moments = killed_everywhere(tmp_path / "w", "existing", "exchange")
+    states = [line[1] for line in moments]
+    assert set(states) == {"old", "new"}  # at no moment is there neither
+    assert states == sorted(states, reverse=True)
+
+
+def test_killed_where_directories_cannot_change_places(tmp_path):
+    """There is a moment with neither in place; the old one then lies beside it, whole."""
+    moments = killed_everywhere(tmp_path / "w", "existing", "no exchange")
+    assert {line[1] for line in moments} == {"old", "none", "new"}
+    assert all(line[2:] == ["aside"] for line in moments if line[1] == "none")
+
+
+@pytest.mark.parametrize("after_s", [0.5, 4.0, 9.0])
+def test_killed_outright(sample_logs, tmp_path, after_s):
+    command = [sys.executable, "-m", "mobilecal_cli", "calibrate", sample_logs / "straight.mcap", "-o", "out"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(after_s)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    held = sorted(path.name for path in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
+    assert held in ([], ["extraction.npz", "params.yaml", "report.html", "report.json"])
+
+
+EVIL = "x</script><img src=x onerror=alert(1)>\x1b[2J\u202e$\\frac{1}{$ {{7*7}} 'q' \"dq\""
+
+
+class Tags(html.parser.HTMLParser):
+    """Every tag with its attributes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+
+def test_names_that_try_to_steer(sample_logs, tmp_path, tmp_path_factory):
+    def edit(topic, message):
+        if hasattr(message, "header"):
+            frame = EVIL if "left" in topic else message.header.frame_id
+            message = replace(message, header=replace(message.header, frame_id=frame))
+        return message
+
+    log = edited(sample_logs / "paper_robot.mcap", tmp_path_factory.mktemp("logs") / "<b>$log$.mcap", edit)
+    result = run("calibrate", log, "--output", "out", cwd=tmp_path)
+    assert result.code == 0, result.err
+    for text in (result.out, result.err):
+        assert not any(ord(character) < 32 and character != "\n" for character in text)
+        assert "\u202e" not in text
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    tags = Tags()
+    tags.feed(page)
+    assert not any(tag == "script" for tag, _ in tags.found)
+    assert not any(key.startswith("on") for _, attributes in tags.found for key in attributes)
+    assert not any(attributes.get("src") == "x" for _, attributes in tags.found)
+    assert "\x1b" not in page
+    assert "\u202e" not in page
+    assert "49" not in page.split("x&lt;/script&gt;")[1][:120]
+    params = YAML(typ="safe").load((tmp_path / "out/params.yaml").read_text(encoding="utf-8"))
+    assert params["head_eye"]["child_frame"] == EVIL
+    assert json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (("calibrate", "--output"), "link"),
+        (("calibrate", "--output"), "dangling"),
+        (("init", "--output"), "file"),
+        (("init", "--output"), "dangling"),
+        (("simulate",), "file"),
+        (("simulate",), "dangling"),
+    ],
+)
+def test_links_as_outputs(sample_logs, tmp_path, command, name):
+    """What a link points to stays as it is, with --force as well."""
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious/params.yaml").write_text("precious")
+    (tmp_path / "precious.txt").write_text("precious")
+    (tmp_path / "link").symlink_to("precious")
+    (tmp_path / "file").symlink_to("precious.txt")
+    (tmp_path / "dangling").symlink_to("nowhere")
+    arguments = [] if command[0] == "simulate" else [sample_logs / "straight.mcap"]
+    result = run(command[0], *arguments, *command[1:], name, "--force", cwd=tmp_path)
+    assert result.code == 7, result.err
+    assert (tmp_path / name).is_symlink()
+    assert (tmp_path / "precious/params.yaml").read_text() == "precious"
+    assert (tmp_path / "precious.txt").read_text() == "precious"
+    assert not (tmp_path / "nowhere").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "dangling",
+        "file",
+        "link",
+        "precious",
+        "precious.txt",
+    ]
