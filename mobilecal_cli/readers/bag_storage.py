@@ -7,6 +7,7 @@ the tests hold rosbags beside it.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 
@@ -25,6 +26,11 @@ _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6,
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
+
+#: So much is searched at once for the next record behind damage; no record's head is longer than the second.
+_WINDOW, _LONGEST_HEAD = 2**22, 256
+_KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
+_CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
 
 Fields = dict[bytes, bytes]
 
@@ -116,29 +122,42 @@ class BagStorage(BlockStorage):
                 fields, body, end = self.head(at)
                 self.define(fields, self.read_at(body, end - body))
                 at = end
-            counts = dict.fromkeys(self.channels, 0)
+            counts, damaged = dict.fromkeys(self.channels, 0), []
             for _ in range(_u32(bag, b"chunk_count")):
                 fields, body, end = self.head(at)
-                self._index_chunk(fields, self.read_at(body, end - body), counts)
+                trouble = self._index_chunk(fields, self.read_at(body, end - body), counts)
+                damaged += [trouble] if trouble else []
                 at = end
+            if 2 * len(damaged) > len(damaged) + len(self.blocks):
+                return False  # the index lies
         except Exception:  # a damaged index: any exception at all; the walk does without
             return False
+        for trouble in damaged:
+            self.note(trouble)
         self.counts = counts
         return True
 
-    def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> None:
+    def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> str:
+        """Take in an entry of the index; what is wrong with its chunk, "" for nothing."""
         position = int(_U64.unpack(fields[b"chunk_pos"])[0])
-        chunk, _, end = self.head(position)
-        if chunk[b"op"] != bytes([_CHUNK]) or end > self.size:
-            raise ValueError("the index points beside a chunk")
         numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))
         if not numbers <= self.channels.keys():
             raise ValueError("the index names an unknown connection")
         for number, messages in struct.iter_unpack("<II", data):
             counts[number] += messages
         start_ns, end_ns = _time_ns(fields, b"start_time"), _time_ns(fields, b"end_time")
+        try:
+            chunk, _, end = self.head(position)
+            whole = chunk[b"op"] == bytes([_CHUNK]) and end <= self.size
+        except Exception:  # damaged bytes: any exception at all
+            whole = False
+        if not whole:
+            return (
+                f"no chunk begins at byte {position} of {self.size}, where the index has one; it is left out"
+            )
         if numbers:
             self.blocks.append(Block(position, end - position, True, start_ns, end_ns, numbers))
+        return ""
 
     def load(self, block: Block) -> bytes:
         """The block's records, decompressed."""
@@ -204,12 +223,22 @@ class _Walk(Walk):
             try:
                 fields, body, end = storage.head(at)
                 if end > storage.size:
-                    self._rest_of_chunk(fields, body)
                     raise EOFError("its data goes on beyond the end")
                 done = self._visit(fields, at, body, end)
-            except Exception as error:  # without a whole head the next record cannot be found
-                trouble = f"the bag breaks off in the record at byte {at} of {storage.size} ({error})"
-                break
+            except Exception as error:  # without a whole head the next record has to be searched for
+                cut = self._cut_chunk(at)
+                found = self._next_record(at + 1, _CHUNKS if cut else _KINDS)
+                if found is None:
+                    if cut is not None:
+                        self.chunk(cut)
+                    trouble = f"the bag breaks off in the record at byte {at} of {storage.size} ({error})"
+                    break
+                storage.note(
+                    f"{found - at} bytes from byte {at} on are no records; reading goes on behind them"
+                )
+                self.other()
+                at = found
+                continue
             if done:
                 break
             at = end
@@ -220,11 +249,40 @@ class _Walk(Walk):
                 f"{sum((storage.counts or {}).values())} messages"
             )
 
-    def _rest_of_chunk(self, fields: Fields, body: int) -> None:
-        """The whole messages of an uncompressed chunk that the end of the file cuts."""
-        if fields[b"op"][0] == _CHUNK and fields.get(b"compression") == b"none":
-            rest = self._storage.size - body
-            self.chunk(Block(body, rest, False, 2**63 - 1, 0, None))
+    def _next_record(self, at: int, kinds: re.Pattern[bytes]) -> int | None:
+        """Where, from byte `at` on, the next record of some kinds begins; None for nowhere."""
+        storage = self._storage
+        while at < storage.size:
+            window = storage.read_at(at, min(_WINDOW, storage.size - at))
+            for found in kinds.finditer(window):
+                for start in range(found.start() - 4, max(found.start() - _LONGEST_HEAD, -1), -1):
+                    if self._fits(at + start):
+                        return at + start
+            if len(window) < _WINDOW:
+                return None
+            at += len(window) - _LONGEST_HEAD
+        return None
+
+    def _fits(self, at: int) -> bool:
+        """Whether a record with whole contents begins at a byte."""
+        try:
+            (head_size,) = _U32.unpack(self._storage.read_at(at, _U32.size))
+            if head_size > _LONGEST_HEAD:
+                return False
+            fields, _, end = self._storage.head(at)
+            return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self._storage.size
+        except Exception:  # whatever lies there: any exception at all
+            return False
+
+    def _cut_chunk(self, at: int) -> Block | None:
+        """What the end of the file left of an uncompressed chunk at a byte: its first messages are whole."""
+        try:
+            fields, body, _ = self._storage.head(at)
+        except Exception:  # whatever lies there: any exception at all
+            return None
+        if fields.get(b"op") != bytes([_CHUNK]) or fields.get(b"compression") != b"none":
+            return None
+        return Block(body, self._storage.size - body, False, 2**63 - 1, 0, None)
 
     def _visit(self, fields: Fields, at: int, body: int, end: int) -> bool:
         storage = self._storage

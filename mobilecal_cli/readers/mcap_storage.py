@@ -26,6 +26,8 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
+#: So much is searched at once for the next record behind damage.
+_WINDOW = 2**22
 _FORMATS: dict[str, DefinitionFormat] = {
     "ros1msg": "msg",
     "ros2msg": "msg",
@@ -67,7 +69,7 @@ class McapStorage(BlockStorage):
         return str(header.profile)
 
     def _complete_summary(self) -> Summary | None:
-        """The summary, if the index in it is whole: every chunk is where it says, every channel is known."""
+        """The summary, if its index can be relied on: most chunks are where it says, every channel is known."""
         try:
             summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
         except Exception:  # cut short or damaged: any exception at all; the walk does not need a summary
@@ -83,14 +85,17 @@ class McapStorage(BlockStorage):
         schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
         if not schemas <= summary.schemas.keys():
             return None
-        for index in summary.chunk_indexes:
-            try:
-                head = _HEAD.unpack(self.read_at(index.chunk_start_offset, _HEAD.size))
-            except (EOFError, ValueError):
-                return None
-            if head != (Opcode.CHUNK, index.chunk_length - _HEAD.size):
-                return None
+        misplaced = sum(not self._is_chunk(index) for index in summary.chunk_indexes)
+        if 2 * misplaced > len(summary.chunk_indexes):
+            return None  # the index lies; a chunk or two with a damaged head are found damaged when they are read
         return summary
+
+    def _is_chunk(self, index: records.ChunkIndex) -> bool:
+        try:
+            head = _HEAD.unpack(self.read_at(index.chunk_start_offset, _HEAD.size))
+        except (EOFError, ValueError):
+            return False
+        return bool(head == (Opcode.CHUNK, index.chunk_length - _HEAD.size))
 
     def _use(self, summary: Summary) -> None:
         self._schemas.update(summary.schemas)
@@ -118,6 +123,8 @@ class McapStorage(BlockStorage):
         data = self.read_at(block.offset, block.size)
         if not block.is_chunk:
             return data
+        if data[:1] != bytes([Opcode.CHUNK]):
+            raise ValueError("no chunk begins there")
         at = _HEAD.size
         _, _, full_size, checksum = _CHUNK.unpack_from(data, at)
         at += _CHUNK.size
@@ -204,9 +211,17 @@ class _Walk(Walk):
             opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
             end = at + _HEAD.size + length
             if opcode == 0 or end > storage.size:
-                what = "chunk" if opcode == Opcode.CHUNK else "record"
-                trouble = f"the file ends inside a {what} that begins at byte {at} of {storage.size}"
-                break
+                found = self._next_record(at + 1)
+                if found is None:
+                    what = "chunk" if opcode == Opcode.CHUNK else "record"
+                    trouble = f"the file ends inside a {what} that begins at byte {at} of {storage.size}"
+                    break
+                storage.note(
+                    f"{found - at} bytes from byte {at} on are no records; reading goes on behind them"
+                )
+                self.other()
+                at = found
+                continue
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 trouble = ""
                 break
@@ -216,6 +231,50 @@ class _Walk(Walk):
                 storage.note(f"the record at byte {at} of {storage.size} is damaged: {error}")
             at = end
         self.finish(trouble)
+
+    def _next_record(self, at: int) -> int | None:
+        """Where, from byte `at` on, the next chunk or message that fits its own lengths begins; None for nowhere."""
+        storage = self._storage
+        while at + _HEAD.size < storage.size:
+            window = np.frombuffer(storage.read_at(at, min(_WINDOW, storage.size - at)), np.uint8)
+            if len(window) <= _HEAD.size:
+                return None
+            starts = len(window) - _HEAD.size
+            likely = np.isin(window[:starts], (Opcode.MESSAGE, Opcode.CHUNK))
+            for byte in range(5, 9):  # no record is longer than 4 GB
+                likely &= window[byte : byte + starts] == 0
+            for place in np.flatnonzero(likely):
+                if self._fits(at + int(place)):
+                    return at + int(place)
+            at += starts
+        return None
+
+    def _fits(self, at: int) -> bool:
+        """Whether a chunk or a message begins at a byte, by what its head says of its own length and time."""
+        storage, body = self._storage, at + _HEAD.size
+        opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
+        if body + length > storage.size:
+            return False
+        if opcode == Opcode.MESSAGE:
+            if length < _MESSAGE.size:
+                return False
+            number, _, time_ns, _ = _MESSAGE.unpack(storage.read_at(body, _MESSAGE.size))
+            # Channels that chunks define are not known here: a message outside chunks follows its channel.
+            return number in storage.channels and time_ns < LATEST_NS and self._goes_on(body + length)
+        if length < _CHUNK.size + 12:
+            return False
+        start_ns, end_ns, _, _ = _CHUNK.unpack(storage.read_at(body, _CHUNK.size))
+        (name,) = struct.unpack("<I", storage.read_at(body + _CHUNK.size, 4))
+        if name > 8 or start_ns > end_ns or end_ns >= LATEST_NS:
+            return False
+        (stored,) = struct.unpack("<Q", storage.read_at(body + _CHUNK.size + 4 + name, 8))
+        return bool(_CHUNK.size + 4 + name + 8 + stored == length)
+
+    def _goes_on(self, at: int) -> bool:
+        """Whether the file ends at a byte, or a record of a known kind begins there."""
+        if at >= self._storage.size:
+            return at == self._storage.size
+        return 0 < self._storage.read_at(at, 1)[0] <= Opcode.DATA_END
 
     def _visit(self, opcode: int, at: int, length: int) -> None:
         storage, body = self._storage, at + _HEAD.size

@@ -249,8 +249,11 @@ class BlockStorage(Storage):
             f"damaged ({type(error).__name__}: {error}); {kept}"
         )
 
-    def look_inside(self, block: Block) -> tuple[dict[int, int], int, int, Exception | None]:
-        """Messages per channel in a block, its first and last log time, and the damage that ended it."""
+    def look_inside(self, block: Block, *, cut: bool) -> tuple[dict[int, int], int, int, Exception | None]:
+        """Messages per channel in a block, its first and last log time, and the damage that ended it.
+
+        The damage is noted, unless the block is known to be cut by the end of the file.
+        """
         counts: Counter[int] = Counter()
         start_ns, end_ns = 2**63 - 1, 0
         try:
@@ -258,7 +261,8 @@ class BlockStorage(Storage):
                 counts[number] += 1
                 start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
         except Exception as error:  # damaged bytes raise almost anything
-            self._note_block(block, counts.total(), error)
+            if not cut:
+                self._note_block(block, counts.total(), error)
             return dict(counts), start_ns, end_ns, error
         return dict(counts), start_ns, end_ns, None
 

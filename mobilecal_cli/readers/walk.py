@@ -87,7 +87,7 @@ class Walk:
         if block is None:
             return
         if cut or not counts or not counts.keys() <= self._target.channels.keys():
-            found, start_ns, end_ns, error = self._target.look_inside(block)
+            found, start_ns, end_ns, error = self._target.look_inside(block, cut=cut)
             if not found and error is None:
                 return
             block = replace(block, start_ns=start_ns, end_ns=end_ns) if found else block

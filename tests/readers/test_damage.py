@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -249,3 +250,108 @@ def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):
     with open_recording([path]) as recording:
         assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS) - 1
         assert any(f"{ITEMS[20].topic}: " in note and "could be read" in note for note in recording.damage)
+
+
+TOPICS = {item.topic for item in ITEMS}
+CHUNKED = ["mcap-zstd", "mcap-none", "mcap-no-summary", "mcap-no-index-at-all", "bag", "bag-lz4"]
+
+
+def messages_of(path):
+    """What can be read, in order, and what is said of the rest."""
+    with open_recording([path]) as recording:
+        present = TOPICS & {info.name for info in recording.topics}
+        found = [(m.topic, m.log_time_ns) for m in recording.messages(present)]
+        return found, recording.damage
+
+
+def in_block(path, offset, size):
+    """How many messages the blocks hold that a stretch of the file touches."""
+    with open_recording([path]) as recording:
+        (part,) = recording.parts
+        return sum(
+            len(list(part.parse(part.load(b))))
+            for b in part.blocks
+            if b.offset < offset + size and offset < b.offset + b.size
+        )
+
+
+@pytest.fixture(params=CHUNKED)
+def whole(request, originals, tmp_path):
+    """A recording without an index as the recorder's death leaves it, or with one."""
+    path = tmp_path / "whole"
+    path.write_bytes(originals[request.param])
+    return path
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_a_zeroed_block_costs_only_what_was_in_it(whole, tmp_path, share):
+    data = bytearray(whole.read_bytes())
+    at = int(len(data) * share)
+    lost = in_block(whole, at, 512)
+    data[at : at + 512] = bytes(512)
+    path = tmp_path / "zeroed"
+    path.write_bytes(data)
+    found, damage = messages_of(path)
+    # A picture in an uncompressed chunk without a checksum may hold zeros and still be a message.
+    assert len(ITEMS) - lost <= len(found) <= len(ITEMS)
+    assert set(found) <= {(item.topic, item.log_ns) for item in ITEMS}
+    assert damage or len(found) == len(ITEMS)
+
+
+@pytest.mark.parametrize("size", [1, 7, 300, 5000])
+def test_garbage_between_records_costs_nothing(whole, tmp_path, size):
+    data = whole.read_bytes()
+    with open_recording([whole]) as recording:
+        at = recording.parts[0].blocks[len(recording.parts[0].blocks) // 2].offset
+    garbage = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8).tobytes()
+    path = tmp_path / "interleaved"
+    path.write_bytes(data[:at] + garbage + data[at:])
+    found, damage = messages_of(path)
+    assert sorted(found) == sorted((item.topic, item.log_ns) for item in ITEMS)
+    assert any("are no records; reading goes on behind them" in note for note in damage)
+
+
+def test_a_chunk_that_is_gone_costs_only_its_messages(whole, tmp_path):
+    data = whole.read_bytes()
+    with open_recording([whole]) as recording:
+        block = recording.parts[0].blocks[2]
+    lost = in_block(whole, block.offset, block.size)
+    path = tmp_path / "short"
+    path.write_bytes(data[: block.offset] + data[block.offset + block.size :])
+    found, _ = messages_of(path)
+    assert len(found) == len(ITEMS) - lost
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "bag"])
+def test_an_index_that_lies_is_done_without(originals, tmp_path, name):
+    data = originals[name]
+    whole = tmp_path / "whole"
+    whole.write_bytes(data)
+    with open_recording([whole]) as recording:
+        offsets = [block.offset for block in recording.parts[0].blocks]
+    for offset in offsets:
+        stated = struct.pack("<Q", offset)
+        assert stated in data
+        data = data.replace(stated, struct.pack("<Q", offset + 3))
+    path = tmp_path / "lying"
+    path.write_bytes(data)
+    assert sorted(messages_of(path)[0]) == sorted((item.topic, item.log_ns) for item in ITEMS)
+
+
+@pytest.mark.parametrize("name", ["mcap-none", "mcap-unchunked", "bag", "bag-lz4", "mcap-message-zstd"])
+def test_cut_off_at_any_byte(originals, tmp_path, name):
+    data, sound = originals[name], [(item.topic, item.log_ns) for item in ITEMS]
+    path, most = tmp_path / "cut", 0
+    for end in np.linspace(1, len(data) - 1, 150).astype(int):
+        path.write_bytes(data[:end])
+        try:
+            found, damage = messages_of(path)
+        except RecordingError as error:
+            assert error.hint  # noqa: PT017
+            assert most == 0
+            continue
+        assert found == sound[: len(found)]
+        assert len(found) >= most
+        assert damage or len(found) == len(sound)
+        most = len(found)
+    assert most > 0.9 * len(sound)
