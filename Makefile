@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := demo_calibration
 
-.PHONY: demo test check lint types layers logs slow bench clean
+.PHONY: demo test check lint types layers logs docs slow bench clean
 
 $(VENV)/.run: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -43,6 +43,9 @@ check: lint types layers test  ## what must be clean before a commit
 
 logs: $(VENV)/.run  ## rebuild sample_logs/ from their seeds
 	$(BIN)/python -m mobilecal_cli.simulate.samples sample_logs
+
+docs: $(VENV)/.dev  ## the parts of docs/ that are made out of the code
+	$(BIN)/python docs/generate/errors.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis $(DEMO)

@@ -141,7 +141,10 @@ def linear_from(loops: Loops, wheels: WheelGeometry, rounds: int = 3) -> Paramet
     """
     history = list(itertools.islice(_Rounds(loops).run(ratios_of(wheels)), rounds))
     if len(history) < rounds:
-        raise SolveError("the iterative linear method breaks down on these legs")
+        raise SolveError(
+            f"the iterative linear method breaks down on these {len(loops.legs)} legs",
+            "start from other wheels, or record a log in which the base turns and drives and the head pans and tilts",
+        )
     return history[-1]
 
 

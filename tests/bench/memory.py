@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -26,18 +25,27 @@ class Spent:
     peak_mb: float
 
 
+#: The command, and at its end what the kernel says of its memory (a child's `ru_maxrss` has its parent's in it).
+_PROGRAM = """
+import sys
+from pathlib import Path
+from mobilecal_cli.__main__ import main
+try:
+    main()
+finally:
+    (line,) = (l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmHWM"))
+    print(line, file=sys.stderr)
+"""
+
+
 def spent(*arguments: str) -> Spent:
     """Run `mobilecal` with arguments, in a process of its own."""
     start = time.perf_counter()
-    command = [sys.executable, "-m", "mobilecal_cli", *arguments, "--quiet"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    assert process.stderr is not None
-    said = process.stderr.read().decode()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode not in (0, 6):
-        raise RuntimeError(said)
-    return Spent(time.perf_counter() - start, usage.ru_maxrss / 1024)
+    command = [sys.executable, "-c", _PROGRAM, *arguments, "--quiet"]
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode not in (0, 6):
+        raise RuntimeError(done.stderr)
+    return Spent(time.perf_counter() - start, int(done.stderr.split("VmHWM:")[1].split()[0]) / 1024)
 
 
 def row(container: str, stations: int, pairs: int, folder: Path) -> str:
