@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import join_parts, open_recording, read_images, read_prelude
+from mobilecal_cli.model import JointField, Sources, WheelSource
+from mobilecal_cli.readers import join_parts, open_recording, read_images, read_prelude, read_signals
 
 CONFORMANCE = {
     "NoData": (0, 6),
@@ -186,3 +187,59 @@ def test_same_pictures_from_ros1_and_ros2(shared_data):
     for (side, ours), (other_side, other) in zip(*pictures, strict=True):
         assert side == other_side
         np.testing.assert_array_equal(ours, other)
+
+
+ROBOTS = {
+    "fetch_calibration/fetch_calibration/config/checkerboard_poses.bag": (
+        "l_wheel_joint",
+        "r_wheel_joint",
+        21,
+    ),
+    "fetch_calibration/fetch_calibration/config/calibration_poses.bag": (
+        "l_wheel_joint",
+        "r_wheel_joint",
+        101,
+    ),
+    "robot_calibration_ubr/launch/calibration_poses.bag": ("base_l_wheel_joint", "base_r_wheel_joint", 61),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_joint_states_of_real_robots_serve_as_joints_and_wheels(shared_data, name):
+    left, right, count = ROBOTS[name]
+    head = ("head_pan_joint", "head_tilt_joint")
+    with open_recording([shared_data / "bags" / name]) as recording:
+        (topic,) = read_prelude(recording).joint_names
+        wheels = {"left": WheelSource(topic, joint=left), "right": WheelSource(topic, joint=right)}
+        signals = read_signals(recording, Sources({}, {}, (topic,), wheels), head, ())
+        raw = [m.decode() for m in recording.messages([topic])]
+        log = [m.log_time_ns for m in recording.messages([topic])]
+    stamped = any(m.header.stamp.sec for m in raw)
+    assert stamped == name.startswith("robot_calibration_ubr")
+    assert any("header stamps are zero; the log time is used" in note for note in signals.notes) != stamped
+    times = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in raw] if stamped else log
+    for joint, track in ((head[0], signals.joints[head[0]]), (left, signals.wheels["left"])):
+        read = {t: m.position[m.name.index(joint)] for t, m in zip(times, raw, strict=True)}
+        assert len(track.time_ns) == len(set(times)) <= count
+        start = track.value[0] - read[int(track.time_ns[0])]
+        found = track.value - start
+        turns = (found - [read[int(t)] for t in track.time_ns]) / (2 * np.pi)
+        np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+    assert np.ptp(signals.joints["head_pan_joint"].value) > 0.1
+
+
+def test_a_joint_state_inside_a_message_of_its_own_serves_as_joints_and_wheels(shared_data):
+    name = "fetch_calibration/fetch_calibration/config/calibration_poses_ground.bag"
+    with open_recording([shared_data / "bags" / name]) as recording:
+        (topic,) = (info.name for info in recording.topics)
+        names = next(recording.messages([topic])).decode().joint_states.name
+        place = {joint: f"joint_states.position[{k}]" for k, joint in enumerate(names)}
+        head = {joint: JointField(topic, place[joint]) for joint in ("head_pan_joint", "head_tilt_joint")}
+        wheels = {
+            side: WheelSource(topic, field=place[f"{side[0]}_wheel_joint"]) for side in ("left", "right")
+        }
+        signals = read_signals(recording, Sources({}, {}, (), wheels, head), tuple(head), ())
+    # Two of the 130 messages were logged at the same moment, and nothing else tells their time.
+    assert len(signals.joints["head_tilt_joint"].time_ns) == len(signals.wheels["left"].time_ns) == 129
+    assert any("1 of 130 stamps occur twice; the first is kept" in note for note in signals.notes)
+    assert np.ptp(signals.joints["head_tilt_joint"].value) > 0.05
