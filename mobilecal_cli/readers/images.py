@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +18,12 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, Layout, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
+from mobilecal_cli.readers.video import Video, codec_of
 
 #: No picture may claim more pixels than this, five times those of a large stereo camera.
 LARGEST_PIXELS = 2**26
+#: So much of a video is read to find a few key frames.
+_GLANCE_BYTES = 2**25
 _COMPRESSIONS = ("JPEG", "PNG")
 
 
@@ -79,6 +83,7 @@ def read_images(
     sides: dict[str, list[Side]] = {}
     for side in missing:
         sides.setdefault(image_topics[side], []).append(side)
+    videos: dict[str, Video] = {}
     for message in recording.messages(sides) if sides else ():
         try:
             decoded = message.decode()
@@ -86,11 +91,12 @@ def read_images(
             continue  # it has no stamp that could have been asked for
         stamp_ns = stamp_of(decoded, message.log_time_ns)
         asked = [side for side in sides[message.topic] if stamp_ns in missing[side]]
-        if not asked:
+        video = _video(videos, message.topic, decoded)
+        if not asked and video is None:
             continue
         picture: GrayImage | Rejection
         try:
-            picture = decode_image(decoded)
+            picture = decode_image(decoded) if video is None else video.picture(decoded.data)
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "picture cannot be decoded", detail, stamp_ns)
@@ -117,14 +123,52 @@ def pictures_near(
     sides: dict[str, list[Side]] = {}
     for side, topic in sources.image.items():
         sides.setdefault(topic, []).append(side)
+    videos = []
     for message in recording.near(sides, times_ns):
         try:
-            picture = decode_image(message.decode())
+            decoded = message.decode()
+            if codec_of(decoded) is not None:
+                videos.append(message.topic)
+                continue
+            picture = decode_image(decoded)
         except RecordingError as error:
             yield Rejection("readers", "picture cannot be decoded", error.message, message.log_time_ns)
             continue
         for side in sides[message.topic]:
             yield _part(picture, side, sources.layout)
+    for topic in dict.fromkeys(videos):
+        for frame in _key_frames(recording, topic, times_ns):
+            for side in sides[topic]:
+                yield _part(frame, side, sources.layout)
+
+
+def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> Iterator[GrayImage]:
+    """The first frame of a video that builds on no other, from each moment on, as far as a few stretches hold them."""
+    waiting = sorted(times_ns)
+    for message in recording.messages([topic], within_bytes=_GLANCE_BYTES):
+        if not waiting:
+            return
+        if message.log_time_ns < waiting[0]:
+            continue
+        with suppress(RecordingError):
+            decoded = message.decode()
+            video = _video({}, topic, decoded)
+            if video is None:
+                continue
+            frame = video.picture(decoded.data)
+            while waiting and waiting[0] <= message.log_time_ns:
+                waiting.pop(0)
+            yield frame
+
+
+def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None:  # noqa: ANN401
+    """The decoder of a topic's video, begun with its first frame; None for single pictures."""
+    codec = codec_of(message)
+    if codec is None:
+        return None
+    if topic not in videos:
+        videos[topic] = Video(codec, LARGEST_PIXELS)
+    return videos[topic]
 
 
 def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:

@@ -14,6 +14,7 @@ from typing import Any
 _FOXGLOVE = {
     "RawImage": "sensor_msgs/msg/Image",
     "CompressedImage": "sensor_msgs/msg/CompressedImage",
+    "CompressedVideo": "sensor_msgs/msg/CompressedImage",
     "CameraCalibration": "sensor_msgs/msg/CameraInfo",
 }
 _DYNAMIC_JOINTS = "control_msgs/msg/DynamicJointState"
