@@ -26,7 +26,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -45,7 +45,12 @@ _OBSERVATION_ARRAYS: dict[str, type] = {
     "square_m": np.float64,
     "reprojection_px": np.float64,
 }
-_CORNER_ARRAYS: dict[str, type] = {"pixels": np.float64, "sigma_px": np.float64, "pictures": np.int64}
+_CORNER_ARRAYS: dict[str, type] = {
+    "pixels": np.float64,
+    "sigma_px": np.float64,
+    "pictures": np.int64,
+    "seen": np.bool_,
+}
 _EPOCH = (
     1980,
     1,
@@ -209,8 +214,10 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
 
 def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:
     def corners(side: str) -> Corners:
-        pixels, sigma_px, pictures = (arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS)
-        return Corners(pixels, float(sigma_px), int(pictures))
+        pixels, sigma_px, pictures, seen = (
+            arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS
+        )
+        return Corners(pixels, float(sigma_px), int(pictures), seen)
 
     values = {name: arrays[f"observations.{name}"][index] for name in _OBSERVATION_ARRAYS}
     scalars = {name: value.item() for name, value in values.items() if value.ndim == 0}

@@ -44,6 +44,7 @@ def one_log(
     part = replace(
         problem,
         pixels=problem.pixels[mine],
+        seen=problem.seen[mine],
         relative_sigma=problem.relative_sigma[mine],
         joints=problem.joints[mine],
         joint_tracks=problem.joint_tracks[log : log + 1],

@@ -37,7 +37,7 @@ class Selection:
     """What is believed.
 
     Attributes:
-        corners: (N, 2, M) corners of each camera.
+        corners: (N, 2, M) corners of each camera, among those that it saw.
         views: (N,) stations whose pictures are used.
         legs: (L,) legs whose wheels are used.
         readings: (N, J) joint readings that are used.
@@ -50,9 +50,9 @@ class Selection:
 
     @classmethod
     def everything(cls, problem: Problem) -> Selection:
-        """Believe all."""
+        """Believe all that was measured."""
         return cls(
-            np.ones(problem.pixels.shape[:3], dtype=np.bool_),
+            problem.seen,
             np.ones(problem.stations, dtype=np.bool_),
             np.ones(len(problem.legs), dtype=np.bool_),
             np.ones(problem.joints.shape, dtype=np.bool_),

@@ -37,7 +37,8 @@ class Problem:
     Attributes:
         cameras, chain: the known geometry.
         points_k: (M, 3) corners on the board, m.
-        pixels: (N, 2, M, 2) seen corners, left then right, px.
+        pixels: (N, 2, M, 2) corners, left then right, px.
+        seen: (N, 2, M) those that were seen; the others are no measurements.
         relative_sigma: (N, 2) how much noisier than usual each camera's corners claim to be; rms 1.
         joints: (N, J) readings.
         joint_tracks: the head's joints over time, one tuple a log; empty where they are not known.
@@ -56,6 +57,7 @@ class Problem:
     chain: HeadChain
     points_k: FloatArray
     pixels: FloatArray
+    seen: BoolArray
     relative_sigma: FloatArray
     joints: FloatArray
     joint_tracks: tuple[tuple[Track, ...], ...]
@@ -265,6 +267,7 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         chain=extraction.rig.chain,
         points_k=extraction.board.grid() * square_m,
         pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
+        seen=np.stack([np.stack([o.left.seen, o.right.seen]) for o in seen]),
         relative_sigma=claims / np.sqrt(np.mean(claims**2)),
         joints=np.stack([o.joints for o in seen]),
         joint_tracks=extraction.joint_tracks,

@@ -120,6 +120,7 @@ def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem,
     wide = replace(
         problem,
         pixels=np.repeat(problem.pixels[-1:], count + 1, axis=0),
+        seen=np.ones((count + 1, *problem.seen.shape[1:]), dtype=np.bool_),
         relative_sigma=np.ones((count + 1, 2)),
         joints=np.concatenate([problem.joints[-1:], stops.joints]),
         joint_tracks=(),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
 from mobilecal_cli.model.rig import Board, Rig
 from mobilecal_cli.model.signals import Rejection, Track
 
@@ -22,14 +22,20 @@ class Corners:
             several pictures (already divided by the square root of their number), otherwise what the
             refinement claims.
         pictures: how many pictures were averaged.
+        seen: (M,) the corners that were seen, all of them where nothing is said. The others' `pixels` are where the
+            fitted board has them, and no measurement.
     """
 
     pixels: FloatArray
     sigma_px: float
     pictures: int
+    seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        freeze(self, pixels=("M", 2))
+        corners = freeze(self, pixels=("M", 2))["M"]
+        if not len(self.seen):
+            object.__setattr__(self, "seen", np.ones(corners, dtype=np.bool_))
+        freeze(self, np.bool_, seen=(corners,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +50,8 @@ class Observation:
         joints: (J,) see `Station`.
         joints_std: (J,) see `Station`.
         left, right: corners in each camera, same numbering.
-        points_c: (M, 3) triangulated corners in the left camera's frame, m.
+        points_c: (M, 3) triangulated corners in the left camera's frame, m; those that a camera did not see lie
+            where the fitted board has them.
         points_cov: (M, 3, 3) their covariances, m^2.
         T_c_k: (4, 4) board coordinates to left camera coordinates, minimising stereo reprojection.
         T_c_k_cov: (6, 6) covariance of T_c_k, tangent order of `se3` (rotation, then translation), left

@@ -243,8 +243,8 @@ def coverage(extraction: Extraction) -> dict[str, float]:
     cameras, seen = extraction.rig.cameras, extraction.observations
     if not seen:
         return {}
-    left = np.concatenate([o.left.pixels for o in seen])
-    right = np.concatenate([o.right.pixels for o in seen])
+    left = np.concatenate([o.left.pixels[o.left.seen] for o in seen])
+    right = np.concatenate([o.right.pixels[o.right.seen] for o in seen])
     return {
         "left": image_coverage(left, cameras.left.width, cameras.left.height),
         "right": image_coverage(right, cameras.right.width, cameras.right.height),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.model import Extraction, FloatArray, Side, Snapshot, Solution
+from mobilecal_cli.model import Corners, Extraction, FloatArray, Side, Snapshot, Solution
 from mobilecal_cli.report.numbers import station_names
 
 _WIDTH_PX = 800  # wider cuttings are shrunk: the page stays small, and the marks are drawn in vectors anyway
@@ -79,12 +79,8 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                 error_mm=float(residuals.leg_point_rms_m[leg] * 1e3),
                 error_px=float(residuals.leg_reprojection_px[leg]),
                 pictures=(
-                    _overlay(
-                        "left", snapshot.left_jpeg, seen[i].left.pixels, residuals.predicted_left_px[leg]
-                    ),
-                    _overlay(
-                        "right", snapshot.right_jpeg, seen[i].right.pixels, residuals.predicted_right_px[leg]
-                    ),
+                    _overlay("left", snapshot.left_jpeg, seen[i].left, residuals.predicted_left_px[leg]),
+                    _overlay("right", snapshot.right_jpeg, seen[i].right, residuals.predicted_right_px[leg]),
                 ),
             )
         )
@@ -95,9 +91,10 @@ def _ranks(count: int) -> tuple[str, ...]:
     return {1: ("only",), 2: ("worst", "best")}.get(count, ("worst", "median", "best"))
 
 
-def _overlay(side: Side, jpeg: bytes, detected: FloatArray, carried: FloatArray) -> Overlay:
+def _overlay(side: Side, jpeg: bytes, corners: Corners, carried: FloatArray) -> Overlay:
     import cv2
 
+    detected, carried = corners.pixels[corners.seen], carried[corners.seen]
     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) if jpeg else None
     marks = np.concatenate([detected, carried], axis=1) + 0.5  # SVG counts from a pixel's edge
     low, high = detected.min(axis=0), detected.max(axis=0)

@@ -81,7 +81,7 @@ class Decisions:
     def _view_back(self, fit: Fit, redundancy: float) -> Selection | None:
         """The selection with a station's pictures believed again, as read or with one reading doubted instead."""
         selection = fit.selection
-        usable = selection.corners.mean(axis=2).min(axis=1) > 0.5
+        usable = np.all(selection.corners.sum(axis=2) > 0.5 * self.problem.seen.sum(axis=2), axis=1)
         out = ~selection.views & usable
         if not out.any():
             return None

@@ -45,6 +45,7 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             "board, or the head was not where its joints say); its pictures are left out."
         )
         found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
+    left_out = fit.problem.seen & ~selection.corners
     joints = extraction.rig.chain.joints
     for i, j in ((int(a), int(b)) for a, b in np.argwhere(~selection.readings)):
         text = (
@@ -52,8 +53,8 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees; the reading is left out."
         )
         found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
-    for i in (int(k) for k in np.flatnonzero(~selection.corners.all(axis=(1, 2)) & selection.views)):
-        left, right = (int(n) for n in (~selection.corners[i]).sum(axis=1))
+    for i in (int(k) for k in np.flatnonzero(left_out.any(axis=(1, 2)) & selection.views)):
+        left, right = (int(n) for n in left_out[i].sum(axis=1))
         counts = f"{left} corners on the left and {right} on the right"
         text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are left out."
         found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))

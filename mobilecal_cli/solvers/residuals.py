@@ -7,7 +7,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
+from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals, Side
 from mobilecal_cli.solvers.carry import base_motion, camera_motion
 from mobilecal_cli.solvers.loops import Loops
 
@@ -41,14 +41,16 @@ def residuals_of(
         "left": np.stack([o.left.pixels for o in extraction.observations])[i],
         "right": np.stack([o.right.pixels for o in extraction.observations])[i],
     }
-    squares = [np.sum((predicted[side] - seen[side]) ** 2, axis=-1) for side in ("left", "right")]
+    sides: tuple[Side, Side] = ("left", "right")
+    squares = [np.sum((predicted[side] - seen[side]) ** 2, axis=-1) for side in sides]
+    measured = np.stack([[getattr(o, side).seen for o in extraction.observations] for side in sides])[:, i]
     T_w_v = dead_reckoned(loops, parameters)
     return Residuals(
         legs=loops.legs[kept],
         leg_point_rms_m=np.sqrt(np.mean(np.sum((carried_c - loops.points_c[i]) ** 2, axis=-1), axis=-1)),
         predicted_left_px=predicted["left"],
         predicted_right_px=predicted["right"],
-        leg_reprojection_px=np.sqrt(np.mean(np.stack(squares), axis=(0, 2))),
+        leg_reprojection_px=np.sqrt(np.mean(np.stack(squares), axis=(0, 2), where=measured)),
         T_w_v=T_w_v,
         T_w_k=T_w_v @ loops.T_v_h @ parameters.T_h_c @ loops.T_c_k,
     )

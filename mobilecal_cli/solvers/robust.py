@@ -120,6 +120,11 @@ def doubted_readings(optimum: Optimum, marginal: Marginals, noise: Noise) -> Flo
     return np.asarray(optimum.state.joint_errors**2 / spread)
 
 
+def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
+    """(N,) median over the corners that were seen, (N, 2, M)."""
+    return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
+
+
 def gross_corners(
     problem: Problem, state: State, T_c_k: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
@@ -138,9 +143,9 @@ def gross_corners(
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(problem, state, T)
         size = np.linalg.norm(residual, axis=-1) / sigma
-        scale = np.maximum(np.median(size, axis=(1, 2)), 1e-9)
+        scale = np.maximum(_median(size, problem.seen), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
-        root = 1 / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2)[..., None]
+        root = (problem.seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
         A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
         r = (residual * root).reshape(len(T), -1)
         At = np.swapaxes(A, 1, 2)
@@ -151,8 +156,9 @@ def gross_corners(
     residual, _ = corner_residuals(problem, state, T)
     size = np.linalg.norm(residual, axis=-1) / sigma
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
-    own = np.median(size, axis=(1, 2)) / 1.1774
+    own = _median(size, problem.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)
-    sound = size <= _CORNER_SIGMAS * np.maximum(common, np.minimum(own, _BAD_BOARD * common))[:, None, None]
-    enough = sound.mean(axis=2).min(axis=1) >= 1 - _BAD_PICTURE
+    near = size <= _CORNER_SIGMAS * np.maximum(common, np.minimum(own, _BAD_BOARD * common))[:, None, None]
+    sound = near & problem.seen
+    enough = np.all(sound.sum(axis=2) >= (1 - _BAD_PICTURE) * problem.seen.sum(axis=2), axis=1)
     return sound, enough & (own < _BAD_BOARD * common), own

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import SCHEMA_VERSION
 from mobilecal_cli.model import (
     Board,
     Camera,
@@ -182,7 +183,7 @@ def test_numpy_alone_can_read_it():
     with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
         assert archive["observations.points_c"].shape == (3, 54, 3)
         assert archive["wheels.0.time_ns"].dtype == np.int64
-        assert json.loads(archive["header"].tobytes())["schema_version"] == 3
+        assert json.loads(archive["header"].tobytes())["schema_version"] == SCHEMA_VERSION
 
 
 def test_the_bytes_hold_no_time():
@@ -205,7 +206,7 @@ def with_header(change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda h: h.update(schema_version=4), "schema version 4"),
+        (lambda h: h.update(schema_version=99), "schema version 99"),
         (lambda h: h.pop("schema_version"), "schema version None"),
         (lambda h: h.update(format="something"), "not an extraction"),
         (lambda h: h.pop("rig"), "damaged"),
