@@ -241,6 +241,14 @@ class ContainerName(StrEnum):
     bag_bz2 = "bag-bz2"
 
 
+class BoardName(StrEnum):
+    """Boards that are simulated."""
+
+    checkerboard = "checkerboard"
+    charuco = "charuco"
+    aprilgrid = "aprilgrid"
+
+
 class PictureName(StrEnum):
     """How a simulated recording stores pictures."""
 
@@ -262,6 +270,9 @@ def simulate(
         ContainerName | None, typer.Option(help="Kind of recording. [default: by the name's ending]")
     ] = None,
     pictures: Annotated[PictureName, typer.Option(help="How images are stored.")] = PictureName.jpeg,
+    board: Annotated[
+        BoardName, typer.Option(help="What hangs on the wall; boards with markers are seen in part.")
+    ] = BoardName.checkerboard,
     exact: Annotated[
         bool, typer.Option("--exact", help="No noise, encoders without steps (use with png).")
     ] = False,
@@ -287,6 +298,7 @@ def simulate(
         stations=stations,
         container=cast(Any, kind),
         pictures=cast(Any, pictures.value),
+        kind=cast(Any, board.value),
         exact=exact,
         camera_late_s=camera_late,
     )

@@ -33,12 +33,62 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
 
 
-class BoardConfig(_Section):
-    """The checkerboard, in inner corners."""
+_Dictionary = Literal[
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+]
 
-    columns: int | None = Field(None, ge=3, le=100, description="inner corners along the longer count")
-    rows: int | None = Field(None, ge=3, le=100, description="inner corners along the other")
-    square_m: PositiveFloat | None = Field(None, description="side of a square, m; stereo gives it otherwise")
+
+class BoardConfig(_Section):
+    """The board, in inner corners (an aprilgrid: in tags)."""
+
+    kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
+    columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
+    rows: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a column")
+    square_m: PositiveFloat | None = Field(
+        None, description="side of a square (of a tag), m; stereo gives it otherwise"
+    )
+    dictionary: _Dictionary | None = Field(None, description="family of the markers, by OpenCV's name")
+    marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker's side over square's")
+    gap_share: float | None = Field(
+        None, ge=0, le=2, description="aprilgrid: gap between tags over tag's side"
+    )
+    first_id: int = Field(0, ge=0, le=10_000, description="number of the first marker")
+    border_bits: int = Field(1, ge=1, le=3, description="width of the markers' black border, in cells")
+
+    @model_validator(mode="after")
+    def _markers_told(self) -> BoardConfig:
+        if self.kind == "checkerboard":
+            for key in ("dictionary", "marker_share", "gap_share"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} is for boards with markers: set kind to charuco or aprilgrid")
+            if min(self.columns or 3, self.rows or 3) < 3:
+                raise ValueError("a checkerboard has three inner corners or more each way")
+            return self
+        needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
+        for key in ("columns", "rows", *needed):
+            if getattr(self, key) is None:
+                raise ValueError(f"a board of kind {self.kind} needs {key}")
+        return self
 
     @model_validator(mode="after")
     def _both_counts(self) -> BoardConfig:

@@ -160,28 +160,62 @@ class HeadChain:
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
-    """The checkerboard, counted in inner corners. Frame k: origin at corner 0, x along a row of corners,
-    y along a column, z = x cross y pointing away from a camera that sees the board's front.
+class Markers:
+    """The markers on a board, which number its corners: parts of the board are then enough.
 
     Attributes:
-        columns, rows: inner corners along x and along y.
-        square_m: side of a square, m; None when the stereo baseline gives the scale.
+        kind: "charuco": markers in the white squares of a checkerboard, whose inner corners are used; "aprilgrid":
+            a grid of tags, whose own corners are used.
+        dictionary: their family, by OpenCV's name, such as "DICT_5X5_100".
+        share: charuco: side of a marker; aprilgrid: gap between two tags; both as shares of `Board.square_m`.
+        first_id: number of the first marker.
+        border_bits: width of the markers' black border, in cells of their code.
+    """
+
+    kind: Literal["charuco", "aprilgrid"]
+    dictionary: str
+    share: float
+    first_id: int = 0
+    border_bits: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The calibration board. Frame k: x along a row of corners, y along a column, z = x cross y pointing away from a
+    camera that sees the board's front; origin at corner 0 (of an aprilgrid: at the bottom left corner of the first tag,
+    which is itself at the bottom left, as Kalibr prints it).
+
+    Attributes:
+        columns, rows: inner corners along x and along y; of an aprilgrid: tags.
+        square_m: side of a square (of an aprilgrid: of a tag), m; None when the stereo baseline gives the scale.
+        markers: None for a plain checkerboard.
     """
 
     columns: int
     rows: int
     square_m: float | None = None
+    markers: Markers | None = None
 
     @property
     def corners(self) -> int:
-        """Number of inner corners; corner index = row * columns + column."""
-        return self.columns * self.rows
+        """Number of corners; corner index = row * columns + column, of an aprilgrid: four times the tag's, and 0 to 3
+        clockwise from the tag's top left.
+        """
+        return self.columns * self.rows * (4 if self._tags else 1)
+
+    @property
+    def _tags(self) -> bool:
+        return self.markers is not None and self.markers.kind == "aprilgrid"
 
     def grid(self) -> FloatArray:
-        """(corners, 3) corner positions in units of one square, z = 0."""
-        row, column = np.divmod(np.arange(self.corners), self.columns)
-        return np.stack([column, row, np.zeros(self.corners)], axis=1).astype(np.float64)
+        """(corners, 3) corner positions in units of one square (of an aprilgrid: one tag), z = 0."""
+        row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
+        if not self._tags or self.markers is None:
+            return np.stack([column, row, np.zeros(len(row))], axis=1).astype(np.float64)
+        pitch = 1 + self.markers.share
+        tags = np.stack([column * pitch, -row * pitch - 1, np.zeros(len(row))], axis=1)
+        within = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        return np.asarray((tags[:, None, :] + within).reshape(-1, 3), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

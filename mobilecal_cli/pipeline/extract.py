@@ -19,6 +19,7 @@ from mobilecal_cli.model import (
     HeadChain,
     JointLink,
     LogSource,
+    Markers,
     Observation,
     Rejection,
     Rig,
@@ -78,7 +79,7 @@ def _see(
         board = Board(*size, config.board.square_m)
     looks, snapshots = look(recording, rig.sources, rig.cameras, board, plan.stations, progress)
     found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
-    if not found and config.board.columns is not None:
+    if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plan, board)
     return Seen(rig, board, plan, looks, snapshots, (*settled.notes, *notes, *recording.damage))
 
@@ -119,6 +120,22 @@ def _observe(
     return observe(log, station, left, right, seen.rig.cameras, seen.board, square_m)
 
 
+def board_of(config: RigConfig) -> Board | None:
+    """The board as configured, None where its size is to be found in the pictures."""
+    given = config.board
+    if not (given.columns and given.rows):
+        return None
+    markers = None
+    if given.kind == "charuco":
+        markers = Markers(
+            "charuco", given.dictionary or "", given.marker_share or 0.0, given.first_id, given.border_bits
+        )
+    elif given.kind == "aprilgrid":
+        family = given.dictionary or "DICT_APRILTAG_36h11"
+        markers = Markers("aprilgrid", family, given.gap_share or 0.0, given.first_id, given.border_bits)
+    return Board(given.columns, given.rows, given.square_m, markers)
+
+
 def extract(
     logs: Sequence[Path],
     config: RigConfig,
@@ -139,8 +156,7 @@ def extract(
     Raises:
         MobilecalError: see `errors`.
     """
-    size = (config.board.columns, config.board.rows)
-    board = Board(size[0], size[1], config.board.square_m) if size[0] and size[1] else None
+    board = board_of(config)
     seen: list[Seen] = []
     sources: list[LogSource] = []
     for parts in join_parts(logs):

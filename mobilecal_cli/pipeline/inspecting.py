@@ -13,6 +13,7 @@ from mobilecal_cli.discovery import lacking, settle_rig
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
+    Board,
     BoardView,
     GrayImage,
     Inspection,
@@ -29,12 +30,12 @@ from mobilecal_cli.model import (
     TopicView,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.extract import sliding_joints
+from mobilecal_cli.pipeline.extract import board_of, sliding_joints
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import Recording, open_recording, pictures_near, read_prelude, read_signals
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, gaps_between
-from mobilecal_cli.vision import identify_size
+from mobilecal_cli.vision import Detection, find_board, identify_size
 
 #: So much of a long recording is decompressed for the motion; of a shorter one all of it.
 MOTION_BYTES = 2**28
@@ -78,7 +79,7 @@ def inspect(
             motion, weak, seen = _motion(recording, rig, times, missing)
             notes = [*notes, *seen]
             progress("pictures", 0, None)
-            board = _board(recording, rig, missing)
+            board = _board(recording, rig, board_of(config), missing)
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -209,7 +210,7 @@ def _rests(
     return sum(station.at_rest for station in plan.stations), tuple(weak)
 
 
-def _board(recording: Recording, rig: Rig, missing: list[Lack]) -> BoardView | None:
+def _board(recording: Recording, rig: Rig, board: Board | None, missing: list[Lack]) -> BoardView | None:
     """In how many of a few pictures the board is."""
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
@@ -226,8 +227,7 @@ def _board(recording: Recording, rig: Rig, missing: list[Lack]) -> BoardView | N
         why = f": {broken[0].detail}" if broken else ""
         missing.append(Lack(f"no picture can be looked at{why}", "record both cameras' images"))
         return None
-    vote = identify_size(pictures)
-    seen = vote.votes[vote.size] if vote.size else 0
+    size, seen = _found(pictures, board)
     if not seen:
         missing.append(
             Lack(
@@ -235,4 +235,13 @@ def _board(recording: Recording, rig: Rig, missing: list[Lack]) -> BoardView | N
                 "keep the whole board in both pictures, in good light, with squares of 7 pixels or more",
             )
         )
-    return BoardView(len(pictures), seen, vote.size)
+    return BoardView(len(pictures), seen, size)
+
+
+def _found(pictures: Sequence[GrayImage], board: Board | None) -> tuple[tuple[int, int] | None, int]:
+    """The board's columns and rows, and in how many pictures it is."""
+    if board is not None and board.markers is not None:
+        seen = sum(isinstance(find_board(picture, board), Detection) for picture in pictures)
+        return (board.columns, board.rows) if seen else None, seen
+    vote = identify_size(pictures)
+    return vote.size, vote.votes[vote.size] if vote.size else 0

@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.readers import Recording, read_images
-from mobilecal_cli.vision import Detection, Miss, detect, identify_size, snapshot_jpeg
+from mobilecal_cli.vision import Detection, Miss, find_board, identify_size, snapshot_jpeg
 
 SNAPSHOTS = 60  # pictures kept for the report, so that memory does not grow with the log
 SIZE_PICTURES = 8
@@ -140,7 +140,7 @@ def look(
             check_picture(picture, side, cameras)
             if where[side][stamp] % stride == 0 and side not in place.pictures:
                 place.pictures[side] = snapshot_jpeg(picture)
-            pending.append((side, stamp, pool.submit(detect, picture, board.columns, board.rows)))
+            pending.append((side, stamp, pool.submit(find_board, picture, board)))
             if len(pending) > 2 * workers:
                 collect()
         while pending:

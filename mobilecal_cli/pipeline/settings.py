@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, FixedLink, FloatArray, HeadChain, WheelSource
+from mobilecal_cli.model import Board, Extraction, FixedLink, FloatArray, HeadChain, WheelSource
 
 
 def _numbers(array: FloatArray) -> list[float]:
@@ -44,12 +44,22 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if value is not None}
 
 
+def _board(board: Board) -> dict[str, Any]:
+    settings: dict[str, Any] = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
+    markers = board.markers
+    if markers is not None:
+        share = "marker_share" if markers.kind == "charuco" else "gap_share"
+        settings |= {"kind": markers.kind, "dictionary": markers.dictionary, share: markers.share}
+        settings |= {"first_id": markers.first_id, "border_bits": markers.border_bits}
+    return settings
+
+
 def settings_of(extraction: Extraction) -> dict[str, Any]:
     """Every setting that the result depends on, nested as in rig.yaml, and what settled each."""
     rig, board = extraction.rig, extraction.board
     elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
     settings: dict[str, Any] = {
-        "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
+        "board": _board(board),
         "cameras": {
             **{
                 side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
@@ -224,13 +225,14 @@ def _short(name: str) -> str:
 def picture_coverage(extraction: Extraction, side: Side) -> str:
     """Where in the picture the board was, as outlines."""
     camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
-    seen, board = extraction.observations, extraction.board
-    ring = np.array([0, board.columns - 1, board.corners - 1, board.corners - board.columns])
+    seen = extraction.observations
     chosen = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int))
     with style():
         drawing, (axes,) = figure(3.5, 3.0)
         for i in chosen:
-            outline = getattr(seen[i], side).pixels[ring]
+            corners = getattr(seen[i], side)
+            measured = corners.pixels[corners.seen]
+            outline = measured[ConvexHull(measured).vertices]
             axes.fill(*outline.T, facecolor=BLUE, alpha=0.10)
             axes.plot(*np.concatenate([outline, outline[:1]]).T, color=BLUE, linewidth=0.9, alpha=0.8)
         corners = np.array([[0, 0], [camera.width, camera.height]]) - 0.5

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, Camera, FloatArray
+from mobilecal_cli.simulate.markers import Print, printed_area
 from mobilecal_cli.simulate.stereo import pixels, rays
 
 _SUB = 2  # subpixels each way; an edge is shaded over one of them, so it is not bound to their grid
@@ -58,6 +59,7 @@ class BoardRenderer:
         )
         self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
         self._background = self._clutter(random)
+        self._print = None if board.markers is None else Print(board, board.markers)
         self._last = (np.zeros((0, 0)), np.zeros((0, 0)))
 
     def _clutter(self, random: np.random.Generator) -> FloatArray:
@@ -82,15 +84,9 @@ class BoardRenderer:
     def _drawn(self, T_x_k: FloatArray) -> FloatArray:
         image = self._background.copy()
         squares = self._board.square_m or 1.0
-        columns, rows = self._board.columns, self._board.rows
-        border = 1 + _MARGIN_SQUARES
-        outline = np.array(
-            [
-                [x, y, 0.0]
-                for x in np.linspace(-border, columns - 1 + border, 12)
-                for y in np.linspace(-border, rows - 1 + border, 12)
-            ]
-        )
+        low, high = printed_area(self._board)
+        wide = np.linspace(low - _MARGIN_SQUARES, high + _MARGIN_SQUARES, 12)
+        outline = np.array([[x, y, 0.0] for x in wide[:, 0] for y in wide[:, 1]])
         at = pixels(self._camera, outline * squares @ T_x_k[:3, :3].T + T_x_k[:3, 3])
         limit = [self._camera.width, self._camera.height]
         x0, y0 = np.clip(np.floor(at.min(axis=0)).astype(int) - _PAD_PX, 0, limit)
@@ -106,11 +102,14 @@ class BoardRenderer:
             )
             wide_x, wide_y = _width(x), _width(y)
             middle, swing = (_DARK + _LIGHT) / 2, (_LIGHT - _DARK) / 2
-            # The square outside corner 0, from -1 to 0 both ways, is dark.
-            pattern = middle - swing * _edge_wave(x, wide_x) * _edge_wave(y, wide_y)
-            on_pattern = _covered(x, wide_x, -1, columns) * _covered(y, wide_y, -1, rows)
-            on_paper = _covered(x, wide_x, -border, columns - 1 + border)
-            on_paper *= _covered(y, wide_y, -border, rows - 1 + border)
+            if self._print is None:
+                # The square outside corner 0, from -1 to 0 both ways, is dark.
+                pattern = middle - swing * _edge_wave(x, wide_x) * _edge_wave(y, wide_y)
+            else:
+                pattern = middle + swing * self._print.at(x, y)
+            on_pattern = _covered(x, wide_x, low[0], high[0]) * _covered(y, wide_y, low[1], high[1])
+            on_paper = _covered(x, wide_x, low[0] - _MARGIN_SQUARES, high[0] + _MARGIN_SQUARES)
+            on_paper *= _covered(y, wide_y, low[1] - _MARGIN_SQUARES, high[1] + _MARGIN_SQUARES)
             behind = np.repeat(np.repeat(image[y0:y1, x0:x1], _SUB, axis=0), _SUB, axis=1)
             fine = on_paper * (on_pattern * pattern + (1 - on_pattern) * _PAPER) + (1 - on_paper) * behind
             # The lens blurs before the pixels sample: after it, edges would move with their place in a pixel.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board
+from mobilecal_cli.model import Board, Markers
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 
@@ -17,7 +17,12 @@ Container = Literal[
 ]
 CONTAINERS: tuple[str, ...] = get_args(Container)
 Pictures = Literal["jpeg", "png", "mono8"]
+BoardKind = Literal["checkerboard", "charuco", "aprilgrid"]
 _BOARD = Board(9, 6, 0.08)
+PRINTED: dict[BoardKind, Board] = {
+    "charuco": Board(15, 11, 0.08, Markers("charuco", "DICT_5X5_1000", 0.75)),
+    "aprilgrid": Board(9, 7, 0.11, Markers("aprilgrid", "DICT_APRILTAG_36h11", 0.3, border_bits=2)),
+}
 _MOVING_HZ = 10.0
 _REST_MARGIN_S = 0.3
 
@@ -35,7 +40,9 @@ class Scenario:
         pictures: how images are stored.
         jpeg_quality: of JPEGs.
         pictures_per_rest: stereo pairs at each stop.
-        board: the checkerboard, its square given.
+        board: the checkerboard that the route keeps in view, its square given.
+        kind: what is printed there: that checkerboard, or, about its centre, a board with markers out of `PRINTED`,
+            which are larger, so that many pictures show a part of them.
         exact: no noise at all, encoders without steps, pictures without loss.
         pixel_noise_grey: sigma of the sensor's noise, grey levels.
         blur_px: sigma of the lens' blur, px.
@@ -52,6 +59,7 @@ class Scenario:
     jpeg_quality: int = 92
     pictures_per_rest: int = 2
     board: Board = _BOARD
+    kind: BoardKind = "checkerboard"
     exact: bool = False
     pixel_noise_grey: float = 2.0
     blur_px: float = 0.6
@@ -65,7 +73,14 @@ class Scenario:
             ConfigError: no route keeps the board in view.
         """
         robot = ROBOTS[self.robot]()
-        return robot, plan_route(robot, self.motion, self.stations, self.board, self.seed)
+        route = plan_route(robot, self.motion, self.stations, self.board, self.seed)
+        if self.kind == "checkerboard":
+            return robot, route
+        printed = PRINTED[self.kind]
+        shift = np.eye(4)
+        shift[:3, 3] = self.board.grid().mean(axis=0) * (self.board.square_m or 1.0)
+        shift[:3, 3] -= printed.grid().mean(axis=0) * (printed.square_m or 1.0)
+        return robot, replace(route, board=printed, T_w_k=route.T_w_k @ shift)
 
     def picture_times_s(self, route: Route) -> list[float]:
         """Moments of the stereo pairs: inside the rests, or ten a second where there are none."""
@@ -103,9 +118,9 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  radius_right_m: {_plain(robot.wheels.radius_right_m)}",
         f"  separation_m: {_plain(robot.wheels.separation_m)}",
         "board:",
-        f"  columns: {scenario.board.columns}",
-        f"  rows: {scenario.board.rows}",
-        f"  square_m: {_plain(scenario.board.square_m or 0.0)}",
+        f"  columns: {route.board.columns}",
+        f"  rows: {route.board.rows}",
+        f"  square_m: {_plain(route.board.square_m or 0.0)}",
         "scenario:",
         f"  robot: {scenario.robot}",
         f"  motion: {scenario.motion}",

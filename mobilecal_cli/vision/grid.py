@@ -66,6 +66,27 @@ def _homography(w: FloatArray, pixels: FloatArray) -> FloatArray:
     return homography
 
 
+def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
+    """How far scattered corners lie from a smooth map of the board: a homography and a low polynomial.
+
+    Args:
+        uv: (n, 2) places on the board, any unit, n at least 6.
+        pixels: (n, 2) px.
+
+    Returns:
+        (n, 2) residuals, px, scaled up by what the map's own unknowns take away: their mean square is the noise's.
+    """
+    w = (uv - uv.mean(axis=0)) / max(float(np.ptp(uv, axis=0).max()) / 2, 1e-9)
+    bent = pixels - _through(_homography(w, pixels), w)
+    degree = 4 if len(w) >= 40 else 3 if len(w) >= 24 else 2 if len(w) >= 12 else 0
+    residual, unknowns = bent, 8
+    if degree:
+        terms = _monomials(w, degree)
+        residual = bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0]
+        unknowns = 2 * terms.shape[1] + 2
+    return np.asarray(residual * np.sqrt(2 * len(w) / max(2 * len(w) - unknowns, 1)))
+
+
 def fit_grid(grid: FloatArray) -> GridMap:
     """The smooth map through (rows, columns, 2) corners, px.
 

@@ -17,7 +17,7 @@ from itertools import product
 
 import numpy as np
 
-from mobilecal_cli.model import Board, Corners, FloatArray, IntArray, Observation, Rejection
+from mobilecal_cli.model import Board, FloatArray, IntArray, Observation, Rejection
 from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
@@ -58,8 +58,7 @@ def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observa
     grid_m = square_m * board.grid()
     T_k_turned = absolute_orientation(renumber(grid_m), grid_m)
     left, right = (
-        Corners(renumber(corners.pixels), corners.sigma_px, corners.pictures)
-        for corners in (observation.left, observation.right)
+        replace(corners, pixels=renumber(corners.pixels)) for corners in (observation.left, observation.right)
     )
     return replace(
         observation,
@@ -108,11 +107,11 @@ def settle_numbering(
 
     Returns:
         The observations in one numbering (which of the possible ones is of no consequence), and a rejection
-        for each whose numbering the motion does not tell. A board whose counts differ in parity is unambiguous:
-        its observations come back as they are.
+        for each whose numbering the motion does not tell. A board with markers, or whose counts differ in parity, is
+        unambiguous: its observations come back as they are.
     """
     possible = turns(board.columns, board.rows)
-    if len(possible) == 1 or len(observations) < 2:
+    if board.markers is not None or len(possible) == 1 or len(observations) < 2:
         return tuple(observations), ()
     R_k_turned = [
         absolute_orientation(turned(board.grid(), board.columns, board.rows, k), board.grid())[:3, :3]

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mobilecal_cli.model import Board, Corners, FloatArray, Observation, Rejection, Station, StereoRig
-from mobilecal_cli.vision.grid import fit_grid, turned, turns
+from mobilecal_cli import se3
+from mobilecal_cli.model import (
+    Board,
+    BoolArray,
+    Corners,
+    FloatArray,
+    Observation,
+    Rejection,
+    Station,
+    StereoRig,
+)
+from mobilecal_cli.vision.grid import fit_grid, scatter_px, turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
-from mobilecal_cli.vision.stereo import triangulate
-from mobilecal_cli.vision.values import Detection, Miss, StereoPoints
+from mobilecal_cli.vision.stereo import reproject, triangulate
+from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints, rms
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
@@ -21,6 +32,7 @@ _MAX_EPIPOLAR_RMS_PX = (
 _MAX_REPROJECTION_PX = 3.0
 _SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
+_LEAST_IN_BOTH = 8  # of a board with markers, of which a part is enough
 _FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 
 
@@ -44,46 +56,109 @@ def _no_pair(left: Sequence[Detection | Miss], right: Sequence[Detection | Miss]
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
-def _same_numbering(shots: Sequence[FloatArray], board: Board) -> FloatArray:
-    """(M, 2) corners of each shot in the numbering nearest to the first shot's: (n, M, 2)."""
-    aligned = []
-    for pixels in shots:
-        options = [turned(pixels, board.columns, board.rows, k) for k in turns(board.columns, board.rows)]
-        aligned.append(min(options, key=lambda p: float(np.sum((p - shots[0]) ** 2))))
-    return np.stack(aligned)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shots:
+    """One camera's corners in the shots of a station.
 
-
-def _average(shots: FloatArray, board: Board) -> Corners:
-    """Corners averaged over the shots, (n, M, 2), with the noise of the average.
-
-    The noise is the scatter over the shots, pooled over the corners, divided by sqrt(n); but no less than what
-    the average's own roughness shows: errors of refinement that are the same in every shot do not average out.
+    Attributes:
+        pixels: (n, M, 2), all in one numbering.
+        seen: (n, M) the corners that were seen.
     """
-    mean = shots.mean(axis=0)
-    sigma_px = max(fit_grid(mean.reshape(board.rows, board.columns, 2)).sigma_px, _FLOOR_PX)
-    n = len(shots)
-    if n > 1:
-        scatter = np.sqrt(np.sum((shots - mean) ** 2) / (mean.size * (n - 1)))
-        sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
-    return Corners(mean, sigma_px, n)
+
+    pixels: FloatArray
+    seen: BoolArray
+
+    @classmethod
+    def of(cls, found: Sequence[Detection], board: Board) -> _Shots:
+        """Each shot in the numbering nearest to the first shot's."""
+        aligned = [
+            min(_numberings(d.pixels, board), key=lambda p: float(np.sum((p - found[0].pixels) ** 2)))
+            for d in found
+        ]
+        return cls(np.stack(aligned), np.stack([d.seen for d in found]))
+
+    def select(self, kept: BoolArray) -> _Shots:
+        """Some of the shots."""
+        return _Shots(self.pixels[kept], self.seen[kept])
+
+    @property
+    def drift_px(self) -> FloatArray:
+        """(n,) how far each shot's corners lie from the middle of all shots, rms per coordinate."""
+        measured = np.where(self.seen[..., None], self.pixels, np.nan)
+        anywhere = self.seen.any(axis=0)
+        off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
+        return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
+
+    def average(self, board: Board) -> Corners:
+        """Corners averaged over the shots, those that most shots show, with the noise of the average.
+
+        The noise is the scatter over the shots, pooled over the corners, divided by sqrt(n); but no less than what
+        the average's own roughness shows: errors of refinement that are the same in every shot do not average out.
+        """
+        n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        weight = (self.seen & seen)[..., None]
+        mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
+        if board.markers is None:
+            roughness = fit_grid(mean.reshape(board.rows, board.columns, 2)).sigma_px
+        else:
+            roughness = rms(scatter_px(board.grid()[seen, :2], mean[seen]))
+        sigma_px = max(roughness, _FLOOR_PX)
+        if n > 1:
+            freedom = max(2 * (int(weight.sum()) - int(seen.sum())), 1)
+            scatter = np.sqrt(np.sum(weight * (self.pixels - mean) ** 2) / freedom)
+            sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
+        return Corners(mean, sigma_px, n, seen)
 
 
-def _drift_px(shots: FloatArray) -> FloatArray:
-    """How far each shot's corners lie from the middle of all shots, rms per coordinate: (n, M, 2) → (n,)."""
-    drift: FloatArray = np.sqrt(np.mean((shots - np.median(shots, axis=0)) ** 2, axis=(1, 2)))
-    return drift
+def _numberings(pixels: FloatArray, board: Board) -> list[FloatArray]:
+    """(M, 2) corners in every numbering that they could have: one, where markers tell it."""
+    if board.markers is not None:
+        return [pixels]
+    return [turned(pixels, board.columns, board.rows, k) for k in turns(board.columns, board.rows)]
 
 
 def _best_fit(
     rig: StereoRig, left: Corners, right: Corners, board: Board
 ) -> tuple[StereoPoints | Miss, FloatArray]:
-    """Triangulated points with the right picture numbered so that it fits the left one best."""
-    options = [turned(right.pixels, board.columns, board.rows, k) for k in turns(board.columns, board.rows)]
-    fits = [triangulate(rig, left.pixels, option, left.sigma_px, right.sigma_px) for option in options]
+    """Corners that both see, triangulated, with the right picture numbered so that it fits the left one best."""
+    options = _numberings(right.pixels, board)
+    both = left.seen & right.seen
+    fits = [
+        triangulate(rig, left.pixels[both], option[both], left.sigma_px, right.sigma_px) for option in options
+    ]
     best = min(
         range(len(fits)), key=lambda i: fit.rms_px if isinstance(fit := fits[i], StereoPoints) else np.inf
     )
     return fits[best], options[best]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Whole:
+    """All corners of the board: those that were seen, and the others where its pose has them."""
+
+    left: Corners
+    right: Corners
+    points_c: FloatArray
+    points_cov: FloatArray
+
+
+def _completed(
+    rig: StereoRig, pose: BoardPose, points_k: FloatArray, points: StereoPoints, left: Corners, right: Corners
+) -> _Whole:
+    both = left.seen & right.seen
+    if both.all():
+        return _Whole(left, right, points.points_c, points.points_cov)
+    points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
+    moves = np.concatenate([-se3.skew(points_c), np.broadcast_to(np.eye(3), (len(points_c), 3, 3))], axis=-1)
+    points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
+    expected, _ = reproject(rig, points_c)
+    points_c[both], points_cov[both] = points.points_c, points.points_cov
+    return _Whole(
+        replace(left, pixels=np.where(left.seen[:, None], left.pixels, expected[:, :2])),
+        replace(right, pixels=np.where(right.seen[:, None], right.pixels, expected[:, 2:])),
+        points_c,
+        points_cov,
+    )
 
 
 def observe(
@@ -120,9 +195,9 @@ def observe(
     ]
     if not pairs:
         return rejected(*_no_pair(left, right))
-    shots_left = _same_numbering([a.pixels for a, _ in pairs], board)
-    shots_right = _same_numbering([b.pixels for _, b in pairs], board)
-    drift_px = np.maximum(_drift_px(shots_left), _drift_px(shots_right))
+    shots_left = _Shots.of([a for a, _ in pairs], board)
+    shots_right = _Shots.of([b for _, b in pairs], board)
+    drift_px = np.maximum(shots_left.drift_px, shots_right.drift_px)
     claimed_px = float(np.median([max(a.sigma_px, b.sigma_px) for a, b in pairs]))
     limit_px = max(_MAX_DRIFT_PX, _DRIFT_SIGMAS * claimed_px)
     still = drift_px <= limit_px
@@ -131,7 +206,13 @@ def observe(
             "board or robot moved during the rest",
             f"corners drift by up to {drift_px.max():.2f} px over {len(pairs)} shots, limit {limit_px:.2f} px",
         )
-    corners_left, corners_right = _average(shots_left[still], board), _average(shots_right[still], board)
+    corners_left, corners_right = (shots.select(still).average(board) for shots in (shots_left, shots_right))
+    both = corners_left.seen & corners_right.seen
+    if both.sum() < _LEAST_IN_BOTH:
+        return rejected(
+            "board partly hidden or cut off by the border",
+            f"{both.sum()} of {board.corners} corners are in both pictures, need {_LEAST_IN_BOTH}",
+        )
     points, pixels_right = _best_fit(rig, corners_left, corners_right, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
@@ -140,10 +221,15 @@ def observe(
             "left and right do not fit together",
             f"corners are {points.rms_px:.2f} px rms off the epipolar lines, limit {_MAX_EPIPOLAR_RMS_PX} px",
         )
-    corners_right = Corners(pixels_right, corners_right.sigma_px, corners_right.pictures)
-    grid = board.grid()
-    pictures = corners_left.pixels, corners_right.pixels, corners_left.sigma_px, corners_right.sigma_px
-    rough_m = square_from_points(points.points_c, board.columns, board.rows)
+    corners_right = replace(corners_right, pixels=pixels_right)
+    grid = board.grid()[both]
+    pictures = (
+        corners_left.pixels[both],
+        corners_right.pixels[both],
+        corners_left.sigma_px,
+        corners_right.sigma_px,
+    )
+    rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)
     pose = board_pose(rig, rough_m * grid, *pictures, start, free_scale=True)
     seen_m = rough_m * pose.scale
@@ -161,6 +247,13 @@ def observe(
             "left and right do not fit together",
             f"a flat board explains the corners to {pose.rms_px:.2f} px rms only, limit {_MAX_REPROJECTION_PX} px",
         )
+    if board.markers is not None:  # few corners and a bent picture make a careless claim of their noise
+        corners_left, corners_right = (
+            replace(corners, sigma_px=max(min(corners.sigma_px, pose.rms_px), _FLOOR_PX))
+            for corners in (corners_left, corners_right)
+        )
+    side_m = seen_m if square_m is None else square_m
+    whole = _completed(rig, pose, side_m * board.grid(), points, corners_left, corners_right)
     return Observation(
         log=log,
         station=station.index,
@@ -168,10 +261,10 @@ def observe(
         at_rest=station.at_rest,
         joints=station.joints,
         joints_std=station.joints_std,
-        left=corners_left,
-        right=corners_right,
-        points_c=points.points_c,
-        points_cov=points.points_cov,
+        left=whole.left,
+        right=whole.right,
+        points_c=whole.points_c,
+        points_cov=whole.points_cov,
         T_c_k=pose.T_c_k,
         T_c_k_cov=pose.T_c_k_cov,
         square_m=seen_m,

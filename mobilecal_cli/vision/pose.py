@@ -35,21 +35,19 @@ def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArr
     return se3.transform(R, mean_a - R @ mean_b)
 
 
-def square_from_points(points_c: FloatArray, columns: int, rows: int) -> float:
+def square_from_points(points_c: FloatArray, grid: FloatArray) -> float:
     """Side of a square that triangulated corners show: least squares over all of them.
 
     The scale of the similarity that carries the grid of unit squares nearest to the points (Umeyama 1991,
     eq. 42, in its form without division by the points' own scatter, which noise would inflate).
 
     Args:
-        points_c: (columns * rows, 3) corners in the board's order, m.
-        columns, rows: inner corners.
+        points_c: (M, 3) corners, m.
+        grid: (M, 3) the same on the board, in squares.
 
     Returns:
         The side, m.
     """
-    row, column = np.divmod(np.arange(columns * rows), columns)
-    grid = np.stack([column, row, np.zeros(columns * rows)], axis=1).astype(np.float64)
     T_c_k = absolute_orientation(points_c, grid)
     centred = grid - grid.mean(axis=0)
     along = np.sum((points_c - points_c.mean(axis=0)) * (centred @ T_c_k[:3, :3].T))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.model.arrays import freeze
 
 Reason = Literal[
@@ -29,16 +29,21 @@ class Detection:
     """The board in one picture.
 
     Attributes:
-        pixels: (M, 2) corner centres, px, corner index = row * columns + column, numbered right-handed as
-            seen from the board's front; square colours fix the origin as far as they can (see `grid.turns`).
+        pixels: (M, 2) corner centres, px, in the order of `Board.grid`, numbered right-handed as seen from the
+            board's front; square colours fix the origin as far as they can (see `grid.turns`), markers wholly.
         sigma_px: noise of one coordinate, px, from how far the corners scatter about a smooth grid.
+        seen: (M,) the corners that were seen, all of them where nothing is said; the others' pixels are 0.
     """
 
     pixels: FloatArray
     sigma_px: float
+    seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        freeze(self, pixels=("M", 2))
+        corners = freeze(self, pixels=("M", 2))["M"]
+        if not len(self.seen):
+            object.__setattr__(self, "seen", np.ones(corners, dtype=np.bool_))
+        freeze(self, np.bool_, seen=(corners,))
 
 
 @dataclass(frozen=True, slots=True)

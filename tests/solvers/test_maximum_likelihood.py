@@ -410,3 +410,33 @@ def test_what_is_misstated_is_found_when_asked_for(noisy, name, group, by):
     assert next(e for e in found.evidence if e.group == group).bic > 0
     e = errors(found.parameters, ROBOT)
     assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+
+
+def test_corners_that_were_not_seen_have_no_say():
+    """Half of the corners of each picture are hidden: wherever they are said to be, the answer is the same."""
+    robot = paper_robot()
+    route = plan_route(robot, "standard", stations=8, seed=4)
+    whole = ideal_extraction(robot, route, Noise(0.2, 0.003, 0.0, 1e-3), 4)
+    random = np.random.default_rng(4)
+
+    def hidden(corners: Corners, shift_px: float) -> Corners:
+        seen = np.random.default_rng(int(corners.pixels[0, 0] * 1e3)).random(len(corners.pixels)) < 0.5
+        moved = corners.pixels + shift_px * random.normal(size=corners.pixels.shape) * ~seen[:, None]
+        return replace(corners, pixels=moved, seen=seen)
+
+    found = []
+    for shift_px in (0.0, 30.0):
+        observations = tuple(
+            replace(o, left=hidden(o.left, shift_px), right=hidden(o.right, shift_px))
+            for o in whole.observations
+        )
+        fit = maximum_likelihood(replace(whole, observations=observations))
+        assert np.array_equal(fit.selection.corners, fit.problem.seen)
+        assert 0.4 < fit.problem.seen.mean() < 0.6
+        found.append(fit)
+    a, b = (fit.optimum.state.parameters for fit in found)
+    np.testing.assert_allclose(a.T_h_c, b.T_h_c, atol=1e-6)
+    assert a.wheels.separation_m == pytest.approx(b.wheels.separation_m, abs=1e-6)
+    # Fewer corners, larger standard deviations.
+    all_seen = maximum_likelihood(whole)
+    assert np.all(np.diag(found[0].covariance)[:6] > np.diag(all_seen.covariance)[:6])

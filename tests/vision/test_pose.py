@@ -49,9 +49,10 @@ def test_absolute_orientation_is_a_least_squares_minimum() -> None:
 def test_square_from_points() -> None:
     rng = np.random.default_rng(0)
     points_c = se3.act(random_pose(rng, BOARD, SQUARE_M), POINTS_K)
-    assert square_from_points(points_c, 9, 6) == pytest.approx(SQUARE_M, rel=1e-12)
+    assert square_from_points(points_c, Board(9, 6).grid()) == pytest.approx(SQUARE_M, rel=1e-12)
     noisy = [
-        square_from_points(points_c + 0.004 * rng.standard_normal(points_c.shape), 9, 6) for _ in range(400)
+        square_from_points(points_c + 0.004 * rng.standard_normal(points_c.shape), Board(9, 6).grid())
+        for _ in range(400)
     ]
     assert np.mean(noisy) == pytest.approx(SQUARE_M, rel=1e-3)
 

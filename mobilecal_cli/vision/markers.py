@@ -1,0 +1,128 @@
+"""Boards whose markers number their corners: ChArUco boards and grids of tags, seen whole or in part."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.vision.grid import scatter_px
+from mobilecal_cli.vision.values import Detection, Miss, rms
+
+#: Fewer corners, or fewer tags, say too little of the board's pose.
+_LEAST_CORNERS = 8
+_LEAST_TAGS = 3
+_MIN_EDGE_PX = 7.0
+_FLOOR_PX = 0.02  # what OpenCV's refinement leaves on pictures without noise
+_OF_ROOM, _LEAST_WINDOW = 0.65, 3
+_GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5
+
+
+def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
+    """Find a board with markers, or the part of it that is in the picture.
+
+    Args:
+        image: (height, width) grey, 8 bits.
+        board: with `markers`.
+
+    Returns:
+        The corners that are seen, or why there are too few.
+    """
+    markers = board.markers
+    assert markers is not None
+    find = _charuco if markers.kind == "charuco" else _tags
+    found = find(np.ascontiguousarray(image), board, markers)
+    if isinstance(found, Miss):
+        return found
+    pixels, seen = found
+    grid = board.grid()[:, :2]
+    for _ in range(3):
+        if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
+            return Miss(
+                "board partly hidden or cut off by the border",
+                f"{seen.sum()} of {board.corners} corners seen, need {_LEAST_CORNERS} that are not on one line",
+            )
+        off = np.linalg.norm(scatter_px(grid[seen], pixels[seen]), axis=1)
+        usual = float(np.median(off)) / 1.1774
+        gross = off > max(_GROSS_SIGMAS * usual, _GROSS_PX)
+        if not gross.any():
+            break
+        seen[np.flatnonzero(seen)[gross]] = False
+    edge = _edge_px(grid[seen], pixels[seen])
+    if edge < _MIN_EDGE_PX:
+        return Miss("squares too small", f"a square is {edge:.1f} px wide, need {_MIN_EDGE_PX:.0f} px")
+    sigma_px = max(rms(scatter_px(grid[seen], pixels[seen])), _FLOOR_PX)
+    return Detection(np.where(seen[:, None], pixels, 0.0), sigma_px, seen)
+
+
+def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
+    """A square's side in the picture, from the affine map that fits best."""
+    wide = np.hstack([grid, np.ones((len(grid), 1))])
+    affine = np.linalg.lstsq(wide, pixels, rcond=None)[0][:2]
+    return float(np.linalg.svd(affine, compute_uv=False).min())
+
+
+def _dictionary(markers: Markers, count: int) -> cv2.aruco.Dictionary:
+    """The board's own markers only, numbered from 0: the search takes as long as the dictionary is large."""
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
+    own = np.ascontiguousarray(family.bytesList[markers.first_id : markers.first_id + count])
+    return cv2.aruco.Dictionary(own, family.markerSize, family.maxCorrectionBits)
+
+
+def _parameters(markers: Markers) -> cv2.aruco.DetectorParameters:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = markers.border_bits
+    return parameters
+
+
+def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray, BoolArray] | Miss:
+    squares = (board.columns + 1, board.rows + 1)
+    count = squares[0] * squares[1] // 2
+    drawn = cv2.aruco.CharucoBoard(squares, 1.0, markers.share, _dictionary(markers, count))
+    detector = cv2.aruco.CharucoDetector(drawn, cv2.aruco.CharucoParameters(), _parameters(markers))
+    corners, numbers, _, _ = detector.detectBoard(image)
+    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
+    if corners is None or numbers is None or not len(numbers):
+        return Miss("no board", f"no markers of {markers.dictionary} with corners between them")
+    places = np.asarray(numbers).ravel()
+    pixels[places], seen[places] = np.asarray(corners, dtype=np.float64).reshape(-1, 2), True
+    return pixels, seen
+
+
+def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray, BoolArray] | Miss:
+    count = board.columns * board.rows
+    detector = cv2.aruco.ArucoDetector(_dictionary(markers, count), _parameters(markers))
+    found, numbers, _ = detector.detectMarkers(image)
+    tags: IntArray = np.zeros(0, dtype=np.int64)
+    if numbers is not None and len(numbers):
+        tags = np.asarray(numbers, dtype=np.int64).ravel()
+    # A tag that is seen twice belongs to another board, or to none.
+    mine = np.array([np.sum(tags == tag) == 1 for tag in tags], dtype=np.bool_)
+    if mine.sum() < _LEAST_TAGS:
+        return Miss("no board", f"{mine.sum()} tags of {markers.dictionary} seen, need {_LEAST_TAGS}")
+    quads = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)[mine]
+    grid = board.grid()[:, :2].reshape(-1, 4, 2)[tags[mine]]
+    # Families differ in which corner of a tag is its first: the grid of tags tells.
+    options = [np.roll(quads, k, axis=1) for k in range(4)]
+    best = min(options, key=lambda quad: rms(scatter_px(grid.reshape(-1, 2), quad.reshape(-1, 2))))
+    best = _refined(image, best, markers)
+    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
+    places = (4 * tags[mine][:, None] + np.arange(4)).ravel()
+    pixels[places], seen[places] = best.reshape(-1, 2), True
+    return pixels, seen
+
+
+def _refined(image: GrayImage, quads: FloatArray, markers: Markers) -> FloatArray:
+    """Corners of tags, (n, 4, 2) px, moved to where the edges meet.
+
+    The window reaches neither the code inside the border nor the next tag's edge: there, it would be led astray.
+    """
+    edge = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
+    cells = _dictionary(markers, 1).markerSize + 2 * markers.border_bits
+    border = markers.border_bits / cells
+    room = min(border, markers.share) if markers.share else border
+    half = max(_LEAST_WINDOW, int(_OF_ROOM * room * edge))
+    corners = quads.reshape(-1, 1, 2).astype(np.float32)
+    until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+    cv2.cornerSubPix(image, corners, (half, half), (-1, -1), until)
+    return np.asarray(corners.reshape(quads.shape), dtype=np.float64)
