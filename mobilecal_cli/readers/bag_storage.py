@@ -233,11 +233,7 @@ class _Walk(Walk):
                         self.chunk(cut)
                     trouble = f"the bag breaks off in the record at byte {at} of {storage.size} ({error})"
                     break
-                storage.note(
-                    f"{found - at} bytes from byte {at} on are no records; reading goes on behind them"
-                )
-                self.other()
-                at = found
+                at = self.skip(at, found)
                 continue
             if done:
                 break

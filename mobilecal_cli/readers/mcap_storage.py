@@ -216,11 +216,7 @@ class _Walk(Walk):
                     what = "chunk" if opcode == Opcode.CHUNK else "record"
                     trouble = f"the file ends inside a {what} that begins at byte {at} of {storage.size}"
                     break
-                storage.note(
-                    f"{found - at} bytes from byte {at} on are no records; reading goes on behind them"
-                )
-                self.other()
-                at = found
+                at = self.skip(at, found)
                 continue
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 trouble = ""

@@ -60,6 +60,12 @@ class Walk:
         self._close_chunk()
         self._close_span()
 
+    def skip(self, at: int, found: int) -> int:
+        """What lies from byte `at` up to the record that was found next is damaged; where to go on."""
+        self.other()
+        self._target.note(f"{found - at} bytes from byte {at} on are no records; reading goes on behind them")
+        return found
+
     def finish(self, trouble: str) -> None:
         """The walk is over.
 
