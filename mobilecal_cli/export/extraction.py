@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.plain import from_plain, to_plain
 from mobilecal_cli.model import (
@@ -75,6 +76,7 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
     header = {
         "format": _FORMAT,
         "schema_version": SCHEMA_VERSION,
+        "made_by": __version__,
         "rig": to_plain(extraction.rig),
         "board": to_plain(extraction.board),
         "rejections": to_plain(extraction.rejections),

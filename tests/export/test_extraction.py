@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.extraction import SCHEMA_VERSION
@@ -183,7 +184,9 @@ def test_numpy_alone_can_read_it():
     with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
         assert archive["observations.points_c"].shape == (3, 54, 3)
         assert archive["wheels.0.time_ns"].dtype == np.int64
-        assert json.loads(archive["header"].tobytes())["schema_version"] == SCHEMA_VERSION
+        header = json.loads(archive["header"].tobytes())
+    assert (header["schema_version"], header["made_by"]) == (SCHEMA_VERSION, __version__)
+    assert [set(log) for log in header["logs"]] == [{"path", "sha256"}] * len(header["logs"])
 
 
 def test_the_bytes_hold_no_time():
