@@ -17,6 +17,7 @@ from mobilecal_cli.discovery.chain import (
     nominal_head_eye,
 )
 from mobilecal_cli.discovery.joints import joint_fields, joint_topics, joint_transforms, pan_and_tilt
+from mobilecal_cli.discovery.transforms import urdf_of_transforms
 from mobilecal_cli.discovery.wheels import nominal_wheels, wheel_sources
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
@@ -100,18 +101,53 @@ def _head(
         return _Head(chain, None, Nominal(), "chain of the configuration", ())
     origin = "URDF of the configuration"
     notes = []
+    if urdf_text is None and not prelude.urdfs:
+        return _head_of_transforms(config, prelude, wheels, camera_frame)
     if urdf_text is None:
-        if not prelude.urdfs:
-            raise RecordingError(
-                "nothing says how the head is mounted: no robot_description in the recording, no head.urdf and "
-                "no head.chain in the configuration",
-                "set head.urdf or head.chain in rig.yaml (mobilecal init LOG writes a draft)",
-            )
         topic, urdf_text = next(iter(sorted(prelude.urdfs.items())))
         origin = f"URDF in the log's {topic}"
         if len(set(prelude.urdfs.values())) > 1:
             notes.append(f"The log holds several URDFs; the one of {topic} was used.")
-    urdf = parse_urdf(urdf_text)
+    return _head_of_urdf(config, prelude, parse_urdf(urdf_text), wheels, camera_frame, origin, notes)
+
+
+def _head_of_transforms(
+    config: RigConfig, prelude: Prelude, wheels: dict[Side, WheelSource], camera_frame: str
+) -> _Head:
+    """The head of a recording without a URDF, as its transforms move."""
+    urdf = urdf_of_transforms(prelude.transforms)
+    if camera_frame not in urdf.links:
+        raise RecordingError(
+            "nothing says how the head is mounted: no robot_description in the recording, no transforms that lead to "
+            f"the camera's frame {camera_frame!r}, no head.urdf and no head.chain in the configuration",
+            "set head.urdf or head.chain in rig.yaml (mobilecal init LOG writes a draft)",
+        )
+    base = config.head.base_frame or next(
+        (name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root
+    )
+    moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
+    pan, tilt = pan_and_tilt(config, prelude, moving)
+    if not tilt and moving:  # their frames are called otherwise: the head tilts where the last of them is
+        tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
+    told = config.model_copy(
+        update={"joints": config.joints.model_copy(update={"pan": pan or None, "tilt": tilt or None})}
+    )
+    note = (
+        "The recording holds no URDF: the head's joints were taken from how its transforms move, with the zeros of "
+        "their angles where they were first."
+    )
+    return _head_of_urdf(told, prelude, urdf, wheels, camera_frame, "transforms in the log", [note])
+
+
+def _head_of_urdf(
+    config: RigConfig,
+    prelude: Prelude,
+    urdf: Urdf,
+    wheels: dict[Side, WheelSource],
+    camera_frame: str,
+    origin: str,
+    notes: list[str],
+) -> _Head:
     in_states = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
     pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
     if not tilt and config.head.head_frame is None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.rig import CameraInfo
 
 
@@ -33,6 +34,8 @@ class Prelude:
         image_frames: image topic → frame_id of its first message.
         joint_names: joint-state topic → names seen in its first messages, each once.
         urdfs: topic → URDF text.
+        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only where there is no
+            URDF.
     """
 
     topics: tuple[TopicInfo, ...]
@@ -40,3 +43,4 @@ class Prelude:
     image_frames: Mapping[str, str]
     joint_names: Mapping[str, tuple[str, ...]]
     urdfs: Mapping[str, str]
+    transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)

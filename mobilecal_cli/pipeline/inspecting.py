@@ -167,7 +167,8 @@ def _motion(
 def _seconds(wheels: WheelTrack) -> IntArray:
     """The track's times about a second apart, its ends included: over less, noise would count as motion."""
     first, last = int(wheels.time_ns[0]), int(wheels.time_ns[-1])
-    return np.linspace(first, last, max(2, (last - first) // 10**9 + 1)).astype(np.int64)
+    count = min(max(2, (last - first) // 10**9 + 1), len(wheels.time_ns))
+    return np.linspace(first, last, count).astype(np.int64)
 
 
 def _read_whole(recording: Recording, rig: Rig, signals: Signals) -> float:

@@ -7,14 +7,16 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CameraInfo, Prelude
+from mobilecal_cli.model import CameraInfo, FloatArray, Prelude
 from mobilecal_cli.readers.camera_info import camera_info
 from mobilecal_cli.readers.recording import Recording
+from mobilecal_cli.readers.transforms import transforms_of
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 STRING = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 T = TypeVar("T")
 
@@ -29,7 +31,8 @@ def read_prelude(recording: Recording) -> Prelude:
 
     Each topic is read by itself and only as far as needed (one message; 50 of joint states). With an index, or
     after the walk that stands in for one, blocks without the topic are skipped, so a huge file is not read to
-    its end; an SQLite file is scanned to the topic's first (50th) message.
+    its end; an SQLite file is scanned to the topic's first (50th) message. Where no topic holds a URDF, the transforms
+    are sampled over the recording.
 
     Raises:
         RecordingError: the recording is empty, or fewer than two cameras have a usable calibration because
@@ -58,7 +61,16 @@ def read_prelude(recording: Recording) -> Prelude:
         },
         joint_names={topic: _joint_names(recording, topic) for topic in names.get(JOINT_STATE, [])},
         urdfs=urdfs,
+        transforms={} if urdfs else _transforms(recording, names.get(TRANSFORMS, [])),
     )
+
+
+def _transforms(recording: Recording, topics: list[str]) -> dict[tuple[str, str], FloatArray]:
+    try:
+        return transforms_of(recording, topics)
+    except RecordingError as error:  # the configuration may do without
+        recording.note(error.message)
+        return {}
 
 
 def _first(recording: Recording, topic: str, read: Callable[[Any], T]) -> list[T]:

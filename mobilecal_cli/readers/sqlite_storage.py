@@ -87,19 +87,22 @@ class SqliteStorage(Storage):
                 rows = connection.execute(
                     "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
                 )
-                definitions = {name: (encoding, text) for name, encoding, text in rows}
+                definitions = {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
             except sqlite3.Error as error:
                 self.note(f"the message definitions cannot be read ({error}); the common ones are used")
         for number, topic, name, encoding in connection.execute(
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         ):
-            language, text = definitions.get(name, ("", ""))
+            if not isinstance(number, int):  # SQLite keeps whatever was written, of whatever type
+                self.note(f"topic {topic!r} has the number {number!r}; it is left out")
+                continue
+            language, text = definitions.get(str(name), ("", ""))
             self.channels[number] = Channel(
                 number,
-                topic,
-                ros2_spelling(name),
-                encoding,
-                text or "",
+                str(topic),
+                ros2_spelling(str(name)),
+                str(encoding),
+                text,
                 _FORMATS.get(language, ""),
             )
 
@@ -112,9 +115,11 @@ class SqliteStorage(Storage):
         except sqlite3.Error:
             return  # noted when the messages are read
         self.counts = {number: count for number, count, _, _ in rows}
-        if rows:
-            self.start_ns = min(row[2] for row in rows)
-            self.end_ns = max(row[3] for row in rows)
+        times = [
+            time_ns for _, _, first, last in rows for time_ns in (first, last) if isinstance(time_ns, int)
+        ]
+        if times:
+            self.start_ns, self.end_ns = min(times), max(times)
 
     def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.

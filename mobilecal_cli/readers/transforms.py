@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,14 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import FloatArray, JointTransform, Track
+from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series
 from mobilecal_cli.readers.stamps import stamp_of
 
 #: A joint's transform that leaves its axis or its place by more than this belongs to another robot, or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
+#: So much of a recording is read for its transforms, and so many samples of each are kept.
+_SAMPLED_BYTES, _MOST_SAMPLES = 2**28, 400
 
 
 class Transforms:
@@ -73,17 +76,46 @@ class Transforms:
         return Track(time_ns, value if source.kind == "prismatic" else np.unwrap(value))
 
 
+def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
+    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; of a long one from stretches of it."""
+    found: dict[tuple[str, str], list[FloatArray]] = {}
+    for message in recording.messages(topics, within_bytes=_SAMPLED_BYTES) if topics else ():
+        try:
+            items = message.decode().transforms
+        except (RecordingError, AttributeError):
+            continue
+        for item in items:
+            try:
+                ends = (str(item.header.frame_id).lstrip("/"), str(item.child_frame_id).lstrip("/"))
+                T = _matrix(item.transform)
+            except (AttributeError, TypeError, ValueError):  # JSON holds anything
+                continue
+            if T is not None:
+                samples = found.setdefault(ends, [])
+                samples.append(T)
+                if len(samples) > _MOST_SAMPLES:  # the first stays, and every second of the others
+                    del samples[1::2]
+    return {ends: np.stack(samples) for ends, samples in found.items()}
+
+
+def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401
+    """(4, 4) of a geometry_msgs/Transform, None for one that is not finite."""
+    q, t = transform.rotation, transform.translation
+    quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    if not (np.isfinite(quaternion).all() and np.isfinite(place).all() and np.linalg.norm(quaternion) > 0.5):
+        return None
+    return se3.transform(se3.from_quaternion_xyzw(quaternion / np.linalg.norm(quaternion)), place)
+
+
 def reading(source: JointTransform, transform: Any) -> tuple[float, float, float]:  # noqa: ANN401
     """A joint's position out of the transform of its link.
 
     Returns:
         rad (or m), and how far the transform is from one of that joint: rad, m. NaN for one that is not finite.
     """
-    q, t = transform.rotation, transform.translation
-    quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
-    if not (np.isfinite(quaternion).all() and np.isfinite(place).all() and np.linalg.norm(quaternion) > 0.5):
+    T = _matrix(transform)
+    if T is None:
         return math.nan, 0.0, 0.0
-    T = se3.transform(se3.from_quaternion_xyzw(quaternion / np.linalg.norm(quaternion)), place)
     moved: FloatArray = se3.inverse(source.T_parent_child) @ T
     turn = se3.log_so3(moved[:3, :3])
     if source.kind == "prismatic":

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery import draft_rig, settle_rig
 from mobilecal_cli.discovery.names import pairs, side_of, words
+from mobilecal_cli.discovery.transforms import urdf_of_transforms
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import CameraInfo, JointField, Prelude, TopicInfo, WheelGeometry, WheelSource
@@ -315,3 +318,55 @@ def test_joints_that_only_tf_tells():
     assert settle_rig(RigConfig(), prelude(extra=[tf])).rig.sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
         settle_rig(RigConfig(), prelude(joint_names=states))
+
+
+def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
+    """(n, 4, 4) of a joint in motion."""
+    T0 = se3.transform(se3.from_rpy(np.array([0.2, -0.1, 0.5])), np.array(origin))
+    axis = np.array(axis) / np.linalg.norm(axis)
+    steps = [
+        se3.transform(np.eye(3), a * axis) if slides else se3.transform(se3.exp_so3(a * axis), np.zeros(3))
+        for a in angles
+    ]
+    return np.stack([T0 @ step for step in steps])
+
+
+TF = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
+
+
+def test_joints_out_of_transforms():
+    angles = np.linspace(-0.4, 0.6, 20)
+    transforms = {
+        ("odom", "base_link"): np.stack([se3.exp(np.array([0, 0, a, a, 2 * a, 0])) for a in angles]),
+        ("base_link", "torso"): moving((0, 0, 1), 0.1 * angles, slides=True),
+        ("torso", "neck"): moving((0.1, 0, 1), angles),
+        ("neck", "skull"): moving((0, -1, 0), angles**2),
+        ("skull", "stereo_left_optical"): moving((0, 0, 1), np.zeros(20)),
+        ("base_link", "antenna"): moving((1, 0, 0), np.zeros(1)),
+    }
+    urdf = urdf_of_transforms(transforms)
+    kinds = {name: joint.kind for name, joint in urdf.joints.items()}
+    assert kinds == {
+        "base_link": "floating",
+        "torso": "prismatic",
+        "neck": "revolute",
+        "skull": "revolute",
+        "stereo_left_optical": "fixed",
+        "antenna": "fixed",
+    }
+    np.testing.assert_allclose(urdf.joints["neck"].axis, np.array([0.1, 0, 1]) / np.hypot(0.1, 1), atol=1e-9)
+    np.testing.assert_allclose(urdf.joints["skull"].axis, [0, 1, 0], atol=1e-9)
+    np.testing.assert_array_equal(urdf.joints["neck"].T_parent_child, transforms["torso", "neck"][0])
+
+    found = settle_rig(RigConfig(), replace(prelude(urdf=None, extra=(TF,)), transforms=transforms)).rig
+    assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
+    assert found.chain.joints == ("torso", "neck", "skull")
+    assert found.chain.head_frame == "skull"
+
+
+def test_transforms_that_do_not_lead_to_the_camera_are_said():
+    transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
+    with pytest.raises(
+        RecordingError, match="no transforms that lead to the camera's frame 'stereo_left_optical'"
+    ):
+        settle_rig(RigConfig(), replace(prelude(urdf=None), transforms=transforms))

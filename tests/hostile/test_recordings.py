@@ -337,3 +337,22 @@ def test_names_that_are_numbers_out_of_range(tmp_path, sound):
     with bounded(), open_recording([path]) as recording:
         read_signals(recording, r.SOURCES, r.JOINTS)
         recording.log_times()
+
+
+def test_a_database_of_other_types_than_it_says(tmp_path):
+    """SQLite keeps whatever is written into a column: numbers for names, names for numbers."""
+    import sqlite3
+
+    path = r.CONTAINERS["bare-db3"](tmp_path / "log", r.world(12))
+    connection = sqlite3.connect(path)
+    rows = connection.execute("SELECT id, name FROM topics").fetchall()
+    changes = {"name": b"5", "type": 7, "serialization_format": 1.5}
+    for (number, _), (column, value) in zip(rows, changes.items(), strict=False):
+        connection.execute(f"UPDATE topics SET {column} = ? WHERE id = ?", (value, number))
+    connection.execute("UPDATE messages SET timestamp = 'late' WHERE id = (SELECT MAX(id) FROM messages)")
+    connection.commit()
+    connection.close()
+    with bounded(), open_recording([path]) as recording:
+        assert any("5" in info.name for info in recording.topics)
+        assert recording.end_ns is not None
+        assert sum(1 for part in recording.parts for _ in part.raw({"/ticks", "/left/image_raw"})) >= 12
