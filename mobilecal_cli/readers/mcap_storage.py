@@ -28,6 +28,8 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 #: So much is searched at once for the next record behind damage.
 _WINDOW = 2**22
+#: Channels and schemas are at most 65,535 each.
+_MOST_DEFINITIONS = 2**17
 _FORMATS: dict[str, DefinitionFormat] = {
     "ros1msg": "msg",
     "ros2msg": "msg",
@@ -140,7 +142,7 @@ class McapStorage(BlockStorage):
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
         """Channel id, log time and payload of every message; channels met on the way are registered."""
         view = memoryview(data)
-        at = 0
+        at = definitions = 0
         while at < len(view):
             opcode, length = _HEAD.unpack_from(view, at)
             at += _HEAD.size
@@ -152,8 +154,11 @@ class McapStorage(BlockStorage):
                 if number in self.channels and self.channels[number].encoding == "cdr":
                     payload = message_payload(payload)
                 yield number, time_ns, payload
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
+                definitions += 1
                 self.define(opcode, bytes(view[at : at + length]))
+            else:
+                raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
             at += length
 
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:

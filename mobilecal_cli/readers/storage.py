@@ -20,6 +20,8 @@ RawMessage = tuple[Channel, int, Payload]
 
 #: No chunk, message or decompressed payload may claim more than this: it is held in memory as a whole.
 SIZE_LIMIT = 2**29
+#: A block holds no more messages than this; empty ones could fill the memory from a few bytes.
+_MOST_MESSAGES = 2**19
 #: So much may be decompressed to learn the times of messages that no index tells, bytes in the file.
 UNINDEXED_BYTES = 2**26
 #: A log time beyond the year 2262 is damage; times fit 64 signed bits everywhere.
@@ -237,6 +239,8 @@ class BlockStorage(Storage):
         found = 0
         try:
             for item in self.parse(self.load(block)):
+                if found == _MOST_MESSAGES:
+                    raise ValueError(f"more than {_MOST_MESSAGES} messages")
                 found += 1
                 yield item
         except Exception as error:  # damaged bytes raise almost anything in the decompressors and parsers

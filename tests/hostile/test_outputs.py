@@ -51,7 +51,7 @@ def test_killed_where_directories_cannot_change_places(tmp_path):
     assert all(line[2:] == ["aside"] for line in moments if line[1] == "none")
 
 
-@pytest.mark.parametrize("after_s", [0.5, 4.0, 9.0])
+@pytest.mark.parametrize("after_s", [2.0, 7.0])
 def test_killed_outright(sample_logs, tmp_path, after_s):
     command = [sys.executable, "-m", "mobilecal_cli", "calibrate", sample_logs / "straight.mcap", "-o", "out"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -25,7 +25,7 @@ from mobilecal_cli.readers.images import decode_image
 from tests.readers import recordings as r
 
 MEMORY_BYTES = 2**30
-SECONDS = 10
+SECONDS = 20  # on a busy machine; a few seconds on a quiet one
 _SEPARATOR = "=" * 80 + "\n"
 
 
@@ -110,15 +110,14 @@ def test_a_record_of_petabytes(tmp_path, sound, opcode):
 
 
 BOMBS = {
-    "zstd": lambda size: zstandard.compress(bytes(size), 19),
+    "zstd": lambda size: zstandard.compress(bytes(size)),
     "lz4": lambda size: lz4.frame.compress(bytes(size), store_size=False),
 }
 
 
-@pytest.mark.parametrize("honest", [True, False])
-@pytest.mark.parametrize("method", BOMBS)
+@pytest.mark.parametrize(("method", "honest"), [("zstd", True), ("zstd", False), ("lz4", False)])
 def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
-    size = 2**30
+    size = 2**28
     stored = BOMBS[method](size)
     path = tmp_path / "log.mcap"
     path.write_bytes(
@@ -129,6 +128,33 @@ def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
     assert caught.value.hint
 
 
+@pytest.mark.parametrize(
+    "repeated",
+    [
+        record(0, b""),
+        record(0x80, b""),
+        record(4, struct.pack("<HH", 5, 0) + text("/t") + text("cdr") + struct.pack("<I", 0)),
+        record(5, struct.pack("<HIQQ", 1, 0, 7, 7)),
+    ],
+    ids=["nothing", "unknown", "channels", "empty messages"],
+)
+def test_a_chunk_of_millions_of_tiny_records(tmp_path, repeated):
+    """A hundredth of what it holds is stored; going through all of it would take minutes, or all memory."""
+    channel = record(4, struct.pack("<HH", 1, 0) + text("/t") + text("cdr") + struct.pack("<I", 0))
+    data = channel + repeated * (2**27 // len(repeated))
+    stored = lz4.frame.compress(data, store_size=False)
+    assert len(data) > 100 * len(stored)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(MAGIC + HEADER + chunk("lz4", stored, len(data)) + record(2, bytes(20)) + MAGIC)
+    try:
+        _, damage = read(path)
+    except RecordingError as error:
+        damage = (error.message,)
+    assert any("among its messages" in note or "more than 524288 messages" in note for note in damage), (
+        damage
+    )
+
+
 def test_a_chunk_of_a_bag_that_decompresses_without_end(tmp_path):
     def field(name: str, value: bytes) -> bytes:
         return struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
@@ -136,8 +162,8 @@ def test_a_chunk_of_a_bag_that_decompresses_without_end(tmp_path):
     def bag_record(fields: bytes, data: bytes) -> bytes:
         return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
 
-    stored = bz2.compress(bytes(2**28))
-    size = field("size", struct.pack("<I", 2**28))
+    stored = bz2.compress(bytes(2**26))
+    size = field("size", struct.pack("<I", 2**26))
     bag = field("op", b"\x03") + field("index_pos", bytes(8)) + field("conn_count", bytes(4))
     data = bag_record(bag + field("chunk_count", bytes(4)), b" " * 4000)
     data += bag_record(field("op", b"\x05") + field("compression", b"bz2") + size, stored)
@@ -149,7 +175,7 @@ def test_a_chunk_of_a_bag_that_decompresses_without_end(tmp_path):
 
 def test_a_file_that_decompresses_without_end(tmp_path):
     path = tmp_path / "log.mcap.zstd"
-    path.write_bytes(zstandard.compress(MAGIC + HEADER + bytes(2**29), 19))
+    path.write_bytes(zstandard.compress(MAGIC + HEADER + bytes(2**28)))
     with pytest.raises(RecordingError, match="more than 1000 times as many"):
         read(path)
 
@@ -161,7 +187,7 @@ def test_a_message_that_decompresses_without_end(tmp_path):
         writer.start("ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         channel = writer.register_channel("/robot_description", "cdr", schema)
-        writer.add_message(channel, 1, zstandard.compress(bytes(2**29), 19), 1)
+        writer.add_message(channel, 1, zstandard.compress(bytes(2**28)), 1)
         writer.finish()
     with pytest.raises(RecordingError, match="decompresses to more than"):
         read(path)
