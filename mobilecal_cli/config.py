@@ -82,7 +82,7 @@ class BoardConfig(_Section):
                 if getattr(self, key) is not None:
                     raise ValueError(f"{key} is for boards with markers: set kind to charuco or aprilgrid")
             if min(self.columns or 3, self.rows or 3) < 3:
-                raise ValueError("a checkerboard has three inner corners or more each way")
+                raise ValueError("board.columns and board.rows of a checkerboard are 3 or more")
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
         for key in ("columns", "rows", *needed):

@@ -138,3 +138,30 @@ def test_settings_are_yaml():
     for bad in ("novalue", "=3", "a=[1"):
         with pytest.raises(ConfigError):
             parse_setting(bad)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "board: {kind: charuco, columns: 8, rows: 5, marker_share: 0.7}",
+            "a board of kind charuco needs dictionary",
+        ),
+        ("board: {kind: aprilgrid, columns: 6, rows: 6}", "a board of kind aprilgrid needs gap_share"),
+        ("board: {kind: aprilgrid, gap_share: 0.3}", "needs columns"),
+        ("board: {columns: 8, rows: 5, marker_share: 0.7}", "set kind to charuco or aprilgrid"),
+        (
+            "board: {kind: charuco, columns: 8, rows: 5, dictionary: DICT_9X9, marker_share: 0.7}",
+            "board.dictionary",
+        ),
+    ],
+)
+def test_boards_with_markers_say_what_they_need(write, text, said):
+    with pytest.raises(ConfigError, match=said):
+        load_rig(write(text))
+
+
+def test_an_unknown_key_of_a_joints_field_is_explained(write):
+    with pytest.raises(ConfigError, match=r"joints.fields.pan.topics: unknown key") as caught:
+        load_rig(write("joints: {fields: {pan: {topics: /head, field: angle}}}"))
+    assert "did you mean topic" in caught.value.hint

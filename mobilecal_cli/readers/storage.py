@@ -238,13 +238,22 @@ class BlockStorage(Storage):
         """The block's messages up to the first damage, which is noted."""
         found = 0
         try:
-            for item in self.parse(self.load(block)):
-                if found == _MOST_MESSAGES:
-                    raise ValueError(f"more than {_MOST_MESSAGES} messages")
+            for item in self._counted(block):
                 found += 1
                 yield item
         except Exception as error:  # damaged bytes raise almost anything in the decompressors and parsers
             self._note_block(block, found, error)
+
+    def _counted(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
+        """The block's messages.
+
+        Raises:
+            ValueError: more than there can be; or of any kind, for damaged bytes.
+        """
+        for found, item in enumerate(self.parse(self.load(block))):
+            if found == _MOST_MESSAGES:
+                raise ValueError(f"more than {_MOST_MESSAGES} messages")
+            yield item
 
     def _note_block(self, block: Block, found: int, error: Exception) -> None:
         kept = f"its first {found} messages are used" if found else "its messages are left out"
@@ -261,7 +270,7 @@ class BlockStorage(Storage):
         counts: Counter[int] = Counter()
         start_ns, end_ns = 2**63 - 1, 0
         try:
-            for number, time_ns, _ in self.parse(self.load(block)):
+            for number, time_ns, _ in self._counted(block):
                 counts[number] += 1
                 start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
         except Exception as error:  # damaged bytes raise almost anything
