@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, Layout, Rejection, Side, Sources
+from mobilecal_cli.model import GrayImage, IntArray, Layout, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.video import Video, codec_of
@@ -84,7 +84,8 @@ def read_images(
     for side in missing:
         sides.setdefault(image_topics[side], []).append(side)
     videos: dict[str, Video] = {}
-    for message in recording.messages(sides) if sides else ():
+    at_ns = _log_times(recording, image_topics, missing)
+    for message in recording.messages(sides, at_ns=at_ns) if sides else ():
         try:
             decoded = message.decode()
         except RecordingError:
@@ -105,6 +106,19 @@ def read_images(
             yield side, stamp_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
         if not any(missing.values()):
             return
+
+
+def _log_times(
+    recording: Recording, image_topics: Mapping[Side, str], wanted: Mapping[Side, Collection[int]]
+) -> IntArray | None:
+    """(n,) when the wanted pictures were logged, None where not all are known (of video all frames are needed)."""
+    found = [
+        recording.logged.get(image_topics[side], {}).get(stamp)
+        for side, stamps in wanted.items()
+        for stamp in stamps
+    ]
+    known = [time_ns for time_ns in found if time_ns is not None]
+    return np.unique(np.array(known, dtype=np.int64)) if len(known) == len(found) else None
 
 
 def pictures_near(

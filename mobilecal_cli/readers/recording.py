@@ -95,6 +95,8 @@ class Recording:
         self._notes = dict.fromkeys(notes)
         self._resources = resources
         self.topics = self._list_topics()
+        #: Topic → stamp of a picture → its log time, as far as a pass has met them: where to find it again.
+        self.logged: dict[str, dict[int, int]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -191,7 +193,9 @@ class Recording:
                 for channel, time_ns, payload in part.near(topics, inside):
                     yield Message(time_ns, channel, payload)
 
-    def messages(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[Message]:
+    def messages(
+        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
+    ) -> Iterator[Message]:
         """The topics' messages in order of log time.
 
         Files that follow one another are read one after the other; files that overlap in time are merged.
@@ -200,6 +204,7 @@ class Recording:
             topics: which.
             within_bytes: read only stretches of about so many bytes in all, evenly spread, where the topics cannot be
                 had with less; None: everything.
+            at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
 
         Raises:
             RecordingError: a topic is missing or its encoding is not read, or a file is damaged beyond use.
@@ -211,25 +216,29 @@ class Recording:
             for channel in part.channels.values():
                 if channel.topic in names:
                     channel.check()
-        return self._stream(names, within_bytes)
+        return self._stream(names, within_bytes, at_ns)
 
-    def _stream(self, topics: frozenset[str], within_bytes: int | None) -> Iterator[Message]:
+    def _stream(
+        self, topics: frozenset[str], within_bytes: int | None, at_ns: IntArray | None
+    ) -> Iterator[Message]:
         seen: Counter[str] = Counter()
         each = None if within_bytes is None else within_bytes // len(self.parts)
         for group in _overlapping(self.parts):
-            streams = [self._part(part, topics, each) for part in group]
+            streams = [self._part(part, topics, each, at_ns) for part in group]
             for channel, time_ns, payload in heapq.merge(*streams, key=lambda raw: raw[1]):
                 seen[channel.topic] += 1
                 yield Message(time_ns, channel, payload)
-        for topic in sorted(topics & self._stated.keys()) if within_bytes is None else ():
+        for topic in sorted(topics & self._stated.keys()) if within_bytes is None and at_ns is None else ():
             if seen[topic] < self._stated[topic]:
                 self.note(
                     f"{topic}: metadata.yaml states {self._stated[topic]} messages, {seen[topic]} could be read"
                 )
 
-    def _part(self, part: Storage, topics: frozenset[str], within_bytes: int | None) -> Iterator[RawMessage]:
+    def _part(
+        self, part: Storage, topics: frozenset[str], within_bytes: int | None, at_ns: IntArray | None
+    ) -> Iterator[RawMessage]:
         with boundary(part.path):
-            yield from part.raw(topics, within_bytes)
+            yield from part.raw(topics, within_bytes, at_ns)
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:

@@ -28,6 +28,7 @@ from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
 from mobilecal_cli.readers.stamps import Clock, clock_notes
 from mobilecal_cli.readers.transforms import Transforms
+from mobilecal_cli.readers.video import codec_of
 
 SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -184,6 +185,7 @@ class _Reader:
         self._wheels_apart: dict[Side, _Apart] = {}
         self._odometry: Odometry | None = None
         self._broken: dict[str, int] = {}
+        self._pictured: dict[str, dict[int, int]] = {}
 
     def _subscribe(self, topic: str, taker: Taker) -> None:
         takers = self._takers.setdefault(topic, [])
@@ -201,6 +203,7 @@ class _Reader:
         """Collect the stamps of a side's images."""
         self._of_type(topic, IMAGES, f"correct cameras.{side}.image in rig.yaml")
         stamps = self._stamps[side] = array("q")
+        self._pictured[topic] = self.recording.logged.setdefault(topic, {})
         self._subscribe(topic, lambda _, time_ns: stamps.append(time_ns))
 
     def joints(self, topic: str, names: Sequence[str]) -> None:
@@ -260,6 +263,8 @@ class _Reader:
                 time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
                 for take in self._takers[message.topic]:
                     take(decoded, time_ns)
+                if message.topic in self._pictured and codec_of(decoded) is None:
+                    self._pictured[message.topic].setdefault(time_ns, message.log_time_ns)
             except (
                 RecordingError,
                 AttributeError,

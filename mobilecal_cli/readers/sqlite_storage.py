@@ -121,10 +121,13 @@ class SqliteStorage(Storage):
         if times:
             self.start_ns, self.end_ns = min(times), max(times)
 
-    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+    def raw(
+        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
+    ) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.
 
-        Rows of other topics cost nothing but their place in the table, so `within_bytes` changes nothing.
+        Rows of other topics cost nothing but their place in the table, so `within_bytes` changes nothing. Nor
+        does `at_ns`: the index that would find rows by their time may be damaged, and say nothing of it.
         """
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]

@@ -66,13 +66,16 @@ class Storage(ABC):
         self._damage[f"{self.path.name}: {sentence}"] = None
 
     @abstractmethod
-    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+    def raw(
+        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
+    ) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is whole.
 
         Args:
             topics: which.
             within_bytes: where the topics cannot be had without reading more of the file than this, only stretches
                 spread evenly over it are read; None: all.
+            at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
         """
 
     @abstractmethod
@@ -179,10 +182,14 @@ class BlockStorage(Storage):
         blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
         return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
 
-    def raw(self, topics: Collection[str], within_bytes: int | None = None) -> Iterator[RawMessage]:
+    def raw(
+        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
+    ) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is whole."""
         every = self._blocks_with(topics)
         blocks = every if within_bytes is None else _spread(every, within_bytes)
+        if at_ns is not None:
+            blocks = [b for b in blocks if _holds(b, at_ns)]
         waiting: list[tuple[int, int, int, Payload]] = []
         order = count()
         seen: Counter[int] = Counter()
@@ -293,3 +300,9 @@ def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
         return blocks
     count = max(1, len(blocks) * within_bytes // total)
     return [blocks[i] for i in np.linspace(0, len(blocks) - 1, count).astype(int)]
+
+
+def _holds(block: Block, at_ns: IntArray) -> bool:
+    """Whether one of some log times, increasing, lies in a block."""
+    first = int(np.searchsorted(at_ns, min(block.start_ns, LATEST_NS - 1)))
+    return first < len(at_ns) and int(at_ns[first]) <= block.end_ns

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Sources
-from mobilecal_cli.readers import open_recording, pictures_near, read_signals
+from mobilecal_cli.readers import open_recording, pictures_near, read_images, read_signals
 from mobilecal_cli.readers.storage import BlockStorage
 
 from . import recordings as r
@@ -80,3 +80,24 @@ def test_times_of_several_parts_are_joined(tmp_path):
         times = recording.log_times()["/joint_states"]
         assert times.tolist() == [item.log_ns for item in ITEMS if item.topic == "/joint_states"]
         assert np.all(np.diff(times) > 0)
+
+
+def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatch):
+    """Once the stamps are known, pictures are found where they were logged."""
+    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    loaded = []
+    for part in recording.parts:
+        if isinstance(part, BlockStorage):
+            load = part.load
+            monkeypatch.setattr(part, "load", lambda block, load=load: (loaded.append(block), load(block))[1])
+    wanted = {side: {int(signals.image_ns[side][k]) for k in (1, 4)} for side in ("left", "right")}
+    found = {(side, ns): p for side, ns, p in read_images(recording, r.SOURCES.image, wanted)}
+    assert set(found) == {(side, ns) for side, stamps in wanted.items() for ns in stamps}
+    for k in (1, 4):
+        left, right = (found[side, int(signals.image_ns[side][k])] for side in ("left", "right"))
+        np.testing.assert_array_equal(left, r.picture(10 * k))
+        np.testing.assert_array_equal(right, r.picture(10 * k + 1))
+    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    if len(blocks) > 5:
+        assert len(loaded) <= 4
+    assert recording.damage == ()
