@@ -33,6 +33,9 @@ class MethodName(StrEnum):
 
 Logs = Annotated[list[Path], typer.Argument(help="Recordings of one robot: MCAP, rosbag2, .db3, ROS 1 .bag.")]
 Config = Annotated[Path | None, typer.Option("--config", "-c", help="rig.yaml; see `mobilecal init`.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace an output that is there already.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and no summary.")]
 
@@ -90,9 +93,7 @@ def calibrate(
     square_m: Annotated[
         float | None, typer.Option(help="Side of a square, m. [default: from the stereo pair]")
     ] = None,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
-    ] = None,
+    setting: Settings = None,
     fix: Annotated[
         list[str] | None,
         typer.Option(help="NAME or NAME=VALUE (m, rad): hold it there; also head_eye, wheels."),
@@ -142,9 +143,7 @@ def calibrate(
 def suggest(
     logs: Logs,
     config: Config = None,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
-    ] = None,
+    setting: Settings = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Say which stops would improve a recording most: where to drive, where to look, and what it would bring.
@@ -165,9 +164,7 @@ def suggest(
 def inspect(
     logs: Logs,
     config: Config = None,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
-    ] = None,
+    setting: Settings = None,
     as_json: Annotated[bool, typer.Option("--json", help="JSON for programs instead of text.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:

@@ -8,9 +8,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig
+from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig
 
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _SIDES: tuple[Side, Side] = ("left", "right")
 _LEAST_BASELINE_M = 1e-4
 
@@ -33,7 +32,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
     Raises:
         RecordingError: no such pair; the topics that are there are listed.
     """
-    present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGE_TYPES}
+    present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
     configured: dict[Side, str | None] = {
         "left": config.cameras.left.image,
         "right": config.cameras.right.image,

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery.cameras import IMAGE_TYPES, image_topics, info_topic, is_rectified
+from mobilecal_cli.discovery.cameras import image_topics, info_topic, is_rectified
 from mobilecal_cli.discovery.chain import frames
 from mobilecal_cli.discovery.joints import pan_and_tilt
 from mobilecal_cli.discovery.wheels import wheel_sources
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.model import Prelude, Side, WheelSource
+from mobilecal_cli.model import IMAGES, Prelude, Side, WheelSource
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 T = TypeVar("T")
@@ -40,7 +40,7 @@ def _listing(title: str, names: Iterable[str]) -> list[str]:
 
 def _cameras(prelude: Prelude) -> list[str]:
     images, why = _try(lambda: image_topics(RigConfig(), prelude))
-    lines = _listing("image topics in the log", (t.name for t in prelude.topics if t.type in IMAGE_TYPES))
+    lines = _listing("image topics in the log", (t.name for t in prelude.topics if t.type in IMAGES))
     lines += [*why, "cameras:"]
     for side in _SIDES:
         image = images[side] if images else f"/stereo/{side}/image_raw"

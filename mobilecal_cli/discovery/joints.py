@@ -9,9 +9,8 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import listed, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
-from mobilecal_cli.model import HeadChain, JointField, JointLink, JointTransform, Prelude
+from mobilecal_cli.model import TRANSFORMS, HeadChain, JointField, JointLink, JointTransform, Prelude
 
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 _PAN_WORDS = {"pan", "yaw"}
 _TILT_WORDS = {"tilt", "pitch"}

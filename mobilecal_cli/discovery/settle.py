@@ -22,7 +22,6 @@ from mobilecal_cli.discovery.wheels import nominal_wheels, wheel_sources
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.model import (
-    CameraInfo,
     HeadChain,
     JointField,
     JointLink,
@@ -34,12 +33,14 @@ from mobilecal_cli.model import (
     Rig,
     Side,
     Sources,
+    StereoRig,
     WheelGeometry,
     WheelSource,
 )
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 T = TypeVar("T")
+_Lack = RecordingError | ConfigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,9 @@ def _head(
         origin = f"URDF in the log's {topic}"
         if len(set(prelude.urdfs.values())) > 1:
             notes.append(f"The log holds several URDFs; the one of {topic} was used.")
-    return _head_of_urdf(config, prelude, parse_urdf(urdf_text), wheels, camera_frame, origin, notes)
+    urdf = parse_urdf(urdf_text)
+    pan, tilt = _pan_and_tilt_of_urdf(config, prelude, urdf)
+    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
 
 
 def _head_of_transforms(
@@ -129,34 +132,68 @@ def _head_of_transforms(
     pan, tilt = pan_and_tilt(config, prelude, moving)
     if not tilt and moving:  # their frames are called otherwise: the head tilts where the last of them is
         tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
-    told = config.model_copy(
-        update={"joints": config.joints.model_copy(update={"pan": pan or None, "tilt": tilt or None})}
-    )
     note = (
         "The recording holds no URDF: the head's joints were taken from how its transforms move, with the zeros of "
         "their angles where they were first."
     )
-    return _head_of_urdf(told, prelude, urdf, wheels, camera_frame, "transforms in the log", [note])
+    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the log", [note])
 
 
-def _head_of_urdf(
-    config: RigConfig,
-    prelude: Prelude,
-    urdf: Urdf,
-    wheels: dict[Side, WheelSource],
-    camera_frame: str,
-    origin: str,
-    notes: list[str],
-) -> _Head:
+def _pan_and_tilt_of_urdf(config: RigConfig, prelude: Prelude, urdf: Urdf) -> tuple[str, str]:
     in_states = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
     pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
     if not tilt and config.head.head_frame is None:
         # Joint states may be short of the head's joints; the URDF still tells which they should be.
         pan, tilt = pan_and_tilt(config, prelude, list(urdf.joints))
+    return pan, tilt
+
+
+def _mounted(
+    config: RigConfig,
+    urdf: Urdf,
+    pan: str,
+    tilt: str,
+    wheels: dict[Side, WheelSource],
+    camera_frame: str,
+    origin: str,
+    notes: list[str],
+) -> _Head:
     chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
     base, _ = frames(config, urdf, tilt)
     drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return _Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+
+
+def _check_moves(chain: HeadChain) -> None:
+    if not any(isinstance(link, JointLink) for link in chain.links):
+        raise ConfigError(
+            f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
+            "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """What a rig is put together from.
+
+    Attributes:
+        images, infos: the topics of each side.
+        rectified: whether the pictures are.
+        cameras: the pair.
+        wheels: where each is read.
+        head: how the camera is mounted.
+        elsewhere: the head's joints that no joint state tells.
+        joints: joint-state topics.
+    """
+
+    images: dict[Side, str]
+    infos: dict[Side, str]
+    rectified: bool
+    cameras: StereoRig
+    wheels: dict[Side, WheelSource]
+    head: _Head
+    elsewhere: dict[str, JointField | JointTransform]
+    joints: tuple[str, ...]
 
 
 def settle_rig(
@@ -177,29 +214,11 @@ def settle_rig(
         RecordingError: the recording lacks something that the configuration does not give either.
         ConfigError: the two do not fit together, or leave several possibilities.
     """
-    images = image_topics(config, prelude)
-    info_topics = {side: info_topic(side, images[side], config, prelude) for side in _SIDES}
-    infos: dict[Side, CameraInfo] = {side: prelude.infos[topic] for side, topic in info_topics.items()}
-    check_sizes(infos)
-    rectified = config.cameras.rectified
-    if rectified is None:
-        rectified = is_rectified(images["left"])
-    cameras = stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference)
-    wheels = wheel_sources(config, prelude)
-    camera_frame = infos[config.cameras.reference].frame_id
-    mounted = _head(config, prelude, urdf_text, wheels, camera_frame)
-    chain, drawn = mounted.chain, mounted.drawn
-    if not any(isinstance(link, JointLink) for link in chain.links):
-        raise ConfigError(
-            f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
-            "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
-        )
+    parts, lacks = _find(config, prelude, urdf_text)
+    if parts is None:
+        raise lacks[0]
+    infos, images, chain, drawn = parts.infos, parts.images, parts.head.chain, parts.head.drawn
     layout: Layout = "separate" if config.cameras.both is None else config.cameras.both.layout
-    elsewhere: dict[str, JointField | JointTransform] = {
-        **joint_fields(config, prelude, chain),
-        **joint_transforms(config, prelude, chain, mounted.urdf),
-    }
-    topics = joint_topics(config, prelude, chain, elsewhere)
     given, head_eye = config.nominal.wheels, nominal_head_eye(config)
     nominal = Nominal(
         drawn.T_h_reference if head_eye is None else head_eye,
@@ -216,64 +235,74 @@ def settle_rig(
         "board square_m": settled("board.square_m", "stereo"),
         f"left images {images['left']}": settled("cameras.left.image"),
         f"right images {images['right']}": settled("cameras.right.image"),
-        f"left camera info {info_topics['left']}": settled("cameras.left.info"),
-        f"right camera info {info_topics['right']}": settled("cameras.right.info"),
-        f"images are {'rectified' if rectified else 'raw'}": settled("cameras.rectified", "topic name"),
+        f"left camera info {infos['left']}": settled("cameras.left.info"),
+        f"right camera info {infos['right']}": settled("cameras.right.info"),
+        f"images are {'rectified' if parts.rectified else 'raw'}": settled("cameras.rectified", "topic name"),
         f"reference camera {config.cameras.reference}": settled("cameras.reference", "default"),
-        f"joint states {', '.join(topics)}": settled("joints.topic"),
+        f"joint states {', '.join(parts.joints)}": settled("joints.topic"),
         f"pan joint {chain.pan or 'none'}": settled("joints.pan", "its name"),
         f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "its name"),
-        f"head chain {chain.base_frame} to {chain.head_frame}": mounted.origin,
+        f"head chain {chain.base_frame} to {chain.head_frame}": parts.head.origin,
         **{
             f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
-            for side, source in wheels.items()
+            for side, source in parts.wheels.items()
         },
         "nominal wheels": settled("nominal.wheels", "URDF" if drawn.wheels else "none"),
         "nominal head_eye": settled("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
     return Settled(
         Rig(
-            cameras,
+            parts.cameras,
             chain,
             nominal,
-            Sources(images, info_topics, topics, wheels, elsewhere, layout),
+            Sources(images, infos, parts.joints, parts.wheels, parts.elsewhere, layout),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
         ),
-        mounted.notes,
+        parts.head.notes,
     )
 
 
-def lacking(
-    config: RigConfig, prelude: Prelude, urdf_text: str | None = None
-) -> tuple[RecordingError | ConfigError, ...]:
+def lacking(config: RigConfig, prelude: Prelude, urdf_text: str | None = None) -> tuple[_Lack, ...]:
     """Everything that keeps `settle_rig` from a rig, as far as one lack does not hide the next."""
-    found: list[RecordingError | ConfigError] = []
+    return tuple(_find(config, prelude, urdf_text)[1])
+
+
+def _find(config: RigConfig, prelude: Prelude, urdf_text: str | None) -> tuple[_Parts | None, list[_Lack]]:
+    """The parts of a rig, or, in order, all that is lacking."""
+    lacks: list[_Lack] = []
 
     def tried(step: Callable[[], T]) -> T | None:
         try:
             return step()
         except (RecordingError, ConfigError) as error:
-            found.append(error)
+            lacks.append(error)
             return None
 
+    reference = config.cameras.reference
     images = tried(lambda: image_topics(config, prelude))
-    infos: dict[Side, CameraInfo] = {}
-    for side in _SIDES if images else ():
-        topic = tried(partial(info_topic, side, images[side], config, prelude)) if images else None
-        if topic is not None:
-            infos[side] = prelude.infos[topic]
-    if len(infos) == 2:
-        rectified = config.cameras.rectified or False
+    topics: dict[Side, str] = {}
+    rectified, cameras = False, None
+    if images is not None:
+        for side in _SIDES:
+            topic = tried(partial(info_topic, side, images[side], config, prelude))
+            topics |= {side: topic} if topic is not None else {}
+        told = config.cameras.rectified
+        rectified = is_rectified(images["left"]) if told is None else told
+    infos = {side: prelude.infos[topic] for side, topic in topics.items()}
+    if len(infos) == len(_SIDES):
         tried(lambda: check_sizes(infos))
-        tried(lambda: stereo_rig(infos["left"], infos["right"], rectified, config.cameras.reference))
+        cameras = tried(lambda: stereo_rig(infos["left"], infos["right"], rectified, reference))
     wheels = tried(lambda: wheel_sources(config, prelude))
-    camera = infos.get(config.cameras.reference)
-    frame = camera.frame_id if camera else ""
-    mounted = tried(lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
-    if mounted is not None:
-        chain, urdf = mounted.chain, mounted.urdf
-        fields = tried(lambda: joint_fields(config, prelude, chain)) or {}
-        transforms = joint_transforms(config, prelude, chain, urdf)
-        tried(lambda: joint_topics(config, prelude, chain, {**fields, **transforms}))
-    return tuple(found)
+    frame = infos[reference].frame_id if reference in infos else ""
+    head = tried(lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
+    elsewhere: dict[str, JointField | JointTransform] = {}
+    joints: tuple[str, ...] | None = None
+    if head is not None:
+        tried(lambda: _check_moves(head.chain))
+        elsewhere |= tried(lambda: joint_fields(config, prelude, head.chain)) or {}
+        elsewhere |= joint_transforms(config, prelude, head.chain, head.urdf)
+        joints = tried(lambda: joint_topics(config, prelude, head.chain, elsewhere))
+    if lacks or images is None or cameras is None or wheels is None or head is None or joints is None:
+        return None, lacks
+    return _Parts(images, topics, rectified, cameras, wheels, head, elsewhere, joints), lacks

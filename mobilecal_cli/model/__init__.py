@@ -11,7 +11,15 @@ from mobilecal_cli.model.observations import (
     Snapshot,
     WheelTrack,
 )
-from mobilecal_cli.model.prelude import Prelude, TopicInfo
+from mobilecal_cli.model.prelude import (
+    CAMERA_INFO,
+    IMAGES,
+    JOINT_STATE,
+    STRING,
+    TRANSFORMS,
+    Prelude,
+    TopicInfo,
+)
 from mobilecal_cli.model.rig import (
     Board,
     Camera,
@@ -50,7 +58,12 @@ from mobilecal_cli.model.solution import (
 )
 
 __all__ = [
+    "CAMERA_INFO",
+    "IMAGES",
+    "JOINT_STATE",
     "NINE",
+    "STRING",
+    "TRANSFORMS",
     "BetweenLogs",
     "Board",
     "BoardView",

@@ -49,3 +49,19 @@ def freeze(
         array.setflags(write=False)
         object.__setattr__(value, name, array)
     return sizes
+
+
+def freeze_corners(value: object, seen: BoolArray) -> None:
+    """Freeze `pixels` (M, 2) and `seen` (M,) of a view of a board; all corners are seen where `seen` is empty.
+
+    Args:
+        value: the dataclass instance, inside its ``__post_init__``.
+        seen: what it was given as `seen`.
+
+    Raises:
+        ValueError: see `freeze`.
+    """
+    corners = freeze(value, pixels=("M", 2))["M"]
+    if not len(seen):
+        object.__setattr__(value, "seen", np.ones(corners, dtype=np.bool_))
+    freeze(value, np.bool_, seen=(corners,))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze, freeze_corners
 from mobilecal_cli.model.rig import Board, Rig
 from mobilecal_cli.model.signals import Rejection, Track
 
@@ -32,10 +32,7 @@ class Corners:
     seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        corners = freeze(self, pixels=("M", 2))["M"]
-        if not len(self.seen):
-            object.__setattr__(self, "seen", np.ones(corners, dtype=np.bool_))
-        freeze(self, np.bool_, seen=(corners,))
+        freeze_corners(self, self.seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

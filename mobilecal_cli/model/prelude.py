@@ -8,6 +8,13 @@ from dataclasses import dataclass, field
 from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.rig import CameraInfo
 
+#: Message types that have a part in a calibration, in ROS 2 spelling.
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:

@@ -309,6 +309,12 @@ class Sources:
     elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
     layout: Layout = "separate"
 
+    @property
+    def motion(self) -> frozenset[str]:
+        """The topics that tell how base and head move."""
+        apart = [*self.wheels.values(), *self.elsewhere.values()]
+        return frozenset({*self.joints, *(source.topic for source in apart)})
+
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:

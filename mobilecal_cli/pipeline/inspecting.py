@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.discovery import lacking, settle_rig
-from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
+from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     Board,
@@ -32,7 +32,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.pipeline.extract import board_of, sliding_joints
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.readers import Recording, open_recording, pictures_near, read_prelude, read_signals
+from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, gaps_between
 from mobilecal_cli.vision import Detection, find_board, identify_size
@@ -114,10 +114,10 @@ def _settled(
     except RecordingError as error:
         return None, [_lack(error)], []
     urdf = read_urdf(config)
-    try:
-        settled = settle_rig(config, prelude, urdf, flags)
-    except (RecordingError, ConfigError) as error:
-        return None, [_lack(each) for each in lacking(config, prelude, urdf) or (error,)], []
+    missing = lacking(config, prelude, urdf)
+    if missing:
+        return None, [_lack(error) for error in missing], []
+    settled = settle_rig(config, prelude, urdf, flags)
     return settled.rig, [], list(settled.notes)
 
 
@@ -140,7 +140,7 @@ def _motion(
 ) -> tuple[MotionView | None, tuple[Lack, ...], tuple[str, ...]]:
     """How the robot moved, what that cannot show, and what was odd."""
     try:
-        signals = read_signals(recording, rig.sources, rig.chain.joints, (), MOTION_BYTES)
+        signals = read_signals(recording, rig.sources, rig.chain.joints, (), Extent(MOTION_BYTES))
         wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
     except RecordingError as error:
         missing.append(_lack(error))
@@ -158,10 +158,10 @@ def _motion(
         legs = integrate(cut_at(wheels, _seconds(wheels)), rig.nominal.wheels)
         driven_m = float(np.linalg.norm(legs.t_m, axis=1).sum())
         turned_deg = float(np.degrees(np.ptp(np.cumsum([0.0, *legs.psi_rad]))))
-    whole = _read_whole(recording, rig, signals)
-    rests, weak = _rests(rig, signals, times, whole)
-    notes = signals.notes if whole == 1 else ()
-    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, whole), weak, notes
+    share = recording.share(rig.sources.motion, Extent(MOTION_BYTES))
+    rests, weak = _rests(rig, signals, times, share)
+    notes = signals.notes if share == 1 else ()
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), weak, notes
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
@@ -169,14 +169,6 @@ def _seconds(wheels: WheelTrack) -> IntArray:
     first, last = int(wheels.time_ns[0]), int(wheels.time_ns[-1])
     count = min(max(2, (last - first) // 10**9 + 1), len(wheels.time_ns))
     return np.linspace(first, last, count).astype(np.int64)
-
-
-def _read_whole(recording: Recording, rig: Rig, signals: Signals) -> float:
-    """Share of the joints' and wheels' messages that were read: 1 where nothing says that some were not."""
-    stated = {info.name: info.count for info in recording.topics}
-    topic = rig.sources.wheels["right"].topic
-    count = stated.get(topic)
-    return min(1.0, len(signals.wheels["right"].time_ns) / count) if count else 1.0
 
 
 def _rests(

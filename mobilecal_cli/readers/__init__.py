@@ -10,8 +10,10 @@ from mobilecal_cli.readers.opening import join_parts, open_recording
 from mobilecal_cli.readers.prelude import read_prelude
 from mobilecal_cli.readers.recording import Message, Recording
 from mobilecal_cli.readers.signals import read_signals
+from mobilecal_cli.readers.storage import Extent
 
 __all__ = [
+    "Extent",
     "Message",
     "Recording",
     "decode_image",

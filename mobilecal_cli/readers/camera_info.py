@@ -8,6 +8,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CameraInfo, Distortion, FloatArray
+from mobilecal_cli.readers.channels import NOT_ITS_TYPE
 
 #: Coefficient counts of OpenCV's models, in its order.
 _LENGTHS: dict[Distortion, tuple[int, ...]] = {
@@ -49,7 +50,7 @@ def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the t
     """
     try:
         return _converted(message, topic)
-    except (AttributeError, TypeError, ValueError, OverflowError) as error:  # JSON holds anything
+    except NOT_ITS_TYPE as error:
         raise RecordingError(f"{topic}: not a camera info: {error}", _ADVICE) from error
 
 

@@ -18,6 +18,8 @@ from mobilecal_cli.readers.values import Decoder, json_decoder, like_ros, protob
 DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
 Payload = bytes | memoryview
 
+#: What reading its fields raises where a message only claims its type: JSON holds anything.
+NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
 _ENCODINGS = ("cdr", "ros1", "protobuf", "json")
 
 #: The largest messages of MoveIt and Autoware have a third of this; the time to make a decoder grows with it.

@@ -18,6 +18,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, IntArray, Layout, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
+from mobilecal_cli.readers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.video import Video, codec_of
 
 #: No picture may claim more pixels than this, five times those of a large stereo camera.
@@ -83,9 +84,23 @@ def read_images(
     sides: dict[str, list[Side]] = {}
     for side in missing:
         sides.setdefault(image_topics[side], []).append(side)
+    where = _log_times(recording, image_topics, missing)
+    if where is not None:
+        yield from _read(recording, sides, missing, layout, Extent(at_ns=where))
+    if any(missing.values()):  # not known where they were logged, or an index that lies
+        yield from _read(recording, sides, missing, layout, EVERYTHING)
+
+
+def _read(
+    recording: Recording,
+    sides: Mapping[str, Sequence[Side]],
+    missing: Mapping[Side, set[int]],
+    layout: Layout,
+    extent: Extent,
+) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
+    """One pass for the pictures that are missing; those that are found are taken out."""
     videos: dict[str, Video] = {}
-    at_ns = _log_times(recording, image_topics, missing)
-    for message in recording.messages(sides, at_ns=at_ns) if sides else ():
+    for message in recording.messages(sides, extent):
         try:
             decoded = message.decode()
         except RecordingError:
@@ -159,7 +174,7 @@ def pictures_near(
 def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> Iterator[GrayImage]:
     """The first frame of a video that builds on no other, from each moment on, as far as a few stretches hold them."""
     waiting = sorted(times_ns)
-    for message in recording.messages([topic], within_bytes=_GLANCE_BYTES):
+    for message in recording.messages([topic], Extent(_GLANCE_BYTES)):
         if not waiting:
             return
         if message.log_time_ns < waiting[0]:

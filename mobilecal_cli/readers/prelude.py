@@ -7,16 +7,20 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CameraInfo, FloatArray, Prelude
+from mobilecal_cli.model import (
+    CAMERA_INFO,
+    IMAGES,
+    JOINT_STATE,
+    STRING,
+    TRANSFORMS,
+    CameraInfo,
+    FloatArray,
+    Prelude,
+)
 from mobilecal_cli.readers.camera_info import camera_info
+from mobilecal_cli.readers.channels import NOT_ITS_TYPE
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.transforms import transforms_of
-
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-STRING = "std_msgs/msg/String"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 T = TypeVar("T")
 
@@ -92,7 +96,7 @@ def _read(recording: Recording, topic: str, most: int, enough: int, read: Callab
                 result.append(read(decoded))
             except RecordingError as error:
                 reason = error.message
-            except (AttributeError, TypeError, ValueError, OverflowError) as error:  # JSON holds anything
+            except NOT_ITS_TYPE as error:
                 reason = f"{topic}: a {message.type} that is none: {error}"
             if len(result) == enough:
                 break

@@ -6,7 +6,7 @@ import heapq
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo
 from mobilecal_cli.readers.channels import Channel, Payload
-from mobilecal_cli.readers.storage import RawMessage, Storage
+from mobilecal_cli.readers.storage import EVERYTHING, Extent, RawMessage, Storage
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,18 +193,26 @@ class Recording:
                 for channel, time_ns, payload in part.near(topics, inside):
                     yield Message(time_ns, channel, payload)
 
-    def messages(
-        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
-    ) -> Iterator[Message]:
+    def share(self, topics: Collection[str], extent: Extent) -> float:
+        """How much of what `messages` reads for the topics an extent leaves, 0 to 1."""
+        own = self._of_part(extent)
+        every = sum(part.bytes_of(topics) for part in self.parts)
+        return sum(part.bytes_of(topics, own) for part in self.parts) / every if every else 1.0
+
+    def _of_part(self, extent: Extent) -> Extent:
+        """An extent of the recording as each of its files has it."""
+        if extent.within_bytes is None:
+            return extent
+        return replace(extent, within_bytes=extent.within_bytes // len(self.parts))
+
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """The topics' messages in order of log time.
 
         Files that follow one another are read one after the other; files that overlap in time are merged.
 
         Args:
             topics: which.
-            within_bytes: read only stretches of about so many bytes in all, evenly spread, where the topics cannot be
-                had with less; None: everything.
-            at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
+            extent: how much of the recording is read.
 
         Raises:
             RecordingError: a topic is missing or its encoding is not read, or a file is damaged beyond use.
@@ -216,29 +224,25 @@ class Recording:
             for channel in part.channels.values():
                 if channel.topic in names:
                     channel.check()
-        return self._stream(names, within_bytes, at_ns)
+        return self._stream(names, extent)
 
-    def _stream(
-        self, topics: frozenset[str], within_bytes: int | None, at_ns: IntArray | None
-    ) -> Iterator[Message]:
+    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
         seen: Counter[str] = Counter()
-        each = None if within_bytes is None else within_bytes // len(self.parts)
+        own = self._of_part(extent)
         for group in _overlapping(self.parts):
-            streams = [self._part(part, topics, each, at_ns) for part in group]
+            streams = [self._part(part, topics, own) for part in group]
             for channel, time_ns, payload in heapq.merge(*streams, key=lambda raw: raw[1]):
                 seen[channel.topic] += 1
                 yield Message(time_ns, channel, payload)
-        for topic in sorted(topics & self._stated.keys()) if within_bytes is None and at_ns is None else ():
+        for topic in sorted(topics & self._stated.keys()) if extent is EVERYTHING else ():
             if seen[topic] < self._stated[topic]:
                 self.note(
                     f"{topic}: metadata.yaml states {self._stated[topic]} messages, {seen[topic]} could be read"
                 )
 
-    def _part(
-        self, part: Storage, topics: frozenset[str], within_bytes: int | None, at_ns: IntArray | None
-    ) -> Iterator[RawMessage]:
+    def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
         with boundary(part.path):
-            yield from part.raw(topics, within_bytes, at_ns)
+            yield from part.raw(topics, extent)
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:

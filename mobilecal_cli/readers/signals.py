@@ -12,6 +12,8 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
+    IMAGES,
+    JOINT_STATE,
     IntArray,
     JointField,
     JointTransform,
@@ -21,12 +23,13 @@ from mobilecal_cli.model import (
     Track,
     WheelSource,
 )
+from mobilecal_cli.readers.channels import NOT_ITS_TYPE
 from mobilecal_cli.readers.fields import FieldPath
 from mobilecal_cli.readers.odometry import Odometry
-from mobilecal_cli.readers.prelude import IMAGES, JOINT_STATE
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
 from mobilecal_cli.readers.stamps import Clock, clock_notes
+from mobilecal_cli.readers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.transforms import Transforms
 from mobilecal_cli.readers.video import codec_of
 
@@ -40,7 +43,7 @@ def read_signals(
     sources: Sources,
     joints: Sequence[str],
     sides: Sequence[Side] = SIDES,
-    within_bytes: int | None = None,
+    extent: Extent = EVERYTHING,
 ) -> Signals:
     """Read everything but the pictures' contents, in one pass.
 
@@ -55,7 +58,7 @@ def read_signals(
         sources: the topics in use.
         joints: names of the head's joints.
         sides: whose pictures' stamps are wanted.
-        within_bytes: see `Recording.messages`.
+        extent: how much of the recording is read.
 
     Raises:
         RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
@@ -69,7 +72,7 @@ def read_signals(
     reader.joints_elsewhere(sources.elsewhere)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
-    reader.run(within_bytes)
+    reader.run(extent)
 
     notes: list[str] = []
     images = {side: reader.image_stamps(side, sources.image[side], notes) for side in sides}
@@ -255,9 +258,9 @@ class _Reader:
         self._wheels_apart[side] = _Apart(source.topic, field.track)
         self._subscribe(source.topic, field.take)
 
-    def run(self, within_bytes: int | None) -> None:
+    def run(self, extent: Extent) -> None:
         """The pass."""
-        for message in self.recording.messages(self._takers, within_bytes):
+        for message in self.recording.messages(self._takers, extent):
             try:
                 decoded = message.decode()
                 time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
@@ -265,13 +268,7 @@ class _Reader:
                     take(decoded, time_ns)
                 if message.topic in self._pictured and codec_of(decoded) is None:
                     self._pictured[message.topic].setdefault(time_ns, message.log_time_ns)
-            except (
-                RecordingError,
-                AttributeError,
-                TypeError,
-                ValueError,
-                OverflowError,
-            ):  # JSON holds anything
+            except (RecordingError, *NOT_ITS_TYPE):
                 self._broken[message.topic] = self._broken.get(message.topic, 0) + 1
 
     def undecodable(self) -> list[str]:

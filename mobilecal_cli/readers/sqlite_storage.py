@@ -17,7 +17,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, ros2_spelling
 from mobilecal_cli.readers.compression import message_payload
-from mobilecal_cli.readers.storage import SIZE_LIMIT, RawMessage, Storage
+from mobilecal_cli.readers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -121,13 +121,11 @@ class SqliteStorage(Storage):
         if times:
             self.start_ns, self.end_ns = min(times), max(times)
 
-    def raw(
-        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
-    ) -> Iterator[RawMessage]:
+    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.
 
-        Rows of other topics cost nothing but their place in the table, so `within_bytes` changes nothing. Nor
-        does `at_ns`: the index that would find rows by their time may be damaged, and say nothing of it.
+        Rows of other topics cost nothing but their place in the table, so all rows are read whatever the extent: the
+        index that would find them by their time may be damaged, and say nothing of it.
         """
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
@@ -155,6 +153,10 @@ class SqliteStorage(Storage):
                     yield self.channels[number], time_ns, self._payload(number, payload)
             self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
         self.compare_counts(topics, seen)
+
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """How much of the file `raw` reads: all of it."""
+        return self.path.stat().st_size
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """For every time and topic the first message from then on."""

@@ -28,6 +28,23 @@ UNINDEXED_BYTES = 2**26
 LATEST_NS = 2**63
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Extent:
+    """How much of a recording is read.
+
+    Attributes:
+        within_bytes: where the topics cannot be had without reading more of the file than this, only stretches spread
+            evenly over it are read; None: no bound.
+        at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
+    """
+
+    within_bytes: int | None = None
+    at_ns: IntArray | None = None
+
+
+EVERYTHING = Extent()
+
+
 class Storage(ABC):
     """One file of a recording.
 
@@ -66,17 +83,12 @@ class Storage(ABC):
         self._damage[f"{self.path.name}: {sentence}"] = None
 
     @abstractmethod
-    def raw(
-        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
-    ) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the file is whole.
+    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is whole."""
 
-        Args:
-            topics: which.
-            within_bytes: where the topics cannot be had without reading more of the file than this, only stretches
-                spread evenly over it are read; None: all.
-            at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
-        """
+    @abstractmethod
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """How much of the file `raw` reads."""
 
     @abstractmethod
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
@@ -182,14 +194,22 @@ class BlockStorage(Storage):
         blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
         return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
 
-    def raw(
-        self, topics: Collection[str], within_bytes: int | None = None, at_ns: IntArray | None = None
-    ) -> Iterator[RawMessage]:
+    def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
+        """Those of `_blocks_with` that are read."""
+        blocks = self._blocks_with(topics)
+        if extent.within_bytes is not None:
+            blocks = _spread(blocks, extent.within_bytes)
+        if extent.at_ns is not None:
+            blocks = [b for b in blocks if _holds(b, extent.at_ns)]
+        return blocks
+
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """How much of the file `raw` reads."""
+        return sum(block.size for block in self._blocks_of(topics, extent))
+
+    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is whole."""
-        every = self._blocks_with(topics)
-        blocks = every if within_bytes is None else _spread(every, within_bytes)
-        if at_ns is not None:
-            blocks = [b for b in blocks if _holds(b, at_ns)]
+        blocks = self._blocks_of(topics, extent)
         waiting: list[tuple[int, int, int, Payload]] = []
         order = count()
         seen: Counter[int] = Counter()
@@ -202,7 +222,7 @@ class BlockStorage(Storage):
                     heapq.heappush(waiting, (time_ns, next(order), number, payload))
         while waiting:
             yield self._release(waiting, seen)
-        if len(blocks) == len(every):
+        if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, seen)
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:

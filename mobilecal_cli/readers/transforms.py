@@ -14,6 +14,7 @@ from mobilecal_cli.model import FloatArray, JointTransform, Track
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series
 from mobilecal_cli.readers.stamps import stamp_of
+from mobilecal_cli.readers.storage import Extent
 
 #: A joint's transform that leaves its axis or its place by more than this belongs to another robot, or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
@@ -79,7 +80,7 @@ class Transforms:
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
     """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; of a long one from stretches of it."""
     found: dict[tuple[str, str], list[FloatArray]] = {}
-    for message in recording.messages(topics, within_bytes=_SAMPLED_BYTES) if topics else ():
+    for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
             items = message.decode().transforms
         except (RecordingError, AttributeError):

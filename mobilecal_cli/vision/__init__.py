@@ -3,24 +3,15 @@
 Other rooms use what is named here.
 """
 
-from mobilecal_cli.model import Board, GrayImage
 from mobilecal_cli.vision.board_size import SizeVote, identify_size
+from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
-from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.numbering import settle_numbering
 from mobilecal_cli.vision.observing import observe
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
 from mobilecal_cli.vision.snapshot import snapshot_jpeg
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
-
-
-def find_board(image: GrayImage, board: Board) -> Detection | Miss:
-    """The board in one picture: see `detect` and `detect_markers`."""
-    if board.markers is not None:
-        return detect_markers(image, board)
-    return detect(image, board.columns, board.rows)
-
 
 __all__ = [
     "BoardPose",
@@ -31,7 +22,6 @@ __all__ = [
     "absolute_orientation",
     "board_pose",
     "detect",
-    "detect_markers",
     "find_board",
     "identify_size",
     "observe",

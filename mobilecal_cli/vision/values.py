@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.model import BoolArray, FloatArray
-from mobilecal_cli.model.arrays import freeze
+from mobilecal_cli.model.arrays import freeze, freeze_corners
 
 Reason = Literal[
     "no board",
@@ -40,10 +40,7 @@ class Detection:
     seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        corners = freeze(self, pixels=("M", 2))["M"]
-        if not len(self.seen):
-            object.__setattr__(self, "seen", np.ones(corners, dtype=np.bool_))
-        freeze(self, np.bool_, seen=(corners,))
+        freeze_corners(self, self.seen)
 
 
 @dataclass(frozen=True, slots=True)

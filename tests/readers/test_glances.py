@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mobilecal_cli.model import Sources
-from mobilecal_cli.readers import open_recording, pictures_near, read_images, read_signals
+from mobilecal_cli.readers import Extent, open_recording, pictures_near, read_images, read_signals
 from mobilecal_cli.readers.storage import BlockStorage
 
 from . import recordings as r
@@ -51,7 +53,7 @@ def test_a_part_is_read_where_blocks_are_large(recording):
     if blocks and not all(block.is_chunk for block in blocks):
         pytest.skip("one stretch outside chunks holds all of this small file's messages of a topic")
     whole = read_signals(recording, r.SOURCES, r.JOINTS, ())
-    part = read_signals(recording, r.SOURCES, r.JOINTS, (), within_bytes=20_000)
+    part = read_signals(recording, r.SOURCES, r.JOINTS, (), Extent(20_000))
     assert part.image_ns == {}
     known = dict(zip(whole.joints["pan"].time_ns.tolist(), whole.joints["pan"].value.tolist(), strict=True))
     got = dict(zip(part.joints["pan"].time_ns.tolist(), part.joints["pan"].value.tolist(), strict=True))
@@ -101,3 +103,21 @@ def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatc
     if len(blocks) > 5:
         assert len(loaded) <= 4
     assert recording.damage == ()
+
+
+def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
+    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    for part in recording.parts:
+        if isinstance(part, BlockStorage):
+            part.blocks = [replace(block, end_ns=block.start_ns) for block in part.blocks]
+    wanted = {side: signals.image_ns[side].tolist() for side in ("left", "right")}
+    found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, wanted)]
+    assert sorted(found) == sorted((side, ns) for side, stamps in wanted.items() for ns in stamps)
+
+
+def test_share_of_a_recording_that_an_extent_leaves(recording):
+    topics = ["/joint_states"]
+    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    assert recording.share(topics, Extent()) == recording.share(topics, Extent(2**30)) == 1
+    if len(blocks) > 5 and all(block.is_chunk for block in blocks):
+        assert 0 < recording.share(topics, Extent(20_000)) < 1
