@@ -33,6 +33,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.pipeline.extract import board_of, sliding_joints
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
+from mobilecal_cli.report import MIN_STATIONS
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, gaps_between
 from mobilecal_cli.vision import Detection, find_board, identify_size
@@ -186,10 +187,11 @@ def _rests(
     except RecordingError as error:
         return None, (_lack(error),)
     weak = []
-    if len(plan.stations) < FEWEST_STATIONS:
+    if len(plan.stations) < MIN_STATIONS:
         weak.append(
             Lack(
-                f"only {len(plan.stations)} moments are worth a look, {FEWEST_STATIONS} are needed",
+                f"only {len(plan.stations)} moments are worth a look: {FEWEST_STATIONS} with the board make a "
+                f"calibration, {MIN_STATIONS} are the least that passes",
                 "record at least ten rests of two seconds, with the head and the base moved in between",
             )
         )

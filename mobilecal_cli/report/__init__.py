@@ -6,9 +6,10 @@ from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.report.text import summary_table
-from mobilecal_cli.report.verdict import Verdict, judge
+from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict, judge
 
 __all__ = [
+    "MIN_STATIONS",
     "Check",
     "Verdict",
     "inspection_json",

@@ -81,6 +81,15 @@ def test_a_long_recording_is_looked_at_in_part(sample_logs, monkeypatch):
     assert found.missing == ()
 
 
+def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
+    whole = (sample_logs / "paper_robot.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 6 // 10])
+    found = pipeline.inspect([cut])
+    assert 0 < found.motion.rests < 8
+    assert f"only {found.motion.rests} moments are worth a look" in found.weak[0].what
+
+
 def test_empty_recording(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
     assert "holds no messages" in found.missing[0].what
