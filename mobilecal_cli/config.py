@@ -261,6 +261,7 @@ class RigConfig(_Section):
     head: HeadConfig = HeadConfig()
     nominal: NominalConfig = NominalConfig()
     noise: NoiseConfig = NoiseConfig()
+    gates: dict[Text, FiniteFloat] = Field({}, description="figure → limit, as --gate has them")
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:

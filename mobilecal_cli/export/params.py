@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import (
@@ -14,13 +14,24 @@ from pydantic import (
     PositiveFloat,
     ValidationError,
     field_validator,
+    model_validator,
 )
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Provenance, Solution, StereoRig, WheelGeometry
-from mobilecal_cli.model.arrays import freeze
+from mobilecal_cli.model import (
+    NINE,
+    CalibratedRobot,
+    Extraction,
+    FloatArray,
+    Knowledge,
+    LogSource,
+    Provenance,
+    Solution,
+    StereoRig,
+    WheelGeometry,
+)
 from mobilecal_cli.yaml_input import load_yaml
 
 GIMBAL_WARNING_DEG = (
@@ -162,26 +173,6 @@ def _provenance_lines(provenance: Provenance) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibratedRobot:
-    """The calibration as params.yaml holds it.
-
-    Attributes:
-        parent_frame: the head's frame.
-        child_frame: the reference camera's optical frame.
-        T_parent_child: (4, 4) child coordinates to parent coordinates, m.
-        wheels: radii and separation.
-    """
-
-    parent_frame: str
-    child_frame: str
-    T_parent_child: FloatArray
-    wheels: WheelGeometry
-
-    def __post_init__(self) -> None:
-        freeze(self, T_parent_child=(4, 4))
-
-
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -207,10 +198,40 @@ class _Wheels(_Section):
     separation_m: PositiveFloat = Field(allow_inf_nan=False)
 
 
+_Row = Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)]
+
+
+class _Uncertainty(_Section):
+    order: tuple[str, ...]
+    covariance: Annotated[tuple[_Row, ...], Field(min_length=9, max_length=9)]
+    observable: dict[str, bool]
+
+    @model_validator(mode="after")
+    def _of_the_nine(self) -> _Uncertainty:
+        if self.order != NINE or self.observable.keys() != set(NINE):
+            raise ValueError(f"order and observable have to name {', '.join(NINE)}")
+        covariance = np.array(self.covariance)
+        if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or np.any(np.diag(covariance) < 0):
+            raise ValueError("covariance is not symmetric, or has a negative variance")
+        return self
+
+
+class _Log(_Section):
+    path: str
+    sha256: str
+
+
+class _Provenance(_Section):
+    created: str = ""
+    logs: tuple[_Log, ...] = ()
+
+
 class _File(_Section):
     schema_version: int
     head_eye: _HeadEye
     wheels: _Wheels
+    uncertainty: _Uncertainty | None = None
+    provenance: _Provenance = _Provenance()
 
     @field_validator("schema_version")
     @classmethod
@@ -221,7 +242,7 @@ class _File(_Section):
 
 
 def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobot:
-    """Read the ``head_eye`` and ``wheels`` blocks; other keys are left alone.
+    """Read the numbers, how well they are known and where they come from; other keys are left alone.
 
     Args:
         text: the file's contents.
@@ -242,11 +263,18 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         raise ConfigError(f"{name}: {_problems(error)}", _HINT) from error
     head_eye, wheels = checked.head_eye, checked.wheels
     rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
+    known = checked.uncertainty
+    knowledge = None
+    if known is not None:
+        knowledge = Knowledge(np.array(known.covariance), np.array([known.observable[name] for name in NINE]))
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
         wheels=WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m),
+        knowledge=knowledge,
+        created=checked.provenance.created,
+        logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
     )
 
 

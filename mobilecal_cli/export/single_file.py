@@ -9,16 +9,25 @@ from pathlib import Path
 from mobilecal_cli.errors import OutputError
 
 
+def check_file(path: Path, force: bool) -> None:
+    """Find out whether a file may be written.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or is no plain file.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise OutputError(f"{path}: exists and is not a plain file", "choose another --output")
+    if path.exists() and not force:
+        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another --output")
+
+
 def write_file(path: Path, content: bytes, force: bool) -> None:
     """Write a file under a temporary name beside it, then put it in place.
 
     Raises:
         OutputError: the file exists and `force` is not set, is no plain file, or cannot be written.
     """
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise OutputError(f"{path}: exists and is not a plain file", "choose another --output")
-    if path.exists() and not force:
-        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another --output")
+    check_file(path, force)
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         with partial.open("xb") as stream:

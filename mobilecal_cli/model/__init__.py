@@ -1,6 +1,8 @@
 """The values that flow between the stages: frozen, shapes checked once, arrays read-only."""
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
+from mobilecal_cli.model.evaluation import Drift, Evaluation
 from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
 from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.model.observations import (
@@ -68,10 +70,13 @@ __all__ = [
     "Board",
     "BoardView",
     "BoolArray",
+    "CalibratedRobot",
     "Camera",
     "CameraInfo",
     "Corners",
     "Distortion",
+    "Drift",
+    "Evaluation",
     "Evidence",
     "Extraction",
     "FixedLink",
@@ -84,6 +89,7 @@ __all__ = [
     "JointLink",
     "JointRange",
     "JointTransform",
+    "Knowledge",
     "KnownNoise",
     "Lack",
     "Layout",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,20 +11,29 @@ from typing import Any
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.export import (
     check_output,
-    extraction_from_npz,
     extraction_to_npz,
     params_yaml,
     write_outputs,
 )
-from mobilecal_cli.model import Extraction, Method, Provenance, Snapshot, Solution
-from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.model import Evaluation, Extraction, Method, Provenance, Solution
+from mobilecal_cli.pipeline.evaluating import held_out
+from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.report import Verdict, judge, report_html, report_json, suggestion_sentences
-from mobilecal_cli.solvers import Asked, solve
+from mobilecal_cli.report import (
+    Verdict,
+    figures_of,
+    gate_checks,
+    gates_of,
+    judge,
+    report_html,
+    report_json,
+    suggestion_sentences,
+)
+from mobilecal_cli.solvers import Asked, evaluate, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 
@@ -36,12 +44,14 @@ class Calibration:
     Attributes:
         solution, extraction, verdict: the answer, what it rests on, and what it is worth.
         directory: where the files are.
+        trial: the calibration tried on what was held out, if anything was.
     """
 
     solution: Solution
     extraction: Extraction
     verdict: Verdict
     directory: Path
+    trial: Evaluation | None = None
 
 
 def default_output(log: Path) -> Path:
@@ -55,30 +65,6 @@ def _created() -> str:
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
     return now.strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _is_extraction(path: Path) -> bool:
-    return path.is_file() and zipfile.is_zipfile(path)
-
-
-def load(
-    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress
-) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """Extract recordings, or take an extraction.npz of an earlier run as it is.
-
-    Raises:
-        ConfigError: an extraction together with other logs or with settings, which it carries itself.
-    """
-    given = frozenset(key for key, value in flags.items() if value is not None)
-    config = load_rig(config_path, flags)
-    if not any(_is_extraction(path) for path in logs):
-        return extract(logs, config, given, progress)
-    if len(logs) > 1 or config_path is not None or given:
-        raise ConfigError(
-            f"{logs[0]}: an extraction carries its own settings and stands alone",
-            "give it without other logs, --config and settings, or give the recordings instead",
-        )
-    return extraction_from_npz(logs[0]), ()
 
 
 def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solution:
@@ -101,7 +87,7 @@ def suggest(
     Raises:
         MobilecalError: see `errors`.
     """
-    extraction, _ = load(logs, config_path, flags, progress)
+    extraction, _ = load(logs, load_rig(config_path, flags), config_path, flags, progress)
     require_stations(extraction)
     progress("solving", 0, None)
     sentences = suggestion_sentences(_solved(extraction, "ml", None), extraction)
@@ -119,6 +105,8 @@ def calibrate(
     flags: Mapping[str, Any] | None = None,
     method: Method = "ml",
     asked: Asked | None = None,
+    gates: Sequence[str] = (),
+    hold_out: float | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> Calibration:
@@ -131,6 +119,8 @@ def calibrate(
         flags: dotted key → value, over the file.
         method: see `solvers.solve`.
         asked: what is fixed, what has a prior and what is estimated beside the nine; for the method "ml".
+        gates: `NAME=LIMIT`, over those of the file.
+        hold_out: so large a share of every log, its end, is left out, and the calibration is tried on it.
         force: replace an output directory that is there.
         progress: told how far it is.
 
@@ -139,20 +129,26 @@ def calibrate(
     """
     directory = output if output is not None else default_output(logs[0])
     check_output(directory, force)
-    extraction, snapshots = load(logs, config_path, flags or {}, progress)
+    config = load_rig(config_path, flags)
+    limits = gates_of(gates, config.gates)
+    whole, snapshots = load(logs, config, config_path, flags or {}, progress)
+    extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":
         require_observable(extraction)
     progress("solving", 0, None)
     solution = _solved(extraction, method, asked)
-    verdict = judge(solution, extraction)
+    nominal = extraction.rig.nominal.wheels
+    trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
+    checks = tuple(gate_checks(limits, figures_of(solution, extraction, trial)))
+    verdict = judge(solution, extraction, checks)
     provenance = Provenance(__version__, _created(), method, extraction.logs, settings_of(extraction))
     progress("writing the report", 0, None)
     files = {
         "params.yaml": params_yaml(solution, extraction, provenance).encode(),
-        "report.html": report_html(solution, extraction, snapshots, provenance, verdict).encode(),
-        "report.json": report_json(solution, extraction, provenance, verdict).encode(),
-        "extraction.npz": extraction_to_npz(extraction),
+        "report.html": report_html(solution, extraction, snapshots, provenance, verdict, trial).encode(),
+        "report.json": report_json(solution, extraction, provenance, verdict, trial).encode(),
+        "extraction.npz": extraction_to_npz(whole),
     }
     write_outputs(directory, files, force)
-    return Calibration(solution, extraction, verdict, directory)
+    return Calibration(solution, extraction, verdict, directory, trial)

@@ -1,10 +1,16 @@
 """Values to what people read: a verdict, a table for the terminal, report.json and report.html. Pure functions."""
 
 from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
+from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.report.gates import evaluated_figures, figures_of, gate_checks, gates_of
+from mobilecal_cli.report.history import history_plot
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.report.junit import junit_error_xml, junit_xml
+from mobilecal_cli.report.numbers import reference_frame
 from mobilecal_cli.report.text import summary_table
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict, judge
 
@@ -12,9 +18,21 @@ __all__ = [
     "MIN_STATIONS",
     "Check",
     "Verdict",
+    "comparison_json",
+    "comparison_text",
+    "evaluated_figures",
+    "evaluation_json",
+    "evaluation_text",
+    "figures_of",
+    "gate_checks",
+    "gates_of",
+    "history_plot",
     "inspection_json",
     "inspection_text",
     "judge",
+    "junit_error_xml",
+    "junit_xml",
+    "reference_frame",
     "report_html",
     "report_json",
     "suggestion_sentences",

@@ -12,7 +12,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.predict import predicted
-from mobilecal_cli.model import NINE, Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.model import NINE, Evaluation, Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     board_distance_m,
@@ -29,7 +30,13 @@ from mobilecal_cli.report.verdict import Verdict
 SCHEMA_VERSION = 1
 
 
-def report_json(solution: Solution, extraction: Extraction, provenance: Provenance, verdict: Verdict) -> str:
+def report_json(
+    solution: Solution,
+    extraction: Extraction,
+    provenance: Provenance,
+    verdict: Verdict,
+    trial: Evaluation | None = None,
+) -> str:
     """Every number of the report: keys sorted, units as suffixes, the same bytes for the same values."""
     cameras = extraction.rig.cameras
     data = {
@@ -47,6 +54,7 @@ def report_json(solution: Solution, extraction: Extraction, provenance: Provenan
             name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.extras.items()
         },
         **_findings(solution, extraction),
+        "hold_out": None if trial is None else evaluation_data(trial),
         "stations": _stations(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),

@@ -115,3 +115,14 @@ def svg(drawing: Figure, name: str, title: str) -> str:
         text = text.replace(colour, f"var(--{variable})")
     # In the tags, not in the texts: a hundredth of a point is finer than any screen.
     return re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d{2})\d+", r"\1", tag.group()), text)
+
+
+def standalone(element: str) -> str:
+    """An element of `svg` as a file of its own, light or dark as the viewer is."""
+    colours = (
+        "svg{background:#fff;--ink:#1c2430;--faint:#b4bdc8;--blue:#1f6fd1;--orange:#d9730d;--green:#14875a;--red:#c4312b}"
+        "@media(prefers-color-scheme:dark){svg{background:#1b2129;--ink:#e6eaf0;--faint:#5b6675;--blue:#62a8f5;"
+        "--orange:#f0a04b;--green:#43c98d;--red:#f0746c}}"
+    )
+    head = element.index(">") + 1
+    return f"{element[:head]}<style>{colours}</style>{element[head:]}\n"

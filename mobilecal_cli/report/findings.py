@@ -10,8 +10,8 @@ import numpy as np
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.likelihood.shared import EXTRAS, INDEX
 from mobilecal_cli.model import NINE, Evidence, Extraction, ScaleCheck, Solution, Suggestion
+from mobilecal_cli.report.units import SHOWN
 
-_UNITS = {**dict.fromkeys(NINE[:3], ("deg", 180 / math.pi)), **dict.fromkeys(NINE[3:], ("mm", 1e3))}
 _SHOWN_UNITS = {
     "s": ("ms", 1e3),
     "rad": ("deg", 180 / math.pi),
@@ -150,7 +150,7 @@ def log_rows(solution: Solution, extraction: Extraction) -> tuple[tuple[str, tup
     between = solution.between
     if between is None:
         return ()
-    factors = [_UNITS[name][1] for name in NINE]
+    factors = [SHOWN[name][1] for name in NINE]
     present = sorted({o.log for o in extraction.observations})
     rows = []
     for number, shift, std in zip(present, between.shift, between.std, strict=True):
@@ -178,7 +178,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
     names = extraction.rig.chain.joints
     sentences = []
     for suggestion in solution.suggestions:
-        unit, factor = _UNITS[suggestion.worst]
+        unit, factor = SHOWN[suggestion.worst]
         head = ", ".join(
             f"{name} {round(math.degrees(at))}°" for name, at in zip(names, suggestion.joints, strict=True)
         )

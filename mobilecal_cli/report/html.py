@@ -8,10 +8,11 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import NINE, Extraction, Provenance, Setting, Snapshot, Solution
+from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
+from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
     LEVEL_NAMES,
     evidence_rows,
@@ -51,6 +52,7 @@ def report_html(
     snapshots: Sequence[Snapshot],
     provenance: Provenance,
     verdict: Verdict,
+    trial: Evaluation | None = None,
 ) -> str:
     """The report as one HTML page: no scripts, no network, the same bytes for the same values.
 
@@ -60,6 +62,7 @@ def report_html(
         snapshots: pictures of some or all stations, for the overlays; may be empty.
         provenance: when, by which version, from which logs and settings.
         verdict: what `judge` says.
+        trial: the calibration tried on what was held out, if anything was.
     """
     rig = extraction.rig
     return _template().render(
@@ -87,6 +90,9 @@ def report_html(
         scale=scale_sentence(solution.scale) if solution.scale is not None else "",
         logs_apart=log_rows(solution, extraction),
         nine=NINE,
+        trial=trial,
+        trial_rows=evaluation_rows(trial) if trial is not None else (),
+        drift_rows=drift_rows(trial) if trial is not None else (),
         suggestions=suggestion_sentences(solution, extraction),
         error_mm=solution.point_rms_m * 1e3,
         linear_error_mm=solution.linear.point_rms_m * 1e3,

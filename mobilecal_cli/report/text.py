@@ -5,8 +5,9 @@ from __future__ import annotations
 import textwrap
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model import Evaluation, Extraction, Solution
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import (
     nine_numbers,
     reference_frame,
@@ -21,7 +22,9 @@ _WIDTH = 96
 _NEAR_LOCK_DEG = 5.0
 
 
-def summary_table(solution: Solution, extraction: Extraction, verdict: Verdict) -> str:
+def summary_table(
+    solution: Solution, extraction: Extraction, verdict: Verdict, trial: Evaluation | None = None
+) -> str:
     """The nine numbers with units, the quality and the verdict, as lines of text."""
     rig = extraction.rig
     ax, ay, az, tx, ty, tz, right, left, separation = nine_numbers(solution.parameters, rig.cameras)
@@ -51,6 +54,8 @@ def summary_table(solution: Solution, extraction: Extraction, verdict: Verdict) 
             _row("translation x, y, z", (known[3], known[4], known[5]), "mm"),
             _row("radii, separation", (known[6], known[7], known[8]), "mm"),
         ]
+    if trial is not None:
+        lines += ["Tried on the stations that were held out", evaluation_text(trial, ()).rstrip("\n")]
     for outlier in solution.outliers:
         lines += textwrap.wrap(f"Left out: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
     head = f"{verdict.level}: {verdict.reason}"

@@ -7,7 +7,7 @@ merely a little noisier than it could be.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -75,9 +75,15 @@ class Verdict:
     checks: tuple[Check, ...] = ()
 
 
-def judge(solution: Solution, extraction: Extraction) -> Verdict:
-    """Judge a solution. Too little data comes before failure: its numbers say nothing either way."""
-    checks = tuple(_checks(solution, extraction))
+def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = ()) -> Verdict:
+    """Judge a solution. Too little data comes before failure: its numbers say nothing either way.
+
+    Args:
+        solution: the answer.
+        extraction: what it was solved from.
+        gates: the user's own criteria, see `gate_checks`.
+    """
+    checks = (*_checks(solution, extraction), *gates)
     levels: tuple[tuple[Outcome, Level], ...] = (("short", "NOT ENOUGH"), ("bad", "FAIL"))
     for outcome, level in levels:
         for check in checks:

@@ -1,0 +1,104 @@
+"""`mobilecal compare`: params.yaml files of one robot side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mobilecal_cli.comparison import Difference, History, difference, history
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import check_file, write_file
+from mobilecal_cli.model import NINE, CalibratedRobot
+from mobilecal_cli.pipeline.evaluating import read_params
+from mobilecal_cli.report import history_plot
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How far calibrations may be apart; None: as far as they are.
+
+    Attributes:
+        sigma: any number, in standard deviations of the difference.
+        ray_mm: the point two metres ahead of the camera.
+        heading_deg: heading of a full turn on the spot.
+    """
+
+    sigma: float | None = None
+    ray_mm: float | None = None
+    heading_deg: float | None = None
+
+    def broken_by(self, found: Difference) -> list[str]:
+        """What a difference exceeds, in words with the numbers."""
+        broken = []
+        if self.sigma is not None:
+            if not found.known.any():
+                broken.append("no standard deviations to compare with")
+            sigmas = np.nan_to_num(np.abs(found.sigmas))
+            worst = int(np.argmax(sigmas))
+            if sigmas[worst] > self.sigma:
+                broken.append(
+                    f"{NINE[worst]} by {sigmas[worst]:.1f} standard deviations (limit {self.sigma:g})"
+                )
+        if self.ray_mm is not None and found.ray_m * 1e3 > self.ray_mm:
+            broken.append(f"a point 2 m ahead by {found.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
+        turn_deg = abs(math.degrees(found.heading_rad_per_turn))
+        if self.heading_deg is not None and turn_deg > self.heading_deg:
+            broken.append(f"heading by {turn_deg:.3f} degrees per turn (limit {self.heading_deg:g})")
+        return broken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Calibrations side by side.
+
+    Attributes:
+        names: of the files.
+        robots: what they hold.
+        differences: each but the first against the first.
+        past: whether each number stays; None for two files.
+        broken: limits that are exceeded, in words.
+    """
+
+    names: tuple[str, ...]
+    robots: tuple[CalibratedRobot, ...]
+    differences: tuple[Difference, ...]
+    past: History | None
+    broken: tuple[str, ...]
+
+
+def compare(
+    files: Sequence[Path], limits: Limits, plot: Path | None = None, force: bool = False
+) -> Comparison:
+    """Compare calibrations with the first of them.
+
+    Args:
+        files: params.yaml files, two or more.
+        limits: how far they may be apart.
+        plot: SVG file to draw all numbers over all calibrations into.
+        force: replace the plot.
+
+    Raises:
+        ConfigError: a file cannot be read, there is one only, or they are of different robots.
+        OutputError: the plot cannot be written.
+    """
+    if len(files) < 2:
+        raise ConfigError("one calibration alone cannot be compared", "name two or more params.yaml files")
+    if plot is not None:
+        check_file(plot, force)
+    robots = tuple(read_params(path) for path in files)
+    names = tuple(str(path) for path in files)
+    differences = tuple(difference(robots[0], robot) for robot in robots[1:])
+    past = history(robots)
+    if plot is not None:
+        labels = [robot.created or name for robot, name in zip(robots, names, strict=True)]
+        write_file(plot, history_plot(labels, past).encode(), force)
+    broken = tuple(
+        f"{name}: {what}"
+        for name, found in zip(names[1:], differences, strict=True)
+        for what in limits.broken_by(found)
+    )
+    return Comparison(names, robots, differences, past if len(files) > 2 else None, broken)

@@ -1,0 +1,49 @@
+"""What the commands work on: recordings, or the extraction.npz of an earlier run."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli.config import RigConfig
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import extraction_from_npz
+from mobilecal_cli.model import Extraction, Snapshot
+from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.pipeline.progress import Progress
+
+
+def _is_extraction(path: Path) -> bool:
+    return path.is_file() and zipfile.is_zipfile(path)
+
+
+def load(
+    logs: Sequence[Path],
+    config: RigConfig,
+    config_path: Path | None,
+    flags: Mapping[str, Any],
+    progress: Progress,
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    """Extract recordings, or take an extraction.npz of an earlier run as it is.
+
+    Args:
+        logs: recordings, or one extraction.npz.
+        config: what `config_path` and `flags` come to.
+        config_path: rig.yaml.
+        flags: dotted key → value, over the file.
+        progress: told how far it is.
+
+    Raises:
+        ConfigError: an extraction together with other logs or with settings, which it carries itself.
+    """
+    given = frozenset(key for key, value in flags.items() if value is not None)
+    if not any(_is_extraction(path) for path in logs):
+        return extract(logs, config, given, progress)
+    if len(logs) > 1 or config_path is not None or given:
+        raise ConfigError(
+            f"{logs[0]}: an extraction carries its own settings and stands alone",
+            "give it without other logs, --config and settings, or give the recordings instead",
+        )
+    return extraction_from_npz(logs[0]), ()

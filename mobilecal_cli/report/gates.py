@@ -1,0 +1,179 @@
+"""Limits that a user sets on a calibration's or an evaluation's figures: `--gate NAME=LIMIT`, `gates:` in rig.yaml."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.likelihood.predict import predicted
+from mobilecal_cli.model import NINE, Drift, Evaluation, Extraction, Solution
+from mobilecal_cli.report.check import Check
+
+#: A gate's figure: its value, None where the recording does not tell it.
+Figures = Mapping[str, float | None]
+
+#: Figures of which more is better; of all others less.
+_AT_LEAST = frozenset({"stations", "legs", "hold_out.stations", "hold_out.legs"})
+_STD_KEYS = (
+    *(f"std.head_eye.{name}_rad" for name in NINE[:3]),
+    *(f"std.head_eye.{name}_m" for name in NINE[3:6]),
+    *(f"std.wheels.{name}_m" for name in NINE[6:]),
+)
+_EVALUATED = (
+    "stations",
+    "legs",
+    "reprojection_rms_px",
+    "rotation_rms_deg",
+    "translation_rms_mm",
+    "drift_mm_per_m",
+    "drift_deg_per_turn",
+)
+_CALIBRATED = (
+    "stations",
+    "reprojection_rms_px",
+    "point_rms_mm",
+    "left_out",
+    *_STD_KEYS,
+    "predicted.camera_mm",
+    "predicted.camera_deg",
+    "predicted.point_mm",
+    "predicted.along_mm_per_m",
+    "predicted.heading_deg_per_m",
+    "predicted.heading_deg_per_turn",
+    *(f"hold_out.{name}" for name in _EVALUATED),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A limit on one figure.
+
+    Attributes:
+        name: of the figure.
+        limit: at most this, or at least for figures of which more is better.
+    """
+
+    name: str
+    limit: float
+
+
+def gates_of(
+    flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False
+) -> tuple[Gate, ...]:
+    """Gates of the command line over those of the configuration.
+
+    Args:
+        flags: `NAME=LIMIT`.
+        config: name → limit.
+        evaluating: for the figures of `evaluate`, not of `calibrate`; other gates of the configuration are left alone.
+
+    Raises:
+        ConfigError: no limit, no number, or a figure that there is none of.
+    """
+    known = _EVALUATED if evaluating else _CALIBRATED
+    every = {*_EVALUATED, *_CALIBRATED}
+    limits = dict(config)
+    for name in config:
+        if name not in every:
+            raise _unknown(f"gates.{name}", name, sorted(every))
+    if evaluating:
+        limits = {name: limit for name, limit in limits.items() if name in known}
+    for text in flags:
+        name, equals, value = text.partition("=")
+        if name not in known:
+            raise _unknown(f"--gate {text}", name, known)
+        try:
+            limits[name] = float(value)
+        except ValueError:
+            limits[name] = math.nan
+        if not equals or not math.isfinite(limits[name]):
+            raise ConfigError(f"--gate {text}: not NAME=LIMIT", "for example --gate reprojection_rms_px=0.5")
+    return tuple(Gate(name, limit) for name, limit in limits.items())
+
+
+def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+    return ConfigError(f"{where}: no such figure", hint)
+
+
+def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None) -> Figures:
+    """Every figure of a calibration that a gate may limit."""
+    cameras, found = extraction.rig.cameras, solution.uncertainty
+    figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
+    figures |= {
+        "stations": float(len(extraction.observations)),
+        "reprojection_rms_px": solution.reprojection_rms_px,
+        "point_rms_mm": solution.point_rms_m * 1e3,
+        "left_out": float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
+    }
+    if found is not None:
+        std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
+        stds = zip(_STD_KEYS, std, found.observable, strict=True)
+        figures |= {key: float(s) if seen else None for key, s, seen in stds}
+        p = predicted(solution.parameters, found.covariance)
+        rotation, place, wheels = (
+            found.observable[:3].all(),
+            found.observable[3:6].all(),
+            found.observable[6:].all(),
+        )
+        figures |= {
+            "predicted.camera_mm": p.camera_m * 1e3 if place else None,
+            "predicted.camera_deg": math.degrees(p.camera_rad) if rotation else None,
+            "predicted.point_mm": p.point_m * 1e3 if place and rotation else None,
+            "predicted.along_mm_per_m": p.along_m_per_m * 1e3 if wheels else None,
+            "predicted.heading_deg_per_m": math.degrees(p.heading_rad_per_m) if wheels else None,
+            "predicted.heading_deg_per_turn": math.degrees(p.heading_rad_per_turn) if wheels else None,
+        }
+    if hold_out is not None:
+        figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}
+    return figures
+
+
+def evaluated_figures(found: Evaluation) -> Figures:
+    """Every figure of an evaluation that a gate may limit."""
+    after = drift_figures(found.after)
+    return {
+        "stations": float(found.stations),
+        "legs": float(len(found.legs)),
+        "reprojection_rms_px": rms(found.reprojection_px),
+        "rotation_rms_deg": math.degrees(rms(found.rotation_rad)),
+        "translation_rms_mm": rms(found.translation_m) * 1e3,
+        "drift_mm_per_m": after["mm_per_m"],
+        "drift_deg_per_turn": after["deg_per_turn"],
+    }
+
+
+def drift_figures(drift: Drift) -> dict[str, float | None]:
+    """A drift in mm per m and degrees per turn."""
+    return {
+        "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
+        "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
+    }
+
+
+def rms(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
+    """Each gate as a criterion of the verdict; what is not known does not pass."""
+    for gate in gates:
+        value, least = figures[gate.name], gate.name in _AT_LEAST
+        passes = value is not None and (value >= gate.limit if least else value <= gate.limit)
+        measured = "not known" if value is None else f"{value:.6g}"
+        limit = f"at {'least' if least else 'most'} {gate.limit:g}"
+        yield Check(
+            f"gate {gate.name}",
+            measured,
+            limit,
+            "good" if passes else "bad",
+            f"The gate {gate.name} is not kept: {measured}, {limit} is asked for.",
+            "See the report for the cause; mobilecal suggest says what to record next.",
+        )

@@ -1,0 +1,51 @@
+"""The verdict's criteria as JUnit XML, which CI systems show."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.check import Check
+
+
+def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
+    """One test case a criterion: failed where it is bad, or where there is too little data to tell.
+
+    Args:
+        name: of the test suite, such as the recording's.
+        checks: the criteria.
+    """
+    failed = [check for check in checks if check.outcome in ("bad", "short")]
+    counts = {"tests": str(len(checks)), "failures": str(len(failed)), "errors": "0"}
+    suites = ET.Element("testsuites", counts)
+    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
+    for check in checks:
+        case = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(check.name)})
+        if check.outcome in ("bad", "short"):
+            failure = ET.SubElement(case, "failure", {"message": visible(check.why), "type": check.outcome})
+            failure.text = visible(check.next_step)
+        out = ET.SubElement(case, "system-out")
+        out.text = visible(f"measured: {check.measured}; limit: {check.limit}")
+        if check.outcome == "look":
+            out.text += visible(f"; worth a look: {check.why}")
+    return _written(suites)
+
+
+def junit_error_xml(name: str, error: MobilecalError) -> bytes:
+    """One test case with the error that kept a run from an answer."""
+    counts = {"tests": "1", "failures": "0", "errors": "1"}
+    suites = ET.Element("testsuites", counts)
+    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
+    case = ET.SubElement(
+        suite, "testcase", {"classname": "mobilecal", "name": "the recording gives an answer"}
+    )
+    told = ET.SubElement(case, "error", {"message": visible(error.message), "type": error.code})
+    told.text = visible(error.hint)
+    return _written(suites)
+
+
+def _written(suites: ET.Element) -> bytes:
+    ET.indent(suites)
+    return bytes(ET.tostring(suites, encoding="utf-8", xml_declaration=True)) + b"\n"

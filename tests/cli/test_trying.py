@@ -1,0 +1,127 @@
+"""evaluate and compare, gates and hold-out: the real command."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import pytest
+
+SAMPLE_STD = 0.02  # m; far above what the sample's separation has
+
+
+def run(*arguments, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "mobilecal_cli", *map(str, arguments)], capture_output=True, text=True, cwd=cwd
+    )
+
+
+@pytest.fixture(scope="module")
+def made(sample_logs, tmp_path_factory):
+    """A calibration of the sample log with a quarter of it held out, as CI would run it."""
+    folder = tmp_path_factory.mktemp("made")
+    done = run(
+        "calibrate", sample_logs / "paper_robot.mcap", "-o", folder / "out", "--hold-out", "0.25", "--json",
+        "--gate", f"std.wheels.separation_m={SAMPLE_STD}", "--gate", "hold_out.translation_rms_mm=50",
+        "--set", "gates.stations=9", "--junit", folder / "junit.xml",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+def test_hold_out_gates_and_json(made):
+    folder, done = made
+    printed = json.loads(done.stdout)
+    assert printed == json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))
+    assert printed["quality"]["stations"] == 9
+    assert printed["hold_out"]["stations"] == 3
+    assert printed["hold_out"]["drift_after"]["mm_per_m"] < printed["hold_out"]["drift_before"]["mm_per_m"]
+    names = [check["name"] for check in printed["verdict"]["checks"]]
+    assert {"gate std.wheels.separation_m", "gate hold_out.translation_rms_mm", "gate stations"} <= set(names)
+    assert "Tried on what was held out" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+    suite = ET.parse(folder / "junit.xml").getroot().find("testsuite")
+    assert [case.get("name") for case in suite.findall("testcase")] == names
+    assert suite.get("failures") == "0"
+
+
+def test_the_extraction_keeps_what_was_held_out(made):
+    folder, _ = made
+    found = run("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout)["stations"] == 12
+
+
+def test_evaluate_with_gates(made):
+    folder, _ = made
+    npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
+    kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
+    assert kept.returncode == 0, kept.stderr
+    assert "kept: gate drift_deg_per_turn" in kept.stdout
+    junit = folder / "evaluate.xml"
+    broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
+    assert broken.returncode == 6
+    assert "NOT KEPT: gate rotation_rms_deg" in broken.stdout
+    assert broken.stderr.startswith("error: The gate rotation_rms_deg is not kept")
+    assert ET.parse(junit).getroot().get("failures") == "1"
+    again = run("evaluate", npz, params, "--junit", junit)
+    assert again.returncode == 7
+    assert ET.parse(junit).getroot().get("failures") == "1"
+
+
+def test_evaluate_another_robot(made, tmp_path):
+    folder, _ = made
+    params = tmp_path / "params.yaml"
+    text = (folder / "out" / "params.yaml").read_text(encoding="utf-8")
+    params.write_text(text.replace("head_link", "neck_link"), encoding="utf-8")
+    found = run("evaluate", folder / "out" / "extraction.npz", params)
+    assert found.returncode == 2
+    assert "neck_link" in found.stderr
+    missing = run("evaluate", folder / "out" / "extraction.npz", tmp_path / "none.yaml")
+    assert missing.returncode == 2
+    assert "none.yaml: cannot be read" in missing.stderr
+
+
+def test_an_error_reaches_junit(tmp_path):
+    (tmp_path / "log.mcap").write_bytes(b"nothing")
+    done = run("calibrate", tmp_path / "log.mcap", "--junit", tmp_path / "junit.xml", cwd=tmp_path)
+    assert done.returncode == 3
+    error = ET.parse(tmp_path / "junit.xml").getroot().find("testsuite/testcase/error")
+    assert error.get("type") == "recording"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["junit.xml", "log.mcap"]
+
+
+def test_compare(made, tmp_path):
+    folder, _ = made
+    first = folder / "out" / "params.yaml"
+    same = run(
+        "compare", first, first, "--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01"
+    )
+    assert same.returncode == 0, same.stderr
+    assert "they share a recording" in same.stdout
+    moved = tmp_path / "moved.yaml"
+    text = first.read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if line.startswith("  separation_m:"))
+    moved.write_text(text.replace(line, "  separation_m: 0.6"), encoding="utf-8")
+    apart = run("compare", first, moved, "--max-sigma", "4", "--json")
+    assert apart.returncode == 6
+    assert "separation by" in apart.stderr
+    found = json.loads(apart.stdout)["against_first"][0]
+    assert found["sigmas"][8] > 4
+    assert found["heading_deg_per_turn"] < -1
+
+
+def test_a_history_is_drawn(made, tmp_path):
+    folder, _ = made
+    files = []
+    for number in range(3):
+        files.append(tmp_path / f"{number}.yaml")
+        shutil.copyfile(folder / "out" / "params.yaml", files[-1])
+    done = run("compare", *files, "--plot", tmp_path / "drift.svg")
+    assert done.returncode == 0, done.stderr
+    assert "Over all 3 calibrations" in done.stdout
+    ET.parse(tmp_path / "drift.svg")
+    assert run("compare", *files, "--plot", tmp_path / "drift.svg").returncode == 7
+    assert run("compare", files[0]).returncode == 2

@@ -1,0 +1,134 @@
+"""Gates, and what CI reads of them."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.model import Drift, Evaluation
+from mobilecal_cli.report import (
+    Check,
+    evaluated_figures,
+    evaluation_text,
+    figures_of,
+    gate_checks,
+    gates_of,
+    judge,
+    junit_error_xml,
+    junit_xml,
+)
+from mobilecal_cli.report.evaluation import evaluation_data
+from mobilecal_cli.report.gates import Gate
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+from tests.report.example import make_extraction, make_solution
+
+EVALUATION = Evaluation(
+    stations=3,
+    legs=np.array([[0, 0, 1], [0, 1, 2]]),
+    reprojection_px=np.array([3.0, 4.0]),
+    rotation_rad=np.radians([1.0, 1.0]),
+    translation_m=np.array([0.006, 0.008]),
+    driven_m=1.5,
+    turned_rad=0.2,
+    before=Drift(0.05, None),
+    after=Drift(0.004, None),
+)
+
+
+def test_flags_lie_over_the_configuration():
+    found = gates_of(["stations=10"], {"stations": 5, "point_rms_mm": 12})
+    assert found == (Gate("stations", 10), Gate("point_rms_mm", 12))
+
+
+@pytest.mark.parametrize(
+    ("flags", "config", "says", "hint"),
+    [
+        (["reprojection_px=1"], {}, "--gate reprojection_px=1: no such figure", "reprojection_rms_px"),
+        ([], {"std.wheels.seperation_m": 1}, "gates.std.wheels.seperation_m", "std.wheels.separation_m"),
+        (["stations"], {}, "not NAME=LIMIT", "for example"),
+        (["stations=many"], {}, "not NAME=LIMIT", "for example"),
+        (["stations=nan"], {}, "not NAME=LIMIT", "for example"),
+    ],
+)
+def test_bad_gates(flags, config, says, hint):
+    with pytest.raises(ConfigError, match=says) as caught:
+        gates_of(flags, config)
+    assert hint in caught.value.hint
+
+
+def test_an_evaluation_leaves_the_gates_of_calibrations_alone():
+    assert gates_of([], {"point_rms_mm": 12, "legs": 5}, evaluating=True) == (Gate("legs", 5),)
+    with pytest.raises(ConfigError, match="no such figure"):
+        gates_of(["point_rms_mm=12"], {}, evaluating=True)
+
+
+def test_figures_of_an_evaluation():
+    figures = evaluated_figures(EVALUATION)
+    assert figures["reprojection_rms_px"] == pytest.approx(np.sqrt(12.5))
+    assert figures["rotation_rms_deg"] == pytest.approx(1.0)
+    assert figures["translation_rms_mm"] == pytest.approx(np.sqrt(50))
+    assert figures["drift_mm_per_m"] == pytest.approx(4.0)
+    assert figures["drift_deg_per_turn"] is None
+    data = json.loads(json.dumps(evaluation_data(EVALUATION), allow_nan=False))
+    assert data["drift_before"] == {"mm_per_m": pytest.approx(50), "deg_per_turn": None}
+    assert data["per_leg"][1]["translation_mm"] == pytest.approx(8)
+    assert "worst" in evaluation_text(EVALUATION, ())
+
+
+def test_each_side_of_a_limit():
+    names = ["stations", "legs", "translation_rms_mm", "drift_mm_per_m", "drift_deg_per_turn"]
+    gates = [Gate(name, limit) for name, limit in zip(names, (3, 3, 7, 4.0, 100), strict=True)]
+    checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
+    assert [check.outcome for check in checks] == ["good", "bad", "bad", "good", "bad"]
+    assert checks[1].why == "The gate legs is not kept: 2, at least 3 is asked for."
+    assert "not known" in checks[4].why
+
+
+def test_a_broken_gate_fails_a_sound_calibration():
+    extraction = make_extraction()
+    solution = make_solution(extraction)
+    figures = figures_of(solution, extraction)
+    assert judge(solution, extraction).level == "PASS"
+    kept = tuple(gate_checks([Gate("stations", 12)], figures))
+    assert judge(solution, extraction, kept).level == "PASS"
+    broken = tuple(gate_checks([Gate("point_rms_mm", 5)], figures))
+    verdict = judge(solution, extraction, broken)
+    assert verdict.level == "FAIL"
+    assert "point_rms_mm" in verdict.reason
+
+
+def test_figures_of_a_calibration_are_those_of_its_files():
+    robot = ROBOTS["paper"]()
+    extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
+    solution = solve(extraction)
+    figures = figures_of(solution, extraction, EVALUATION)
+    assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])
+    assert figures["std.head_eye.r_x_rad"] == pytest.approx(solution.uncertainty.std[0])
+    assert figures["hold_out.drift_mm_per_m"] == pytest.approx(4.0)
+    assert all(figures[name] is not None for name in figures if not name.startswith("hold_out."))
+    unknown = figures_of(solve(extraction, "lm"), extraction)
+    assert unknown["std.wheels.separation_m"] is None
+    assert unknown["hold_out.legs"] is None
+
+
+def test_junit():
+    checks = [
+        Check("fine <&>", "1", "2", "good", "", ""),
+        Check("so so", "1", "2", "look", "why\x1b", "next"),
+        Check("bad", "3", "2", "bad", "because of \x00", "do"),
+        Check("short", "3", "2", "short", "too little", "more"),
+    ]
+    suite = ET.fromstring(junit_xml("log\x07.mcap", checks)).find("testsuite")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
+    cases = suite.findall("testcase")
+    assert [case.get("name") for case in cases] == ["fine <&>", "so so", "bad", "short"]
+    assert [case.find("failure") is not None for case in cases] == [False, False, True, True]
+    broken = ET.fromstring(junit_error_xml("log", RecordingError("no\x00thing", "look")))
+    assert broken.find("testsuite/testcase/error").get("type") == "recording"

@@ -1,0 +1,108 @@
+"""A calibration tried on a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import evaluate
+
+ROBOT = ROBOTS["paper"]()
+TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return ideal_extraction(ROBOT, plan_route(ROBOT), nominal=False)
+
+
+def driven(exact, right_rad, left_rad, T_w_v):
+    """Three stations of a drive that is spelled out here, not simulated; the head stays where it is."""
+    joints = exact.observations[0].joints
+    T_w_c = T_w_v @ head_pose(exact.rig.chain, joints) @ TRUTH.T_h_c
+    T_w_k = T_w_c[0] @ exact.observations[0].T_c_k
+    seen = tuple(
+        replace(o, joints=joints, T_c_k=T)
+        for o, T in zip(exact.observations[:3], se3.inverse(T_w_c) @ T_w_k, strict=True)
+    )
+    track = WheelTrack(np.array([o.time_ns for o in seen]), right_rad, left_rad)
+    return replace(exact, observations=seen, wheels=(track,))
+
+
+def test_the_truth_predicts_exactly_and_does_not_drift(exact):
+    found = evaluate(exact, TRUTH, None)
+    assert found.stations == 12
+    assert found.legs.tolist() == [[0, k, k + 1] for k in range(11)]
+    for errors in (found.reprojection_px, found.rotation_rad, found.translation_m):
+        assert np.abs(errors).max() < 1e-6
+    assert found.after.m_per_m < 1e-9
+    assert found.after.rad_per_rad < 1e-9
+    assert found.before is None
+
+
+def test_drift_of_large_wheels_on_a_straight_way(exact):
+    """By hand: 10 rad of wheels of 100 mm are 1 m; taken for 102 mm, dead reckoning has 1.02 m."""
+    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
+    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    true = Parameters(TRUTH.T_h_c, WheelGeometry(0.1, 0.1, 0.5))
+    found = evaluate(extraction, true, WheelGeometry(0.102, 0.102, 0.5))
+    assert found.driven_m == pytest.approx(1.0)
+    assert found.turned_rad == pytest.approx(0.0)
+    assert found.before.m_per_m == pytest.approx(0.02)
+    assert found.after.m_per_m == pytest.approx(0.0, abs=1e-12)
+    assert found.before.rad_per_rad is None  # it hardly turned
+
+
+def test_drift_of_a_narrow_base_on_the_spot(exact):
+    """By hand: psi = 2 r phi / b; a base of 500 mm taken for 400 mm turns by a quarter more."""
+    turns = np.array([0.0, 0.5, 1.2])
+    phi = turns * 0.5 / (2 * 0.1)
+    T_w_v = se3.transform(se3.rotation_z(turns), np.zeros((3, 3)))
+    extraction = driven(exact, phi, -phi, T_w_v)
+    found = evaluate(
+        extraction, Parameters(TRUTH.T_h_c, WheelGeometry(0.1, 0.1, 0.5)), WheelGeometry(0.1, 0.1, 0.4)
+    )
+    assert found.turned_rad == pytest.approx(1.2)
+    assert found.before.rad_per_rad == pytest.approx(0.25)
+    assert found.after.rad_per_rad == pytest.approx(0.0, abs=1e-9)
+    assert found.before.m_per_m is None  # it hardly drove
+
+
+def test_a_turned_camera_is_seen_as_such(exact):
+    """A camera that is turned by 1 degree about its own axis, with the head still and a straight drive: no rotation
+    is mispredicted, and the way points 1 degree aside for directions across that axis.
+    """
+    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.5, 0, 0], [1.0, 0, 0]]))
+    true = WheelGeometry(0.1, 0.1, 0.5)
+    extraction = driven(exact, [0.0, 5.0, 10.0], [0.0, 5.0, 10.0], T_w_v)
+    axis_c = np.array([0.0, 0.0, 1.0])
+    turn = se3.transform(se3.rotation_about(axis_c, np.array(math.radians(1))), np.zeros(3))
+    found = evaluate(extraction, Parameters(TRUTH.T_h_c @ turn, true), None)
+    assert found.rotation_rad == pytest.approx(0, abs=1e-9)
+    T_v_c = head_pose(exact.rig.chain, extraction.observations[0].joints) @ TRUTH.T_h_c
+    across = np.linalg.norm(np.cross(axis_c, T_v_c[:3, :3].T @ [0.5, 0, 0]))
+    assert found.translation_m == pytest.approx(2 * math.sin(math.radians(0.5)) * across)
+
+
+def test_logs_stand_alone():
+    two = [ideal_extraction(ROBOT, plan_route(ROBOT, seed=s), Noise(pixel_px=0.2), seed=s) for s in (0, 1)]
+    second = tuple(replace(o, log=1) for o in two[1].observations)
+    both = replace(
+        two[0], observations=(*two[0].observations, *second), wheels=(two[0].wheels[0], two[1].wheels[0])
+    )
+    found = evaluate(both, TRUTH, ROBOT.wheels)
+    assert len(found.legs) == 22
+    assert set(found.legs[:, 0]) == {0, 1}
+    apart = [evaluate(each, TRUTH, None) for each in two]
+    assert found.driven_m == pytest.approx(sum(each.driven_m for each in apart))
+    assert found.reprojection_px == pytest.approx(np.concatenate([each.reprojection_px for each in apart]))
+    assert found.before == found.after

@@ -1,0 +1,99 @@
+"""Calibrations side by side."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.comparison import difference, history
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, WheelGeometry
+
+WHEELS = WheelGeometry(0.1, 0.1, 0.5)
+STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
+
+
+def robot(T=None, wheels=WHEELS, std=STD, observable=(True,) * 9, head="head", log="a"):
+    knowledge = None if std is None else Knowledge(np.diag(np.square(std)), np.array(observable))
+    T = np.eye(4) if T is None else T
+    return CalibratedRobot(head, "camera", T, wheels, knowledge, logs=(LogSource("log", log),))
+
+
+def test_a_calibration_is_no_other_than_itself():
+    found = difference(robot(), robot())
+    assert not found.change.any()
+    assert found.chi2 == 0
+    assert found.chance == 1
+    assert found.shared
+    assert (found.ray_m, found.along_m_per_m, found.heading_rad_per_m, found.heading_rad_per_turn) == (0,) * 4
+
+
+def test_by_hand():
+    """A camera turned by 0.01 rad about the head's x moves what is 2 m along its z by 2 * 2 sin(0.005) m."""
+    turned = se3.transform(se3.exp_so3(np.array([0.01, 0, 0])), np.zeros(3))
+    found = difference(robot(), robot(turned, WheelGeometry(0.102, 0.1, 0.5), log="b"))
+    assert found.change == pytest.approx([0.01, 0, 0, 0, 0, 0, 0.002, 0, 0])
+    assert found.std == pytest.approx(math.sqrt(2) * STD)
+    assert found.sigmas[[0, 6]] == pytest.approx([10 / math.sqrt(2), 20 / math.sqrt(2)])
+    assert found.chi2 == pytest.approx(10**2 / 2 + 20**2 / 2)
+    assert found.chance < 1e-9
+    assert not found.shared
+    assert found.ray_m == pytest.approx(2 * 2 * math.sin(0.005))
+    # One metre by the first's wheels: the right one makes 1.02 m, the left one 1 m.
+    assert found.along_m_per_m == pytest.approx(0.01)
+    assert found.heading_rad_per_m == pytest.approx(0.02 / 0.5)
+    # A turn on the spot: the wheels roll 0.25 * 2 pi each, the right one 2 % more.
+    assert found.heading_rad_per_turn == pytest.approx(2 * math.pi * 0.01)
+
+
+def test_rotation_is_in_the_heads_frame():
+    T = se3.transform(se3.rotation_z(np.array(1.0)), np.array([0.1, 0.0, 0.3]))
+    turned = se3.transform(se3.exp_so3(np.array([0, 0.02, 0])) @ T[:3, :3], T[:3, 3])
+    assert difference(robot(T), robot(turned)).change[:3] == pytest.approx([0, 0.02, 0])
+
+
+def test_what_one_of_them_does_not_know_is_left_out():
+    blind = robot(observable=(True,) * 8 + (False,), wheels=WheelGeometry(0.1, 0.1, 0.6))
+    found = difference(robot(), blind)
+    assert found.known.tolist() == [True] * 8 + [False]
+    assert np.isnan(found.sigmas[8])
+    assert found.chi2 == pytest.approx(0)
+    unknown = difference(robot(), robot(std=None))
+    assert unknown.chi2 is None
+    assert not unknown.known.any()
+
+
+def test_another_robot_is_refused():
+    with pytest.raises(ConfigError, match="'head' in one and 'neck'"):
+        difference(robot(), robot(head="neck"))
+
+
+def test_history_tells_what_moves():
+    rng = np.random.default_rng(0)
+    robots = []
+    for k in range(12):
+        t = np.array([0.0, 0.0, 0.01 * (k > 8)]) + rng.normal(size=3) * 2e-3
+        robots.append(robot(se3.transform(np.eye(3), t)))
+    past = history(robots)
+    assert past.change.shape == past.std.shape == (12, 9)
+    assert past.chance[5] < 1e-6
+    assert np.all(past.chance[[3, 4]] > 0.01)
+    assert past.chance[0] == 1  # they do not differ at all
+
+
+def test_chance_is_uniform_over_unchanged_robots():
+    """The p-value of a test that is true is below 0.1 in a tenth of the cases."""
+    rng = np.random.default_rng(1)
+    chances = []
+    for _ in range(400):
+        pair = [robot(se3.transform(np.eye(3), rng.normal(size=3) * 2e-3)) for _ in range(2)]
+        pair = [
+            CalibratedRobot(p.parent_frame, p.child_frame, p.T_parent_child, p.wheels,
+                            Knowledge(p.knowledge.covariance, [False] * 3 + [True] * 3 + [False] * 3))
+            for p in pair
+        ]  # fmt: skip
+        chances.append(difference(*pair).chance)
+    assert 0.06 < np.mean(np.array(chances) < 0.1) < 0.14
