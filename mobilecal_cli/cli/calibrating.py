@@ -41,7 +41,7 @@ def _told_to(junit: Path | None, name: str, force: bool) -> Iterator[None]:
     from mobilecal_cli import pipeline
 
     if junit is not None:
-        pipeline.check_junit(junit, force)
+        pipeline.check_file(junit, force)
     try:
         yield
     except QualityError:

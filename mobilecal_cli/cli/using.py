@@ -10,6 +10,8 @@ import typer
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Force
 from mobilecal_cli.errors import QualityError
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.targets import Target
 
 
 @app.command()
@@ -49,3 +51,43 @@ def compare(
             "the calibrations are apart: " + "; ".join(found.broken),
             "calibrate once more to tell a changed robot from a bad recording",
         )
+
+
+@app.command()
+def export(
+    params: Annotated[Path, typer.Argument(help="params.yaml of a calibration.")],
+    to: Annotated[Target, typer.Option(help="The format.")],
+    urdf: Annotated[
+        Path | None, typer.Option(help="For --to urdf: the file to patch, which stays as it is.")
+    ] = None,
+    left_joint: Annotated[
+        str | None, typer.Option(help="Name of the left wheel's joint. [default: as calibrated]")
+    ] = None,
+    right_joint: Annotated[
+        str | None, typer.Option(help="Name of the right wheel's joint. [default: as calibrated]")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write a calibration as a URDF, xacro properties, ros2_control parameters, a static transform and more.
+
+    Example: mobilecal export out/params.yaml --to urdf --urdf robot.urdf --output robot_calibrated.urdf
+
+    For a controller: mobilecal export out/params.yaml --to ros2_control
+    """
+    from mobilecal_cli import pipeline
+
+    given = {"left": left_joint, "right": right_joint}
+    if output is not None:
+        pipeline.check_file(output, force)
+    made = pipeline.export(params, to, urdf, {side: name for side, name in given.items() if name})  # type: ignore[misc]
+    if output is None:
+        typer.echo(made.content, nl=False)
+    else:
+        pipeline.write_file(output, made.content, force)
+    for note in made.notes:
+        typer.echo(visible(note), err=True)
+    if output is not None:
+        typer.echo(f"written: {output}")

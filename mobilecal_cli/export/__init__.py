@@ -1,17 +1,37 @@
 """Values to the files that other programs read: params.yaml, extraction.npz, and a directory of them."""
 
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.formats import (
+    camchain_yaml,
+    camera_info_yaml,
+    diff_drive_yaml,
+    plain_json,
+    static_transform_launch,
+    static_transform_yaml,
+    xacro_properties,
+)
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.rectify import rectified_pair
 from mobilecal_cli.export.single_file import check_file, write_file
+from mobilecal_cli.export.urdf_patch import patched_urdf
 
 __all__ = [
+    "camchain_yaml",
+    "camera_info_yaml",
     "check_file",
     "check_output",
+    "diff_drive_yaml",
     "extraction_from_npz",
     "extraction_to_npz",
     "parameters_from_yaml",
     "params_yaml",
+    "patched_urdf",
+    "plain_json",
+    "rectified_pair",
+    "static_transform_launch",
+    "static_transform_yaml",
     "write_file",
     "write_outputs",
+    "xacro_properties",
 ]

@@ -28,6 +28,7 @@ from mobilecal_cli.model import (
     Knowledge,
     LogSource,
     Provenance,
+    Side,
     Solution,
     StereoRig,
     WheelGeometry,
@@ -221,9 +222,28 @@ class _Log(_Section):
     sha256: str
 
 
+class _Wheel(_Section):
+    joint: str | None = None
+
+
+class _BothWheels(_Section):
+    left: _Wheel = _Wheel()
+    right: _Wheel = _Wheel()
+
+
+class _Nominal(_Section):
+    wheels: _Wheels | None = None
+
+
+class _Settings(_Section):
+    wheels: _BothWheels = _BothWheels()
+    nominal: _Nominal = _Nominal()
+
+
 class _Provenance(_Section):
     created: str = ""
     logs: tuple[_Log, ...] = ()
+    config: _Settings = _Settings()
 
 
 class _File(_Section):
@@ -267,15 +287,26 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     knowledge = None
     if known is not None:
         knowledge = Knowledge(np.array(known.covariance), np.array([known.observable[name] for name in NINE]))
+    settings = checked.provenance.config
+    joints: dict[Side, str | None] = {
+        "left": settings.wheels.left.joint,
+        "right": settings.wheels.right.joint,
+    }
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
-        wheels=WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m),
+        wheels=_geometry(wheels),
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
+        wheel_joints={side: joint for side, joint in joints.items() if joint},
+        nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
     )
+
+
+def _geometry(wheels: _Wheels) -> WheelGeometry:
+    return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
 
 
 def _problems(error: ValidationError) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -198,20 +199,31 @@ def head_at(problem: Problem, state: State) -> FloatArray:
 
 def cameras_at(problem: Problem, state: State) -> StereoRig:
     """The stereo pair with the extras that change it."""
-    rig = problem.cameras
-    if not np.any(state.extras[INDEX["stereo_r_x"] : INDEX["square_scale"]]):
+    return cameras_with(problem.cameras, dict(zip(EXTRA_NAMES, state.extras.tolist(), strict=True)))
+
+
+def cameras_with(rig: StereoRig, extras: Mapping[str, float]) -> StereoRig:
+    """A stereo pair with what was estimated of it; the same object where nothing was.
+
+    Args:
+        rig: as stated.
+        extras: name → value in the unit of `EXTRAS`; those that are not there are zero.
+    """
+    changing = EXTRA_NAMES[INDEX["stereo_r_x"] : INDEX["square_scale"]]
+    value = {name: extras.get(name, 0.0) for name in changing}
+    if not any(value.values()):
         return rig
     T = rig.T_c_r.copy()
-    turn = np.array([state.extra(f"stereo_r_{axis}") for axis in "xyz"])
+    turn = np.array([value[f"stereo_r_{axis}"] for axis in "xyz"])
     T[:3, :3] = se3.exp_so3(turn) @ T[:3, :3]
-    T[:3, 3] *= 1 + state.extra("baseline_scale")
+    T[:3, 3] *= 1 + value["baseline_scale"]
     changed = {}
     for side, camera in (("left", rig.left), ("right", rig.right)):
         K = camera.K.copy()
-        K[0, 0] += state.extra(f"focal_{side}")
-        K[1, 1] += state.extra(f"focal_{side}") * camera.K[1, 1] / camera.K[0, 0]
-        K[0, 2] += state.extra(f"principal_{side}_x")
-        K[1, 2] += state.extra(f"principal_{side}_y")
+        K[0, 0] += value[f"focal_{side}"]
+        K[1, 1] += value[f"focal_{side}"] * camera.K[1, 1] / camera.K[0, 0]
+        K[0, 2] += value[f"principal_{side}_x"]
+        K[1, 2] += value[f"principal_{side}_y"]
         changed[side] = replace(camera, K=K)
     return replace(rig, left=changed["left"], right=changed["right"], T_c_r=T)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.rig import Side, WheelGeometry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +41,8 @@ class CalibratedRobot:
         knowledge: None where the method knew none.
         created: when, ISO 8601, "" where the file does not say.
         logs: the recordings that it was made from.
+        wheel_joints: names of the wheels' joints, where they were read from joint states.
+        nominal_wheels: the wheels as they were known before, if they were.
     """
 
     parent_frame: str
@@ -49,6 +52,8 @@ class CalibratedRobot:
     knowledge: Knowledge | None = None
     created: str = ""
     logs: tuple[LogSource, ...] = ()
+    wheel_joints: Mapping[Side, str] = field(default_factory=dict)
+    nominal_wheels: WheelGeometry | None = None
 
     def __post_init__(self) -> None:
         freeze(self, T_parent_child=(4, 4))

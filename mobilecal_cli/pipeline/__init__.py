@@ -1,31 +1,36 @@
 """Joins the stages; what a notebook would call."""
 
+from mobilecal_cli.export import check_file, write_file
 from mobilecal_cli.pipeline.calibrate import Calibration, calibrate, default_output, suggest
 from mobilecal_cli.pipeline.comparing import Comparison, Limits, compare
 from mobilecal_cli.pipeline.draft import draft, write_draft
 from mobilecal_cli.pipeline.evaluating import Evaluated, evaluate
+from mobilecal_cli.pipeline.exporting import Exported, export
 from mobilecal_cli.pipeline.extract import extract
 from mobilecal_cli.pipeline.inspecting import inspect
-from mobilecal_cli.pipeline.junit import check_junit, write_junit, write_junit_error
+from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
 from mobilecal_cli.pipeline.progress import Progress, silent
 
 __all__ = [
     "Calibration",
     "Comparison",
     "Evaluated",
+    "Exported",
     "Limits",
     "Progress",
     "calibrate",
-    "check_junit",
+    "check_file",
     "compare",
     "default_output",
     "draft",
     "evaluate",
+    "export",
     "extract",
     "inspect",
     "silent",
     "suggest",
     "write_draft",
+    "write_file",
     "write_junit",
     "write_junit_error",
 ]

@@ -6,17 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.export import check_file, write_file
+from mobilecal_cli.export import write_file
 from mobilecal_cli.report import Check, junit_error_xml, junit_xml
-
-
-def check_junit(path: Path, force: bool) -> None:
-    """Find out before the long work whether the file can be written.
-
-    Raises:
-        OutputError: it exists and `force` is not set, or is no plain file.
-    """
-    check_file(path, force)
 
 
 def write_junit(path: Path, name: str, checks: Sequence[Check], force: bool) -> None:

@@ -1,0 +1,225 @@
+"""A calibration in other programs' formats. Each names its frames and units in a comment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.yaml_text import decimal, decimals, quoted
+from mobilecal_cli.model import NINE, CalibratedRobot, Camera, Side, StereoRig, WheelGeometry
+
+_CONVENTION = (
+    "x_parent = R x_child + translation; optical frames: x right, y down, z forward. "
+    "Lengths in m, angles in rad."
+)
+_KALIBR_MODELS = {"none": "none", "plumb_bob": "radtan", "equidistant": "equidistant"}
+
+
+def plain_json(robot: CalibratedRobot) -> str:
+    """Everything that params.yaml knows of the nine numbers, for programs without a YAML reader."""
+    T, known = robot.T_parent_child, robot.knowledge
+    data: dict[str, Any] = {
+        "convention": _CONVENTION,
+        "parent_frame": robot.parent_frame,
+        "child_frame": robot.child_frame,
+        "T_parent_child": T.tolist(),
+        "translation_m": T[:3, 3].tolist(),
+        "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
+        "radius_left_m": robot.wheels.radius_left_m,
+        "radius_right_m": robot.wheels.radius_right_m,
+        "separation_m": robot.wheels.separation_m,
+        "order": list(NINE),
+        "covariance": None if known is None else known.covariance.tolist(),
+        "observable": None if known is None else known.observable.tolist(),
+        "created": robot.created,
+    }
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _fields(robot: CalibratedRobot) -> dict[str, str]:
+    T = robot.T_parent_child
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    values = (*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3]))
+    return {name: decimal(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def static_transform_launch(robot: CalibratedRobot) -> str:
+    """A ROS 2 launch file (XML) that publishes the head-eye transform with tf2_ros."""
+    words = " ".join(f"--{name} {value}" for name, value in _fields(robot).items())
+    frames = f"--frame-id '{robot.parent_frame}' --child-frame-id '{robot.child_frame}'"
+    return "\n".join(
+        [
+            "<launch>",
+            f"  <!-- {_CONVENTION} -->",
+            '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
+            f"        args={quoteattr(f'{words} {frames}')}/>",
+            "</launch>",
+            "",
+        ]
+    )
+
+
+def static_transform_yaml(robot: CalibratedRobot) -> str:
+    """The head-eye transform with the keys of geometry_msgs/TransformStamped."""
+    v = _fields(robot)
+    return "\n".join(
+        [
+            f"# {_CONVENTION}",
+            "# The parent is frame_id, the head; the child is child_frame_id, the camera.",
+            "header:",
+            f"  frame_id: {quoted(robot.parent_frame)}",
+            f"child_frame_id: {quoted(robot.child_frame)}",
+            "transform:",
+            f'  translation: {{x: {v["x"]}, "y": {v["y"]}, z: {v["z"]}}}',
+            f'  rotation: {{x: {v["qx"]}, "y": {v["qy"]}, z: {v["qz"]}, w: {v["qw"]}}}',
+            "",
+        ]
+    )
+
+
+def xacro_properties(robot: CalibratedRobot) -> str:
+    """Properties to include in a xacro file."""
+    T, wheels = robot.T_parent_child, robot.wheels
+    values = {
+        "head_eye_xyz": " ".join(decimal(float(value)) for value in T[:3, 3]),
+        "head_eye_rpy": " ".join(decimal(float(value)) for value in se3.to_rpy(T[:3, :3])),
+        "wheel_radius_left": decimal(wheels.radius_left_m),
+        "wheel_radius_right": decimal(wheels.radius_right_m),
+        "wheel_separation": decimal(wheels.separation_m),
+    }
+    comment = (
+        f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {_CONVENTION}"
+    ).replace("--", "- -")
+    return "\n".join(
+        [
+            '<?xml version="1.0"?>',
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
+            f"  <!-- {comment} -->",
+            *(
+                f'  <xacro:property name="mobilecal_{name}" value={quoteattr(value)}/>'
+                for name, value in values.items()
+            ),
+            "</robot>",
+            "",
+        ]
+    )
+
+
+def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal: WheelGeometry | None) -> str:
+    """Parameters of ros2_control's diff_drive_controller.
+
+    It knows one wheel radius and one separation, each with multipliers. Against nominal sizes the multipliers say
+    what the calibration changed; without them the radius is the mean of both, and the separation's multiplier 1.
+
+    Args:
+        robot: the calibration.
+        joints: names of the wheels' joints, as far as they are known.
+        nominal: sizes that the multipliers count from; their radii have to be equal for one number to hold them.
+    """
+    wheels = robot.wheels
+    radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
+    base = "the mean of both radii and the separation itself"
+    if nominal is not None:
+        radius_m = (nominal.radius_left_m + nominal.radius_right_m) / 2
+        separation_m, base = nominal.separation_m, "the nominal sizes"
+    names = [
+        f"    {side}_wheel_names: [{quoted(joints[side])}]" for side in ("left", "right") if side in joints
+    ]
+    return "\n".join(
+        [
+            f"# Lengths in m. The multipliers count from {base}; calibrated:",
+            f"# left radius {decimal(wheels.radius_left_m)}, right radius {decimal(wheels.radius_right_m)}, "
+            f"separation {decimal(wheels.separation_m)}.",
+            "diff_drive_controller:",
+            "  ros__parameters:",
+            *names,
+            f"    wheel_separation: {decimal(separation_m)}",
+            f"    wheel_radius: {decimal(radius_m)}",
+            f"    wheel_separation_multiplier: {decimal(wheels.separation_m / separation_m)}",
+            f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
+            f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
+            "",
+        ]
+    )
+
+
+def camchain_yaml(cameras: StereoRig, topics: Mapping[Side, str]) -> str:
+    """The stereo pair as Kalibr writes it: cam0 is the left camera, T_cn_cnm1 takes its coordinates to the right one's.
+
+    Raises:
+        ConfigError: a distortion that Kalibr has no model for.
+    """
+    lines = ["# Kalibr: x_cam1 = T_cn_cnm1 x_cam0, m; intrinsics fu, fv, pu, pv, px."]
+    sides: tuple[tuple[str, Side, Camera], ...] = (
+        ("cam0", "left", cameras.left),
+        ("cam1", "right", cameras.right),
+    )
+    for number, side, camera in sides:
+        model, coefficients = _kalibr_distortion(camera)
+        K = camera.K
+        lines += [
+            f"{number}:",
+            "  camera_model: pinhole",
+            f"  intrinsics: {decimals([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])}",
+            f"  distortion_model: {model}",
+            f"  distortion_coeffs: {decimals(coefficients)}",
+            f"  resolution: [{camera.width}, {camera.height}]",
+            f"  rostopic: {quoted(topics[side])}",
+        ]
+        if side == "right":
+            T_r_c = se3.inverse(cameras.T_c_r)
+            lines += ["  T_cn_cnm1:", *(f"  - {decimals(row)}" for row in T_r_c)]
+    return "\n".join(lines) + "\n"
+
+
+def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:
+    D = camera.D.tolist()
+    if camera.distortion == "plumb_bob" and any(D[4:]):
+        raise ConfigError(
+            f"camera {camera.frame_id!r}: Kalibr's radtan has no third radial coefficient, this camera's is {D[4]:g}",
+            "use --to camera_info or json",
+        )
+    if camera.distortion == "rational_polynomial":
+        raise ConfigError(
+            f"camera {camera.frame_id!r}: Kalibr has no model for rational_polynomial distortion",
+            "use --to camera_info or json",
+        )
+    return _KALIBR_MODELS[camera.distortion], [*D, 0.0, 0.0, 0.0, 0.0][:4]
+
+
+def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:
+    """One camera as camera_calibration_parsers reads it.
+
+    Args:
+        camera: K and D.
+        R: (3, 3) raw to rectified coordinates.
+        P: (3, 4) projection of rectified coordinates, px.
+    """
+    model = "plumb_bob" if camera.distortion == "none" else camera.distortion
+    D = camera.D.tolist() or [0.0] * 5
+
+    def matrix(name: str, values: np.ndarray[Any, Any]) -> list[str]:
+        rows, columns = values.shape
+        data = decimals(values.ravel().tolist())
+        return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {data}"]
+
+    return "\n".join(
+        [
+            "# Rectified coordinates are R times raw ones; pixels are P times rectified ones. px.",
+            f"image_width: {camera.width}",
+            f"image_height: {camera.height}",
+            f"camera_name: {quoted(camera.frame_id)}",
+            *matrix("camera_matrix", camera.K),
+            f"distortion_model: {model}",
+            *matrix("distortion_coefficients", np.array([D])),
+            *matrix("rectification_matrix", R),
+            *matrix("projection_matrix", P),
+            "",
+        ]
+    )
