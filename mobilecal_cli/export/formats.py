@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -52,7 +53,7 @@ def _fields(robot: CalibratedRobot) -> dict[str, str]:
 def static_transform_launch(robot: CalibratedRobot) -> str:
     """A ROS 2 launch file (XML) that publishes the head-eye transform with tf2_ros."""
     words = " ".join(f"--{name} {value}" for name, value in _fields(robot).items())
-    frames = f"--frame-id '{robot.parent_frame}' --child-frame-id '{robot.child_frame}'"
+    frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
     return "\n".join(
         [
             "<launch>",

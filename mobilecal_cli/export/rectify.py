@@ -28,16 +28,15 @@ class RectifiedPair:
 def rectified_pair(cameras: StereoRig) -> RectifiedPair:
     """Rectify raw cameras by Bouguet's method, as OpenCV has it, without showing what neither picture holds."""
     T_r_c = se3.inverse(cameras.T_c_r)
+    R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
     left, right = cameras.left, cameras.right
     size = (left.width, left.height)
     if left.distortion == "equidistant":
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
-            left.K, left.D, right.K, right.D, size, T_r_c[:3, :3], T_r_c[:3, 3], cv2.CALIB_ZERO_DISPARITY
+            left.K, left.D, right.K, right.D, size, R, t, cv2.CALIB_ZERO_DISPARITY
         )
     else:
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(
-            left.K, left.D, right.K, right.D, size, T_r_c[:3, :3], T_r_c[:3, 3], alpha=0
-        )
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
     as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
     return RectifiedPair(
         {"left": as_float[0], "right": as_float[1]}, {"left": as_float[2], "right": as_float[3]}

@@ -38,10 +38,12 @@ class _Places:
     Attributes:
         joints: joint name → its own tag and its <origin>'s, where it has one.
         wheels: link name → tags of its cylinders and spheres.
+        end: where the robot's end tag begins, bytes.
     """
 
     joints: dict[str, tuple[_Tag, _Tag | None]] = field(default_factory=dict)
     wheels: dict[str, list[_Tag]] = field(default_factory=dict)
+    end: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
             f"joint {mount.name!r}: its origin puts {robot.child_frame!r} on {robot.parent_frame!r} as calibrated"
         )
     else:
-        edits.append(_added(content, urdf, robot))
+        edits.append(_added(places.end, urdf, robot))
         changes.append(
             f"link {robot.child_frame!r} was not there: added, with a fixed joint on {robot.parent_frame!r}; nothing "
             "else may publish that transform"
@@ -103,9 +105,7 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
         tags = places.wheels.get(link, [])
         edits += [(*_span(tag), _with(content, tag, {"radius": f"{radius_m:.12g}"})) for tag in tags]
         told = (
-            f"{len(tags)} radii are {radius_m:.6g} m"
-            if tags
-            else "has neither cylinder nor sphere, no radius is set"
+            f"{len(tags)} radii are {radius_m:.6g} m" if tags else "no cylinder or sphere, no radius is set"
         )
         changes.append(f"link {link!r}: {told}")
     for start, end, new in sorted(edits, reverse=True):
@@ -133,14 +133,13 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
     return path[0], robot.T_parent_child @ se3.inverse(T_mount_camera)
 
 
-def _added(content: bytes, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
+def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
     """The edit that adds the camera's link and joint before the end of the robot."""
     if robot.parent_frame not in urdf.links:
         raise ConfigError(
             f"URDF: neither {robot.child_frame!r} nor {robot.parent_frame!r} is one of its links",
             f"its links: {', '.join(urdf.links) or 'none'}",
         )
-    end = content.rindex(b"</robot")
     lines = (
         f"<link name={quoteattr(robot.child_frame)}/>",
         f'<joint name={quoteattr(f"{robot.child_frame}_joint")} type="fixed">',
@@ -242,8 +241,12 @@ def _places(content: bytes) -> _Places:
             places.wheels.setdefault(stack[1][1], []).append(tag)
         stack.append((name, own))
 
+    def end(_: str) -> None:
+        stack.pop()
+        places.end = parser.CurrentByteIndex  # the robot's own comes last
+
     parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: stack.pop()
+    parser.EndElementHandler = end
     parser.Parse(content, True)
     return places
 

@@ -1,0 +1,191 @@
+"""A calibration in other programs' formats, read back by programs that are not ours."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from xml.dom.minidom import parseString
+from xml.etree import ElementTree
+
+import cv2
+import jsonschema
+import numpy as np
+import pytest
+import xacro
+import yaml
+from pytransform3d.rotations import matrix_from_quaternion
+
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import (
+    camchain_yaml,
+    camera_info_yaml,
+    diff_drive_yaml,
+    plain_json,
+    rectified_pair,
+    static_transform_launch,
+    static_transform_yaml,
+    xacro_properties,
+)
+from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
+from mobilecal_cli.simulate.robot import ROBOTS
+
+T = se3.transform(se3.from_rpy(np.array([-1.6, 1.56, 0.4])), np.array([0.05, -0.0123456789, 2e-6]))
+ROBOT = CalibratedRobot(
+    "head", "camera's eye", T, WheelGeometry(0.101, 0.102, 0.5), Knowledge(np.eye(9) * 1e-6, np.ones(9, bool))
+)
+CAMERAS = ROBOTS["paper"]().rig_cameras
+#: What ros2_controllers' documentation says of these parameters: names, types, what must be above zero.
+POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+NAMES = {"type": "array", "items": {"type": "string", "minLength": 1}, "minItems": 1}
+DIFF_DRIVE = {
+    "type": "object",
+    "properties": {
+        "left_wheel_names": NAMES,
+        "right_wheel_names": NAMES,
+        **dict.fromkeys(
+            ["wheel_separation", "wheel_radius", "wheel_separation_multiplier", "left_wheel_radius_multiplier",
+             "right_wheel_radius_multiplier"], POSITIVE),
+    },
+    "required": ["wheel_separation", "wheel_radius"],
+    "additionalProperties": False,
+}  # fmt: skip
+
+
+def from_quaternion(x, y, z, w):
+    return matrix_from_quaternion([w, x, y, z])
+
+
+def test_json():
+    data = json.loads(plain_json(ROBOT))
+    assert data["T_parent_child"] == T.tolist()
+    assert data["order"] == list(NINE)
+    assert from_quaternion(*data["quaternion_xyzw"]) == pytest.approx(T[:3, :3])
+    assert json.loads(plain_json(replace(ROBOT, knowledge=None)))["covariance"] is None
+
+
+def test_static_transform_yaml():
+    data = yaml.safe_load(static_transform_yaml(ROBOT))
+    assert (data["header"]["frame_id"], data["child_frame_id"]) == ("head", "camera's eye")
+    move, turn = data["transform"]["translation"], data["transform"]["rotation"]
+    assert [move[k] for k in "xyz"] == pytest.approx(T[:3, 3])
+    assert from_quaternion(*(turn[k] for k in "xyzw")) == pytest.approx(T[:3, :3])
+
+
+def test_static_transform_launch():
+    """As launch would: an XML reader, then the words of a shell."""
+    node = ElementTree.fromstring(static_transform_launch(ROBOT)).find("node")
+    assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
+    words = shlex.split(node.get("args"))
+    args = {name.removeprefix("--"): value for name, value in zip(words[::2], words[1::2], strict=True)}
+    assert (args["frame-id"], args["child-frame-id"]) == ("head", "camera's eye")
+    assert [float(args[k]) for k in "xyz"] == pytest.approx(T[:3, 3])
+    assert from_quaternion(*(float(args[f"q{k}"]) for k in "xyzw")) == pytest.approx(T[:3, :3])
+
+
+def test_xacro_reads_the_properties(tmp_path):
+    properties = tmp_path / "calibration.xacro"
+    properties.write_text(xacro_properties(replace(ROBOT, child_frame="a--b")), encoding="utf-8")
+    robot = f"""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+      <xacro:include filename="{properties}"/>
+      <origin xyz="${{mobilecal_head_eye_xyz}}" rpy="${{mobilecal_head_eye_rpy}}"/>
+      <wheel b="${{mobilecal_wheel_separation}}" l="${{2 * mobilecal_wheel_radius_left}}"
+        r="${{mobilecal_wheel_radius_right}}"/></robot>"""
+    document = parseString(robot)
+    xacro.process_doc(document)
+    origin, wheel = (document.getElementsByTagName(name)[0] for name in ("origin", "wheel"))
+    assert np.array(origin.getAttribute("xyz").split(), float) == pytest.approx(T[:3, 3])
+    rpy = np.array(origin.getAttribute("rpy").split(), float)
+    assert se3.from_rpy(rpy) == pytest.approx(T[:3, :3])
+    assert [float(wheel.getAttribute(k)) for k in "blr"] == pytest.approx([0.5, 0.204, 0.101])
+
+
+@pytest.mark.parametrize("nominal", [None, WheelGeometry(0.1, 0.1, 0.48)])
+def test_ros2_control(nominal):
+    text = diff_drive_yaml(ROBOT, {"left": "l", "right": "r"}, nominal)
+    data = yaml.safe_load(text)["diff_drive_controller"]["ros__parameters"]
+    jsonschema.validate(data, DIFF_DRIVE)
+    # As the controller multiplies them out.
+    assert data["wheel_separation"] * data["wheel_separation_multiplier"] == pytest.approx(0.5)
+    assert data["wheel_radius"] * data["left_wheel_radius_multiplier"] == pytest.approx(0.102)
+    assert data["wheel_radius"] * data["right_wheel_radius_multiplier"] == pytest.approx(0.101)
+    assert data["wheel_radius"] == pytest.approx(0.1 if nominal else 0.1015)
+    assert (data["left_wheel_names"], data["right_wheel_names"]) == (["l"], ["r"])
+
+
+def test_camchain_projects_as_the_cameras_do():
+    data = yaml.safe_load(camchain_yaml(CAMERAS, {"left": "/left", "right": "/right"}))
+    points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
+    pose = np.eye(4)
+    for name, camera, T_c in (("cam0", CAMERAS.left, np.eye(4)), ("cam1", CAMERAS.right, CAMERAS.T_c_r)):
+        chain = data[name]
+        pose = np.array(chain.get("T_cn_cnm1", np.eye(4))) @ pose
+        fu, fv, pu, pv = chain["intrinsics"]
+        assert (chain["camera_model"], chain["distortion_model"]) == ("pinhole", "radtan")
+        found, _ = cv2.projectPoints(
+            points, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3],
+            np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(chain["distortion_coeffs"]),
+        )  # fmt: skip
+        own = project(camera, se3.act(se3.inverse(T_c), points))
+        assert found[:, 0] == pytest.approx(own, abs=1e-6)
+        assert chain["resolution"] == [camera.width, camera.height]
+
+
+def test_what_kalibr_has_no_model_for():
+    with_third = replace(CAMERAS.left, D=np.array([0.1, 0, 0, 0, 0.05]))
+    with pytest.raises(ConfigError, match="no third radial"):
+        camchain_yaml(replace(CAMERAS, left=with_third), {"left": "", "right": ""})
+    rational = replace(CAMERAS.right, distortion="rational_polynomial", D=np.zeros(8))
+    with pytest.raises(ConfigError, match="no model for rational"):
+        camchain_yaml(replace(CAMERAS, right=rational), {"left": "", "right": ""})
+
+
+@pytest.mark.parametrize("distortion", ["plumb_bob", "equidistant"])
+def test_camera_info_makes_rows_of_one_height(distortion):
+    """OpenCV's undistortion with the written numbers: a point's two pictures are in one row, as far apart as P says."""
+    cameras = CAMERAS
+    if distortion == "equidistant":
+        D = np.array([0.01, -0.002, 0.001, 0.0])
+        left, right = (replace(c, distortion="equidistant", D=D) for c in (cameras.left, cameras.right))
+        cameras = replace(cameras, left=left, right=right)
+    pair = rectified_pair(cameras)
+    points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
+    rows, P = {}, {}
+    for side, camera, T_c in (("left", cameras.left, np.eye(4)), ("right", cameras.right, cameras.T_c_r)):
+        data = yaml.safe_load(camera_info_yaml(camera, pair.R[side], pair.P[side]))
+        read = {
+            name: np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])
+            for name in (
+                "camera_matrix",
+                "distortion_coefficients",
+                "rectification_matrix",
+                "projection_matrix",
+            )
+        }
+        assert data["distortion_model"] == distortion
+        seen = project(camera, se3.act(se3.inverse(T_c), points))[:, None]
+        undistort = cv2.fisheye.undistortPoints if distortion == "equidistant" else cv2.undistortPoints
+        rectified = undistort(
+            seen, read["camera_matrix"], read["distortion_coefficients"],
+            R=read["rectification_matrix"], P=read["projection_matrix"][:, :3],
+        )  # fmt: skip
+        rows[side], P[side] = rectified[:, 0], read["projection_matrix"]
+    assert rows["left"][:, 1] == pytest.approx(rows["right"][:, 1], abs=1e-3)
+    depth = points @ pair.R["left"][2]
+    assert rows["left"][:, 0] - rows["right"][:, 0] == pytest.approx(-P["right"][0, 3] / depth, abs=1e-2)
+    assert -P["right"][0, 3] / P["right"][0, 0] == pytest.approx(CAMERAS.baseline_m, rel=1e-6)
+
+
+def test_every_format_names_its_frames():
+    texts = {
+        "launch": static_transform_launch(ROBOT),
+        "yaml": static_transform_yaml(ROBOT),
+        "xacro": xacro_properties(ROBOT),
+        "json": plain_json(ROBOT),
+        "camchain": camchain_yaml(CAMERAS, {"left": "", "right": ""}),
+    }
+    for name, text in texts.items():
+        assert re.search(r"x_parent = R x_child|x_cam1 = T_cn_cnm1 x_cam0", text), name

@@ -1,0 +1,146 @@
+"""A calibration put into a URDF, read back by two parsers that are not ours."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yourdfpy
+from hypothesis import given
+from hypothesis import strategies as st
+from pytransform3d.urdf import UrdfTransformManager
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import patched_urdf
+from mobilecal_cli.model import CalibratedRobot, WheelGeometry
+
+JOINTS = {"left": "wheel_left_joint", "right": "wheel_right_joint"}
+URDF = b"""<?xml version='1.0'?>
+<!-- a drawing: <joint name="mount"><origin xyz="9 9 9"/></joint> -->
+<robot name="drawn"   >
+  <link name="base_link"><visual><geometry><cylinder radius="0.9" length="1"/></geometry></visual></link>
+  <link name="axle"/><link name="head"/><link name='cam > box'/><link name="optical"/>
+  <joint name="axle_joint" type="fixed"><parent link="base_link"/><child link="axle"/>
+    <origin rpy="0 0 1.5707963267948966" xyz="0.1 0 0.05"/></joint>
+  <joint name="tilt" type="revolute"><parent link="base_link"/><child link="head"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/><origin xyz="0 0 1"/></joint>
+  <joint\tname="mount" type="fixed"><parent link="head"/><child link="cam > box"/></joint>
+  <joint name="to_optical" type="fixed"><parent link="cam > box"/><child link="optical"/>
+    <origin xyz="0.01 0.02 0.03" rpy="-1.5707963267948966 0 -1.5707963267948966"/></joint>
+  <link name="l"><visual><geometry><cylinder length="0.1"
+     radius='0.1'/></geometry></visual><collision><geometry><sphere radius = "0.1"/></geometry></collision></link>
+  <link name="r"><visual><geometry><mesh filename="w.stl"/></geometry></visual></link>
+  <joint name="wheel_left_joint" type="continuous"><parent link="axle"/><child link="l"/>
+    <origin xyz="0.25 0.0 0.0"/><axis xyz="1 0 0"/></joint>
+  <joint name="wheel_right_joint" type="continuous"><parent link="axle"/><child link="r"/>
+    <origin xyz="-0.15 0.0 0.0"/><axis xyz="1 0 0"/></joint>
+  <transmission name="t"><joint name="mount"><hardwareInterface/></joint></transmission>
+</robot>
+<!-- the end </robot -->"""
+
+
+def robot(T=None, parent="head", child="optical"):
+    if T is None:
+        T = se3.transform(se3.from_rpy(np.array([-1.6, 0.03, -1.5])), np.array([0.05, -0.01, 0.02]))
+    return CalibratedRobot(parent, child, T, WheelGeometry(0.101, 0.102, 0.5))
+
+
+def two_readers(tmp_path: Path, content: bytes, child: str, parent: str):
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(content)
+    first = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
+    second = UrdfTransformManager(check=False)
+    second.load_urdf(content.decode())
+    return first.get_transform(child, parent), second.get_transform(child, parent)
+
+
+def changed_lines(before: bytes, after: bytes):
+    lines = difflib.ndiff(before.decode().splitlines(), after.decode().splitlines())
+    return [line[2:] for line in lines if line.startswith("- ")]
+
+
+def test_both_parsers_find_the_camera_and_the_wheels(tmp_path):
+    made = patched_urdf(URDF, robot(), JOINTS)
+    for T in two_readers(tmp_path, made.content, "optical", "head"):
+        assert pytest.approx(robot().T_parent_child, abs=1e-10) == T
+    # By hand: the axle's frame is turned a quarter, so that its x is the base's y; the middle of the wheels, at
+    # y = 0.05, stays.
+    for side, y in (("l", 0.30), ("r", -0.20)):
+        for T in two_readers(tmp_path, made.content, side, "base_link"):
+            assert T[:3, 3] == pytest.approx([0.1, y, 0.05], abs=1e-10)
+    assert made.content.count(b'radius = "0.102"') == made.content.count(b"radius='0.102'") == 1
+    assert any("'r': no cylinder or sphere" in told for told in made.changes)
+
+
+def test_every_other_byte_stays():
+    made = patched_urdf(URDF, robot(), JOINTS)
+    assert [line.strip() for line in changed_lines(URDF, made.content)] == [
+        '<joint\tname="mount" type="fixed"><parent link="head"/><child link="cam > box"/></joint>',
+        "radius='0.1'/></geometry></visual><collision><geometry><sphere radius = \"0.1\"/></geometry></collision></link>",
+        '<origin xyz="0.25 0.0 0.0"/><axis xyz="1 0 0"/></joint>',
+        '<origin xyz="-0.15 0.0 0.0"/><axis xyz="1 0 0"/></joint>',
+    ]
+    assert patched_urdf(made.content, robot(), JOINTS).content == made.content
+
+
+def test_line_ends_and_a_byte_order_mark_stay(tmp_path):
+    windows = b"\xef\xbb\xbf" + URDF.replace(b"\n", b"\r\n")
+    made = patched_urdf(windows, robot(), JOINTS).content
+    assert made.startswith(b"\xef\xbb\xbf<?xml")
+    assert made.count(b"\r\n") == made.count(b"\n") == URDF.count(b"\n")
+
+
+def test_a_camera_without_a_link_is_added(tmp_path):
+    made = patched_urdf(URDF, robot(child="eye <left>"), {})
+    assert changed_lines(URDF, made.content) == []
+    for T in two_readers(tmp_path, made.content, "eye <left>", "head"):
+        assert pytest.approx(robot().T_parent_child, abs=1e-10) == T
+
+
+@given(st.lists(st.floats(-3.1, 3.1), min_size=6, max_size=6))
+def test_any_pose_survives(numbers):
+    T = se3.transform(se3.exp_so3(np.array(numbers[:3])), np.array(numbers[3:]))
+    content = patched_urdf(URDF, robot(T), {}).content
+    reader = UrdfTransformManager(check=False)
+    reader.load_urdf(content.decode())
+    # Next to gimbal lock roll and yaw are large and opposite: twelve digits of each are left.
+    assert reader.get_transform("optical", "head") == pytest.approx(T, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("content", "calibrated", "joints", "says"),
+    [
+        (b"<robot", robot(), {}, "not readable as XML"),
+        (URDF.decode().encode("utf-16"), robot(), {}, "not UTF-8"),
+        (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', robot(), {}, "not readable as XML"),
+        (URDF, robot(parent="base_link"), {}, "is not fixed to 'base_link': joint 'tilt'"),
+        (URDF, robot(parent="neck", child="eye"), {}, "neither 'eye' nor 'neck'"),
+        (URDF, robot(), {"left": "wheel"}, "no joint 'wheel'"),
+    ],
+)
+def test_what_cannot_be_patched(content, calibrated, joints, says):
+    with pytest.raises(ConfigError, match=says):
+        patched_urdf(content, calibrated, joints)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "head", "camera", "joints"),
+    [
+        ("*stretch*.urdf", "link_head_tilt", "camera_color_optical_frame",
+         {"left": "joint_left_wheel", "right": "joint_right_wheel"}),
+        ("*hsr*.urdf", "head_tilt_link", "head_l_stereo_camera_frame", {}),
+    ],
+)  # fmt: skip
+def test_robots_of_others(shared_data, tmp_path, pattern, head, camera, joints):
+    paths = sorted(shared_data.rglob(pattern))
+    if not paths:
+        pytest.skip(f"no {pattern} here")
+    content = paths[0].read_bytes()
+    calibrated = robot(parent=head, child=camera)
+    made = patched_urdf(content, calibrated, joints)
+    for T in two_readers(tmp_path, made.content, camera, head):
+        assert pytest.approx(calibrated.T_parent_child, abs=1e-9) == T
+    assert len(changed_lines(content, made.content)) <= 3 + 4
