@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
-from mobilecal_cli.cli import calibrating, looking, simulating, using
+from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.errors import MobilecalError
 
-__all__ = ["app", "calibrating", "looking", "main", "simulating", "using"]
+__all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from mobilecal_cli.export.formats import (
 )
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.plain import from_plain, to_plain
 from mobilecal_cli.export.rectify import rectified_pair
 from mobilecal_cli.export.single_file import check_file, write_file
 from mobilecal_cli.export.urdf_patch import patched_urdf
@@ -24,6 +25,7 @@ __all__ = [
     "diff_drive_yaml",
     "extraction_from_npz",
     "extraction_to_npz",
+    "from_plain",
     "parameters_from_yaml",
     "params_yaml",
     "patched_urdf",
@@ -31,6 +33,7 @@ __all__ = [
     "rectified_pair",
     "static_transform_launch",
     "static_transform_yaml",
+    "to_plain",
     "write_file",
     "write_outputs",
     "xacro_properties",

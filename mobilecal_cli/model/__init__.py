@@ -4,6 +4,7 @@ from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArra
 from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
 from mobilecal_cli.model.evaluation import Drift, Evaluation
 from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.fleet import FleetJob, FleetRow
 from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.model.observations import (
     Corners,
@@ -80,6 +81,8 @@ __all__ = [
     "Evidence",
     "Extraction",
     "FixedLink",
+    "FleetJob",
+    "FleetRow",
     "FloatArray",
     "GrayImage",
     "HeadChain",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz
 from mobilecal_cli.model import Extraction, Snapshot
 from mobilecal_cli.pipeline.extract import extract
@@ -36,6 +36,7 @@ def load(
         progress: told how far it is.
 
     Raises:
+        RecordingError: a recording or an extraction cannot be used.
         ConfigError: an extraction together with other logs or with settings, which it carries itself.
     """
     given = frozenset(key for key, value in flags.items() if value is not None)
@@ -46,4 +47,25 @@ def load(
             f"{logs[0]}: an extraction carries its own settings and stands alone",
             "give it without other logs, --config and settings, or give the recordings instead",
         )
-    return extraction_from_npz(logs[0]), ()
+    extraction = extraction_from_npz(logs[0])
+    _check(extraction, logs[0])
+    return extraction, ()
+
+
+def _check(extraction: Extraction, path: Path) -> None:
+    """Refuse an extraction whose parts do not belong together.
+
+    Raises:
+        RecordingError: an observation of a log that is not there.
+    """
+    tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
+    if (
+        logs != tracks
+        or joints not in (0, tracks)
+        or any(not 0 <= o.log < logs for o in extraction.observations)
+    ):
+        raise RecordingError(
+            f"{path}: damaged: {logs} logs, {tracks} wheel tracks, {joints} joint tracks, and observations that fit "
+            "no log",
+            "calibrate from the recordings again",
+        )

@@ -6,7 +6,7 @@ everything but the pictures' contents in one pass, `read_images` streams the pic
 
 from mobilecal_cli.readers.hashing import sha256_of
 from mobilecal_cli.readers.images import decode_image, pictures_near, read_images
-from mobilecal_cli.readers.opening import join_parts, open_recording
+from mobilecal_cli.readers.opening import join_parts, open_recording, recognised
 from mobilecal_cli.readers.prelude import read_prelude
 from mobilecal_cli.readers.recording import Message, Recording
 from mobilecal_cli.readers.signals import read_signals
@@ -23,5 +23,6 @@ __all__ = [
     "read_images",
     "read_prelude",
     "read_signals",
+    "recognised",
     "sha256_of",
 ]

@@ -5,12 +5,13 @@ from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
 from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
 from mobilecal_cli.report.gates import evaluated_figures, figures_of, gate_checks, gates_of
 from mobilecal_cli.report.history import history_plot
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
-from mobilecal_cli.report.numbers import reference_frame
+from mobilecal_cli.report.numbers import reference_frame, reference_pose, reference_std
 from mobilecal_cli.report.text import summary_table
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict, judge
 
@@ -24,6 +25,9 @@ __all__ = [
     "evaluation_json",
     "evaluation_text",
     "figures_of",
+    "fleet_csv",
+    "fleet_html",
+    "fleet_text",
     "gate_checks",
     "gates_of",
     "history_plot",
@@ -33,6 +37,8 @@ __all__ = [
     "junit_error_xml",
     "junit_xml",
     "reference_frame",
+    "reference_pose",
+    "reference_std",
     "report_html",
     "report_json",
     "suggestion_sentences",

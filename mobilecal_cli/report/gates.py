@@ -13,6 +13,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Drift, Evaluation, Extraction, Solution
 from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.numbers import reference_std
 
 #: A gate's figure: its value, None where the recording does not tell it.
 Figures = Mapping[str, float | None]
@@ -113,9 +114,7 @@ def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation 
         "left_out": float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
     }
     if found is not None:
-        std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
-        stds = zip(_STD_KEYS, std, found.observable, strict=True)
-        figures |= {key: float(s) if seen else None for key, s, seen in stds}
+        figures |= dict(zip(_STD_KEYS, reference_std(solution, cameras), strict=True))
         p = predicted(solution.parameters, found.covariance)
         rotation, place, wheels = (
             found.observable[:3].all(),

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
-from mobilecal_cli.model.text import visible
 from mobilecal_cli.report import overlays, plots
 from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
@@ -36,6 +35,7 @@ from mobilecal_cli.report.numbers import (
     stations_looked_at,
     written,
 )
+from mobilecal_cli.report.pages import environment
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
 
 if TYPE_CHECKING:
@@ -125,22 +125,7 @@ def report_html(
 
 @functools.cache
 def _template() -> Template:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    def shown(value: object) -> object:
-        """Every string from outside passes here, whatever the template does with it."""
-        return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
-
-    environment = Environment(
-        loader=PackageLoader("mobilecal_cli.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=shown,
-    )
-    return environment.get_template("report.html.jinja")
+    return environment().get_template("report.html.jinja")
 
 
 def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:

@@ -81,21 +81,30 @@ class Sigma:
 
 def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
     """Standard deviations in degrees and mm; none for methods that know none."""
-    found = solution.uncertainty
-    if found is None:
+    std = reference_std(solution, cameras)
+    if not std:
         return ()
-    std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
     meanings = [
         *(f"camera's rotation about the head's {axis}" for axis in "xyz"),
         *(quantity.meaning for quantity in QUANTITIES[3:]),
     ]
     units = [("deg", float(np.degrees(1.0)))] * 3 + [("mm", 1e3)] * 6
     return tuple(
-        Sigma(name, meaning, float(s * factor) if ok else None, unit)
-        for name, meaning, s, ok, (unit, factor) in zip(
-            NINE, meanings, std, found.observable, units, strict=True
-        )
+        Sigma(name, meaning, None if s is None else s * factor, unit)
+        for name, meaning, s, (unit, factor) in zip(NINE, meanings, std, units, strict=True)
     )
+
+
+def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
+    """Nine standard deviations of the reference camera's numbers and the wheels, rad and m; None where one is held.
+
+    Empty for methods that know none.
+    """
+    found = solution.uncertainty
+    if found is None:
+        return ()
+    std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
+    return tuple(float(s) if seen else None for s, seen in zip(std, found.observable, strict=True))
 
 
 def written(sigma: Sigma) -> str:

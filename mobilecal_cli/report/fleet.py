@@ -1,0 +1,137 @@
+"""One table of many robots, with those that stand out marked."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import NINE, FleetRow, FloatArray
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.pages import environment
+from mobilecal_cli.report.units import SHOWN
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+#: A robot stands out by so many times the fleet's own spread (1.4826 times the median deviation), and its own sigma.
+OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
+_FEWEST = 5  # of fewer robots none can be said to stand out
+_FIELDS = ("r_x_deg", "r_y_deg", "r_z_deg", "t_x_mm", "t_y_mm", "t_z_mm", "radius_right_mm", "radius_left_mm",
+           "separation_mm")  # fmt: skip
+
+
+def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
+    """(n, 9) numbers and (n, 9) standard deviations in deg and mm, NaN where there are none.
+
+    Rotations are those from the first robot that passes, as rotation vectors in the head's frame.
+    """
+    numbers, std = np.full((2, len(rows), len(NINE)), np.nan)
+    factors = np.array([SHOWN[name][1] for name in NINE])
+    answered = [row for row in rows if row.lengths_m]
+    first = next((row for row in answered if row.verdict == "PASS"), answered[0] if answered else None)
+    R_first = np.eye(3) if first is None else se3.exp_so3(np.array(first.rotvec_rad))
+    for i, row in enumerate(rows):
+        if not row.lengths_m:
+            continue
+        R = se3.exp_so3(np.array(row.rotvec_rad))
+        numbers[i] = np.concatenate([se3.log_so3(R @ R_first.T), row.lengths_m]) * factors
+        if row.std:
+            std[i] = np.array([np.nan if s is None else s for s in row.std]) * factors
+    return numbers, std
+
+
+def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
+    """Robot → names of its numbers that lie far outside the fleet; robots without any are left out."""
+    numbers, std = fleet_numbers(rows)
+    answered = np.isfinite(numbers[:, 0])
+    if answered.sum() < _FEWEST:
+        return {}
+    middle = np.nanmedian(numbers, axis=0)
+    off = np.abs(numbers - middle)
+    spread = 1.4826 * np.nanmedian(off, axis=0)
+    out = (off > OUT_OF_FLEET * spread) & (off > OUT_OF_SIGMA * np.nan_to_num(std)) & (off > 0)
+    return {
+        row.name: tuple(name for name, far in zip(NINE, flags, strict=True) if far)
+        for row, flags in zip(rows, out, strict=True)
+        if flags.any()
+    }
+
+
+def fleet_csv(rows: Sequence[FleetRow]) -> str:
+    """A line for each robot; rotations against the first robot that passes."""
+    numbers, std = fleet_numbers(rows)
+    out = standing_out(rows)
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(
+        [
+            "robot",
+            "verdict",
+            "exit_code",
+            "stations",
+            *_FIELDS,
+            *(f"std_{f}" for f in _FIELDS),
+            "stands_out",
+            "reason",
+        ]
+    )
+    for row, values, sigmas in zip(rows, numbers, std, strict=True):
+        cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
+        told = (" ".join(out.get(row.name, ())), _harmless(row.reason))
+        table.writerow([row.name, row.verdict, row.exit_code, row.stations, *cells, *told])
+    return stream.getvalue()
+
+
+def _harmless(text: str) -> str:
+    """What a spreadsheet would take for a formula begins with a quote."""
+    shown = visible(text)
+    return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
+
+
+def fleet_html(rows: Sequence[FleetRow]) -> str:
+    """The same as a page, with links to the reports."""
+    numbers, std = fleet_numbers(rows)
+    out = standing_out(rows)
+    lines = []
+    for row, values, sigmas in zip(rows, numbers, std, strict=True):
+        cells = [
+            {
+                "text": f"{value:.2f}" if np.isfinite(value) else "",
+                "std": f"± {sigma:.2f}" if np.isfinite(sigma) else "",
+                "out": name in out.get(row.name, ()),
+            }
+            for name, value, sigma in zip(NINE, values, sigmas, strict=True)
+        ]
+        lines.append({"row": row, "cells": cells, "out": row.name in out})
+    counts = {
+        level: sum(row.verdict == level for row in rows) for level in ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
+    }
+    return _template().render(
+        lines=lines,
+        counts=counts,
+        heads=[(name, SHOWN[name][0]) for name in NINE],
+        total=len(rows),
+        out=len(out),
+    )
+
+
+@functools.cache
+def _template() -> Template:
+    return environment().get_template("fleet.html.jinja")
+
+
+def fleet_text(rows: Sequence[FleetRow]) -> str:
+    """A line for each robot, for the terminal."""
+    out = standing_out(rows)
+    width = max(len(row.name) for row in rows)
+    lines = []
+    for row in rows:
+        marks = f" [stands out: {', '.join(out[row.name])}]" if row.name in out else ""
+        lines.append(f"  {row.name:<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,241 @@
+"""Many robots: processes here, and a Dask cluster on loopback."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import pipeline, se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.model import FleetJob, FleetRow, LogSource
+from mobilecal_cli.pipeline import fleet as batch_module
+from mobilecal_cli.report import fleet_csv, fleet_html
+from mobilecal_cli.report.fleet import standing_out
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+
+NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
+ROBOTS_HERE = 6
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """A manifest of six robots, one of whose recordings is broken."""
+    folder = tmp_path_factory.mktemp("fleet")
+    robot = ROBOTS["paper"]()
+    lines = ["robots:"]
+    for number in range(ROBOTS_HERE):
+        name = f"robot_{number}"
+        ideal = ideal_extraction(robot, plan_route(robot, seed=number), NOISE, seed=number)
+        extraction = replace(ideal, logs=(LogSource(f"{name}.mcap", f"{number:064}"),))
+        (folder / f"{name}.npz").write_bytes(extraction_to_npz(extraction))
+        lines.append(f"- {{name: {name}, logs: [{name}.npz]}}")
+    lines.append("- {name: broken, logs: [broken.mcap]}")
+    (folder / "broken.mcap").write_bytes(b"not a recording")
+    (folder / "fleet.yaml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "fleet.yaml"
+
+
+@pytest.fixture(scope="module")
+def local(fleet, tmp_path_factory):
+    """The fleet, calibrated by the real command in two processes."""
+    out = tmp_path_factory.mktemp("local") / "out"
+    command = [sys.executable, "-m", "mobilecal_cli", "batch", fleet, "--output", out, "--jobs", "2"]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    assert done.returncode == 6, done.stderr
+    return out, done
+
+
+def table(out):
+    return (out / "summary.csv").read_text(encoding="utf-8")
+
+
+def records(out):
+    return {p.stem: p.stat().st_mtime_ns for p in (out / batch_module.RECORDS).glob("*.json")}
+
+
+def test_a_failure_stops_no_other_robot(local):
+    out, done = local
+    assert "1 of 7 robots do not pass: broken" in done.stderr
+    rows = list(csv.DictReader(table(out).splitlines()))
+    assert [row["robot"] for row in rows] == ["broken", *(f"robot_{n}" for n in range(ROBOTS_HERE))]
+    assert [row["verdict"] for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
+    assert rows[0]["exit_code"] == "3"
+    truth = ROBOTS["paper"]().wheels.separation_m * 1e3
+    for row in rows[1:]:
+        assert abs(float(row["separation_mm"]) - truth) < 5 * float(row["std_separation_mm"])
+        params = json.loads((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]
+        assert float(row["separation_mm"]) == pytest.approx(params["separation_mm"], abs=1e-5)
+    page = (out / "summary.html").read_text(encoding="utf-8")
+    assert 'href="robot_3/report.html"' in page
+
+
+def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
+    out, _ = local
+    before = records(out)
+    monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("done again"))
+    rows = pipeline.batch(fleet, out, run=in_this_process)
+    assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
+    assert records(out) == before
+
+
+def in_this_process(jobs, done):
+    for job in jobs:
+        done(batch_module.run_job(job))
+
+
+def test_changed_settings_and_lost_outputs_are_done_again(local, fleet, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(batch_module, "calibrate", lambda logs, out, **_: asked.append(out.name) or 1 / 0)
+    rows = pipeline.batch(fleet, tmp_path / "out", run=in_this_process)
+    assert len(asked) == ROBOTS_HERE + 1
+    assert all(row.reason.startswith("a bug of mobilecal: ZeroDivisionError") for row in rows)
+    asked.clear()
+    pipeline.batch(fleet, tmp_path / "out", run=in_this_process, gates=["stations=3"])
+    assert len(asked) == ROBOTS_HERE + 1
+
+
+def start(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", *map(str, arguments)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """A scheduler and two workers on loopback, each a process of its own."""
+    file = tmp_path / "scheduler.json"
+    scheduler = start(
+        "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard",
+        "--scheduler-file", file,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not file.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    address = json.loads(file.read_text(encoding="utf-8"))["address"]
+    workers = [
+        start("distributed.cli.dask_worker", address, "--host", "127.0.0.1", "--nworkers", 1, "--nthreads", 1,
+              "--no-nanny", "--no-dashboard", "--local-directory", tmp_path / f"worker{n}")
+        for n in range(2)
+    ]  # fmt: skip
+    yield address, workers
+    for process in (*workers, scheduler):
+        process.kill()
+        process.wait()
+
+
+def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
+    """The same table as of the processes here; what was done when the worker died is not done again."""
+    address, workers = cluster
+    out = tmp_path / "out"
+    then = {}
+
+    def progress(stage, done, total):
+        if done == 3:
+            workers[0].send_signal(signal.SIGKILL)
+            workers[0].wait()
+            then.update(records(out))
+
+    rows = pipeline.batch(fleet, out, run=pipeline.run_on(address), progress=progress)
+    assert len(rows) == ROBOTS_HERE + 1
+    assert table(out) == table(local[0])
+    assert len(then) >= 3
+    assert then.items() <= records(out).items()
+
+
+def test_no_scheduler(fleet, tmp_path):
+    with pytest.raises(ConfigError, match="no scheduler answers"):
+        pipeline.batch(fleet, tmp_path / "out", run=pipeline.run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+
+
+def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
+    jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(4)]
+    monkeypatch.setattr(batch_module, "run_job", die_or_answer)
+    rows = []
+    pipeline.run_locally(2)(jobs, rows.append)
+    assert sorted(row.name for row in rows) == ["r0", "r1", "r2", "r3"]
+    verdicts = {row.name: row.verdict for row in rows}
+    assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS", "r3": "PASS"}
+    assert "died" in next(row.reason for row in rows if row.name == "r1")
+
+
+def die_or_answer(job):
+    if job.name == "r1":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return FleetRow(job.name, "PASS", 0, "")
+
+
+def row(number, **changes):
+    rng = np.random.default_rng(number)
+    rotvec = tuple((np.array([0.1, -1.5, 0.3]) + 1e-3 * rng.normal(size=3)).tolist())
+    lengths = np.array([0.01, -0.06, 0.07, 0.22, 0.22, 0.5]) + 1e-4 * rng.normal(size=6)
+    return FleetRow(
+        f"r{number:02}", "PASS", 0, "fine", 12, rotvec, tuple(lengths.tolist()), (1e-4,) * 9, **changes
+    )
+
+
+def test_a_robot_that_stands_out():
+    rows = [row(n) for n in range(12)]
+    assert standing_out(rows) == {}
+    lengths = np.add(rows[4].lengths_m, [0, 0, 0, 0, 0, 0.01])
+    turned = se3.log_so3(se3.exp_so3(np.array([0, 0, 0.05])) @ se3.exp_so3(np.array(rows[7].rotvec_rad)))
+    rows[4] = replace(rows[4], lengths_m=tuple(lengths.tolist()))
+    rows[7] = replace(rows[7], rotvec_rad=tuple(turned.tolist()))
+    assert standing_out(rows) == {"r04": ("separation",), "r07": ("r_z",)}
+    assert "separation" in fleet_csv(rows).splitlines()[5]
+    assert standing_out(rows[2:6]) == {}  # too few to say
+
+
+def test_texts_cannot_break_the_tables():
+    evil = FleetRow("r", "ERROR", 3, '=HYPERLINK("x")<script>alert(1)</script>\x1b[2J')
+    page = fleet_html([evil])
+    assert "<script" not in page
+    assert "\x1b" not in page
+    cells = next(csv.reader(fleet_csv([evil]).splitlines()[1:]))
+    assert cells[-1].startswith("'=")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("robots: []", "robots"),
+        ("robots: [{name: a}]", "robots.0.logs"),
+        ("robots: [{name: ../a, logs: [x]}]", "cannot be a robot's name"),
+        ("robots: [{name: a, logs: [x]}, {name: a, logs: [y]}]", "two robots are called 'a'"),
+        ("- a", "robots|manifest|dictionary"),
+        ("[", "not a manifest"),
+    ],
+)
+def test_bad_manifests(tmp_path, text, says):
+    (tmp_path / "fleet.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=says):
+        pipeline.batch(tmp_path / "fleet.yaml", tmp_path / "out", run=in_this_process)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_directory_of_recordings(sample_logs, tmp_path):
+    for name in (
+        "tick_robot.mcap",
+        "tick_robot.rig.yaml",
+        "straight.mcap",
+        "paper_robot_rosbag2",
+        "README.md",
+    ):
+        (tmp_path / name).symlink_to(sample_logs / name)
+    jobs = batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
+    assert [job.name for job in jobs] == ["paper_robot_rosbag2", "straight", "tick_robot"]
+    assert [job.config.name if job.config else None for job in jobs] == [None, None, "tick_robot.rig.yaml"]
+    (tmp_path / "straight.bag").symlink_to(sample_logs / "paper_robot.bag")
+    with pytest.raises(ConfigError, match="two robots are called 'straight'"):
+        batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
