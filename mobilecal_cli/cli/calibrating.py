@@ -88,6 +88,9 @@ def calibrate(
             min=0.0, max=0.8, help="Leave so large a share of each log's end out, and try the result on it."
         ),
     ] = None,
+    last: Annotated[
+        Path | None, typer.Option(help="params.yaml of the last calibration. [default: the nominal values]")
+    ] = None,
     as_json: AsJson = False,
     junit: JUnit = None,
     force: Force = False,
@@ -119,6 +122,7 @@ def calibrate(
                 asked=asked,
                 gates=gate or [],
                 hold_out=hold_out or None,
+                last=last,
                 force=force,
                 progress=progress,
             )

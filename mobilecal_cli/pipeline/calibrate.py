@@ -15,16 +15,21 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.export import (
     check_output,
     extraction_to_npz,
+    parameters_from_yaml,
     params_yaml,
     write_outputs,
 )
-from mobilecal_cli.model import Evaluation, Extraction, Method, Provenance, Solution
-from mobilecal_cli.pipeline.evaluating import held_out
+from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, Method, Provenance, Solution
+from mobilecal_cli.pipeline.evaluating import held_out, read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import (
+    Change,
     Verdict,
+    change_checks,
+    change_from_nominal,
+    change_since,
     figures_of,
     gate_checks,
     gates_of,
@@ -97,6 +102,14 @@ def suggest(
     return (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
 
 
+def _change(
+    robot: CalibratedRobot, earlier: CalibratedRobot | None, name: Path | None, extraction: Extraction
+) -> Change | None:
+    if earlier is not None:
+        return change_since(robot, earlier, f"{name} ({earlier.created})" if earlier.created else str(name))
+    return change_from_nominal(robot, extraction.rig.nominal)
+
+
 def calibrate(
     logs: Sequence[Path],
     output: Path | None = None,
@@ -107,6 +120,7 @@ def calibrate(
     asked: Asked | None = None,
     gates: Sequence[str] = (),
     hold_out: float | None = None,
+    last: Path | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> Calibration:
@@ -121,6 +135,7 @@ def calibrate(
         asked: what is fixed, what has a prior and what is estimated beside the nine; for the method "ml".
         gates: `NAME=LIMIT`, over those of the file.
         hold_out: so large a share of every log, its end, is left out, and the calibration is tried on it.
+        last: params.yaml of this robot's last calibration, to compare with; the nominal values by default.
         force: replace an output directory that is there.
         progress: told how far it is.
 
@@ -131,6 +146,7 @@ def calibrate(
     check_output(directory, force)
     config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates)
+    earlier = None if last is None else read_params(last)
     whole, snapshots = load(logs, config, config_path, flags or {}, progress)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
@@ -140,14 +156,18 @@ def calibrate(
     solution = _solved(extraction, method, asked)
     nominal = extraction.rig.nominal.wheels
     trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
-    checks = tuple(gate_checks(limits, figures_of(solution, extraction, trial)))
-    verdict = judge(solution, extraction, checks)
     provenance = Provenance(__version__, _created(), method, extraction.logs, settings_of(extraction))
+    params = params_yaml(solution, extraction, provenance)
+    change = _change(parameters_from_yaml(params), earlier, last, extraction)
+    gated = gate_checks(limits, figures_of(solution, extraction, trial))
+    verdict = judge(solution, extraction, (*change_checks(change), *gated))
     progress("writing the report", 0, None)
     files = {
-        "params.yaml": params_yaml(solution, extraction, provenance).encode(),
-        "report.html": report_html(solution, extraction, snapshots, provenance, verdict, trial).encode(),
-        "report.json": report_json(solution, extraction, provenance, verdict, trial).encode(),
+        "params.yaml": params.encode(),
+        "report.html": report_html(
+            solution, extraction, snapshots, provenance, verdict, trial, change
+        ).encode(),
+        "report.json": report_json(solution, extraction, provenance, verdict, trial, change).encode(),
         "extraction.npz": extraction_to_npz(whole),
     }
     write_outputs(directory, files, force)

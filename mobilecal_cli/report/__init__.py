@@ -1,5 +1,6 @@
 """Values to what people read: a verdict, a table for the terminal, report.json and report.html. Pure functions."""
 
+from mobilecal_cli.report.changes import Change, change_checks, change_from_nominal, change_since
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
@@ -17,8 +18,12 @@ from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict, judge
 
 __all__ = [
     "MIN_STATIONS",
+    "Change",
     "Check",
     "Verdict",
+    "change_checks",
+    "change_from_nominal",
+    "change_since",
     "comparison_json",
     "comparison_text",
     "evaluated_figures",

@@ -13,6 +13,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.report.changes import Change
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
@@ -36,6 +37,7 @@ def report_json(
     provenance: Provenance,
     verdict: Verdict,
     trial: Evaluation | None = None,
+    change: Change | None = None,
 ) -> str:
     """Every number of the report: keys sorted, units as suffixes, the same bytes for the same values."""
     cameras = extraction.rig.cameras
@@ -55,6 +57,15 @@ def report_json(
         },
         **_findings(solution, extraction),
         "hold_out": None if trial is None else evaluation_data(trial),
+        "change": None
+        if change is None
+        else {
+            "against": change.against,
+            "order": NINE,
+            "value": _finite(change.value.tolist()),
+            "sigmas": _finite(change.sigmas.tolist()),
+            "chance": change.chance,
+        },
         "stations": _stations(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
-from mobilecal_cli.report import overlays, plots
+from mobilecal_cli.report import overlays, plots, residual_plots
+from mobilecal_cli.report.changes import Change, change_rows
 from mobilecal_cli.report.data import coverage
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
@@ -53,6 +54,7 @@ def report_html(
     provenance: Provenance,
     verdict: Verdict,
     trial: Evaluation | None = None,
+    change: Change | None = None,
 ) -> str:
     """The report as one HTML page: no scripts, no network, the same bytes for the same values.
 
@@ -63,6 +65,7 @@ def report_html(
         provenance: when, by which version, from which logs and settings.
         verdict: what `judge` says.
         trial: the calibration tried on what was held out, if anything was.
+        change: against the last calibration or the drawing, if there is either.
     """
     rig = extraction.rig
     return _template().render(
@@ -81,7 +84,6 @@ def report_html(
         sigmas=[(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
         noise=solution.uncertainty.noise if solution.uncertainty is not None else None,
         level_names=LEVEL_NAMES,
-        correlations=_correlations(solution),
         outliers=solution.outliers,
         predicted=predicted_rows(solution),
         jackknife=jackknife_sentence(solution),
@@ -90,6 +92,8 @@ def report_html(
         scale=scale_sentence(solution.scale) if solution.scale is not None else "",
         logs_apart=log_rows(solution, extraction),
         nine=NINE,
+        change=change,
+        changes=change_rows(change),
         trial=trial,
         trial_rows=evaluation_rows(trial) if trial is not None else (),
         drift_rows=drift_rows(trial) if trial is not None else (),
@@ -144,26 +148,6 @@ def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any
     ]
 
 
-def _correlations(solution: Solution) -> list[tuple[str, list[str]]]:
-    """Rows of the correlation matrix, "" where a number is held."""
-    found = solution.uncertainty
-    if found is None:
-        return []
-    std = found.std
-    return [
-        (
-            name,
-            [
-                f"{found.covariance[i, j] / (std[i] * std[j]):+.2f}"
-                if found.observable[i] and found.observable[j]
-                else ""
-                for j in range(len(NINE))
-            ],
-        )
-        for i, name in enumerate(NINE)
-    ]
-
-
 def _figures(solution: Solution, extraction: Extraction) -> Iterator[tuple[str, Any]]:
     from markupsafe import Markup
 
@@ -176,18 +160,27 @@ def _figures(solution: Solution, extraction: Extraction) -> Iterator[tuple[str, 
         "head": lambda: plots.head_angles(extraction),
         "left": lambda: plots.picture_coverage(extraction, "left"),
         "right": lambda: plots.picture_coverage(extraction, "right"),
+        "residual_left": lambda: residual_plots.picture_residuals(extraction, "left"),
+        "residual_right": lambda: residual_plots.picture_residuals(extraction, "right"),
+        "correlation": lambda: residual_plots.correlation_matrix(solution),
     }
     for name, draw in drawn.items():
         # Markup: SVG made here; matplotlib has escaped every text in it.
         yield name, Markup(draw()) if extraction.observations else Markup("")
 
 
-def _paths(solution: Solution, extraction: Extraction) -> list[tuple[str, Any]]:
+def _paths(solution: Solution, extraction: Extraction) -> list[tuple[str, Any, Any]]:
+    """Path, the way seen from above, and the residuals over time of each log."""
     from markupsafe import Markup
 
     logs = sorted({o.log for o in extraction.observations})[:_MOST_PATHS]
     return [
-        (extraction.logs[log].path, Markup(plots.seen_from_above(solution, extraction, log))) for log in logs
+        (
+            extraction.logs[log].path,
+            Markup(plots.seen_from_above(solution, extraction, log)),
+            Markup(residual_plots.over_time(solution, extraction, log)),
+        )
+        for log in logs
     ]
 
 

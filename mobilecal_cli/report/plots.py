@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, figure, style, svg
+from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, style, svg
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     nine_numbers,
@@ -108,6 +108,10 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     with style():
         drawing, (axes,) = figure(7.2, 4.4, header_in=0.35)
         axes.plot(path[:, 0], path[:, 1], color=FAINT, linewidth=1.5, label="path of the base")
+        nominal = extraction.rig.nominal.wheels
+        if nominal is not None:
+            before = trail(extraction.wheels[log], times, nominal)
+            axes.plot(*before.T, color=RED, linewidth=1, linestyle=":", label="the same by nominal wheels")
         size = 0.05 * float(max(np.ptp(np.concatenate([boards[..., :2].reshape(-1, 2), path]), axis=0)))
         for k, (a, b) in enumerate(boards[..., :2]):
             axes.plot(*np.stack([a, b]).T, color=GREEN, linewidth=1.5, alpha=0.6, label="_" if k else "board")
@@ -123,7 +127,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("x of the first station [m]")
         axes.set_ylabel("y [m]")
-        drawing.legend(loc="upper left", ncols=4)
+        drawing.legend(loc="upper left", ncols=5, fontsize=8)
         return svg(drawing, f"above{log}", "base path from above with cameras and board")
 
 

@@ -1,0 +1,142 @@
+"""Plots of what is left over: over the picture, over time, and between the numbers. Each an <svg> element."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project
+from mobilecal_cli.model import NINE, Extraction, FloatArray, IntArray, Side, Solution
+from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, RED, figure, style, svg
+
+_CELLS = (12, 9)
+_LEAST_IN_CELL = 3  # fewer corners in a cell make no mean
+_KINDS = {
+    "corners": "single corners",
+    "station": "whole stations",
+    "slip": "legs (slip)",
+    "joint": "joint readings",
+}
+
+
+def picture_residuals(extraction: Extraction, side: Side) -> str:
+    """How far the corners lie from the board as both cameras see it, over the picture: mean arrows on a heat map.
+
+    The board's pose is the stereo pair's at each station, so the robot's motion has no part in it.
+    """
+    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
+    pixels, residual = _board_residuals(extraction, side)
+    size = np.array([camera.width, camera.height])
+    cell, mean, spread = _cells(pixels, residual, size)
+    with style():
+        drawing, (axes,) = figure(3.5, 3.2)
+        axes.set_title(f"{side} camera")
+        if len(cell):
+            edge = size / _CELLS
+            middle = (cell + 0.5) * edge
+            most = float(spread.max())
+            for corner, level in zip(cell * edge, spread / most if most else spread, strict=True):
+                axes.fill(
+                    corner[0] + np.array([0, edge[0], edge[0], 0]),
+                    corner[1] + np.array([0, 0, edge[1], edge[1]]),
+                    facecolor=ORANGE, alpha=0.6 * float(level), linewidth=0,
+                )  # fmt: skip
+            longest = float(np.linalg.norm(mean, axis=1).max())
+            scale = 0.9 * edge.min() / longest if longest else 1.0
+            arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.006}
+            axes.quiver(*middle.T, *(mean * scale).T, color=BLUE, **arrows)
+            axes.set_xlabel(f"darkest: {most:.2g} px rms; longest arrow: {longest:.2g} px", fontsize=8)
+        axes.set_xlim(-0.5, size[0] - 0.5)
+        axes.set_ylim(size[1] - 0.5, -0.5)
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        return svg(drawing, f"residual-{side}", f"residuals over the {side} camera's picture")
+
+
+def _board_residuals(extraction: Extraction, side: Side) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) detected corners of all stations and (n, 2) how far they lie from the board's, px."""
+    cameras, seen = extraction.rig.cameras, extraction.observations
+    camera, T_camera_c = (
+        (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
+    )
+    pixels, residual = [], []
+    for o in seen:
+        corners = o.left if side == "left" else o.right
+        points = se3.act(T_camera_c @ o.T_c_k, extraction.board.grid() * o.square_m)
+        pixels.append(corners.pixels[corners.seen])
+        residual.append((corners.pixels - project(camera, points))[corners.seen])
+    return np.concatenate(pixels), np.concatenate(residual)
+
+
+def _cells(
+    pixels: FloatArray, residual: FloatArray, size: IntArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """(k, 2) cells with enough corners, (k, 2) their mean residual and (k,) its root mean square, px."""
+    at = np.floor((pixels + 0.5) / size * _CELLS).astype(np.int64).clip(0, np.array(_CELLS) - 1)
+    cells, number, count = np.unique(at, axis=0, return_inverse=True, return_counts=True)
+    number = number.ravel()
+    mean = np.stack([np.bincount(number, residual[:, k], len(cells)) / count for k in (0, 1)], axis=1)
+    spread = np.sqrt(np.bincount(number, np.sum(residual**2, axis=1), len(cells)) / count)
+    enough = count >= _LEAST_IN_CELL
+    return cells[enough], mean[enough], spread[enough]
+
+
+def correlation_matrix(solution: Solution) -> str:
+    """Which of the nine numbers stand and fall together; the empty text where nothing is known of that."""
+    found = solution.uncertainty
+    if found is None:
+        return ""
+    std = np.where(found.observable & (found.std > 0), found.std, np.nan)
+    correlation = found.covariance / np.outer(std, std)
+    with style():
+        drawing, (axes,) = figure(5.2, 4.4, header_in=0.1)
+        for (i, j), value in np.ndenumerate(correlation):
+            if np.isfinite(value):
+                colour = BLUE if value > 0 else ORANGE
+                x, y = j + np.array([-0.5, 0.5, 0.5, -0.5]), i + np.array([-0.5, -0.5, 0.5, 0.5])
+                axes.fill(x, y, facecolor=colour, alpha=0.75 * min(1.0, abs(float(value))), linewidth=0)
+                axes.text(j, i, f"{value:+.2f}" if i != j else "1", ha="center", va="center", fontsize=7)
+        axes.set_xticks(range(len(NINE)), NINE, fontsize=7, rotation=35, ha="right")
+        axes.set_yticks(range(len(NINE)), NINE, fontsize=7)
+        axes.set_xlim(-0.5, len(NINE) - 0.5)
+        axes.set_ylim(len(NINE) - 0.5, -0.5)
+        axes.grid(visible=False)
+        return svg(drawing, "correlation", "correlation of the nine numbers")
+
+
+def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
+    """One log's legs and stereo residuals over its time, with what was left out and why."""
+    seen, residuals = extraction.observations, solution.residuals
+    mine = [leg for leg, (i, _) in enumerate(residuals.legs) if seen[i].log == log]
+    stations = [o for o in seen if o.log == log]
+    rejected = [r for r in extraction.rejections if r.log == log and r.time_ns]
+    outliers = [o for o in solution.outliers if o.log == log]
+    start = min([o.time_ns for o in stations] + [r.time_ns for r in rejected])
+
+    def since(time_ns: int) -> float:
+        return (time_ns - start) * 1e-9
+
+    with style():
+        drawing, (axes,) = figure(7.2, 2.9, header_in=0.5)
+        middle = [(since(seen[i].time_ns) + since(seen[j].time_ns)) / 2 for i, j in residuals.legs[mine]]
+        axes.plot(middle, residuals.leg_reprojection_px[mine], "o", color=BLUE, label="legs")
+        own = [(since(o.time_ns), o.reprojection_px) for o in stations]
+        axes.plot(*np.array(own).reshape(-1, 2).T, ".", color=FAINT, label="stereo pair alone")
+        axes.set_yscale("symlog", linthresh=1.0)
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.set_ylim(bottom=0)
+        low = axes.get_ylim()[0]
+        for kind, mark in (("station", "x"), ("slip", "v"), ("joint", "+"), ("corners", "1")):
+            times = [since(o.time_ns) for o in outliers if o.kind == kind]
+            if times:
+                axes.plot(times, np.full(len(times), low), mark, color=RED, clip_on=False, markersize=8,
+                          label=f"left out: {_KINDS[kind]}")  # fmt: skip
+        if rejected:
+            axes.plot([since(r.time_ns) for r in rejected], np.full(len(rejected), low), "|", color=INK,
+                      clip_on=False, markersize=10, label="picture or station not used")  # fmt: skip
+        axes.set_xlabel("time since the first station [s]")
+        drawing.text(0.01, 0.99, "residual [px]", va="top", fontweight="bold")
+        drawing.legend(loc="upper right", ncols=3, fontsize=8)
+        return svg(drawing, f"time{log}", "residuals over time, with what was left out")
