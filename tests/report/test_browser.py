@@ -1,0 +1,139 @@
+"""The pages in a real browser: no network, no complaints, nothing cut off, light, dark and on paper."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import FleetRow, LogSource, Outlier, Rejection
+from mobilecal_cli.report import fleet_html, judge, report_html
+from mobilecal_cli.report.changes import Change
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import evaluate, solve
+from tests.report.browser import CHROMIUM, Browser
+from tests.report.example import HOSTILE, make_provenance, make_snapshots
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: chromium)")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A report with every section: held-out stations, change, outliers, rejections, names that would steer."""
+    robot = ROBOTS["paper"]()
+    noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
+    extraction = ideal_extraction(robot, plan_route(robot), noise, seed=3)
+    time_ns = extraction.observations[3].time_ns
+    extraction = replace(
+        extraction,
+        logs=(LogSource(HOSTILE, "0" * 64),),
+        rejections=(Rejection("vision", "blurred", HOSTILE, time_ns, log=0, station=20),),
+        notes=(HOSTILE, "a very-long-word-" * 20),
+    )
+    provenance = make_provenance(extraction)
+    solution = solve(extraction)
+    outliers = tuple(
+        Outlier(kind, 0, (1,), time_ns, f"{kind} {HOSTILE}")
+        for kind in ("station", "slip", "joint", "corners")
+    )
+    solution = replace(solution, outliers=outliers)
+    trial = evaluate(extraction, solution.parameters, robot.wheels)
+    change = Change(HOSTILE, np.linspace(-1, 1, 9) * 1e-3, np.linspace(-3, 3, 9), 0.2)
+    text = report_html(
+        solution,
+        extraction,
+        make_snapshots(extraction),
+        provenance,
+        judge(solution, extraction),
+        trial,
+        change,
+    )
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("width", [360, 1000])
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_report_fits_every_screen(browser, page, width, dark):
+    browser.open(page, width=width, dark=dark)
+    assert browser.requests() == [page.absolute().as_uri()]
+    assert browser.complaints() == []
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    for detail in range(browser.evaluate("document.querySelectorAll('details').length")):
+        browser.evaluate(f"document.querySelectorAll('details')[{detail}].open = true")
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    # Nothing of the verdict is below the first screen's fold.
+    assert browser.evaluate("document.querySelector('.verdict').getBoundingClientRect().bottom") < 900
+    # The smallest text is still text.
+    smallest = browser.evaluate(
+        "Math.min(...[...document.querySelectorAll('p,td,th,li,figcaption')].map("
+        "e => parseFloat(getComputedStyle(e).fontSize)))"
+    )
+    assert smallest >= 12
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_colours_have_contrast(browser, page, dark):
+    """WCAG's contrast of text and ground, at least 4.5 to 1 for running text."""
+    browser.open(page, dark=dark)
+    pairs = {"p.say": ".verdict + .facts + section", "td": "section:not(.verdict)", ".verdict p": ".verdict"}
+    for text, ground in pairs.items():
+        colours = browser.evaluate(
+            f"[getComputedStyle(document.querySelector('{text}')).color, "
+            f"getComputedStyle(document.querySelector('{ground}')).backgroundColor].join('|')"
+        ).split("|")
+        assert contrast(*colours) >= (3.0 if text == ".verdict p" else 4.5), (text, colours)
+
+
+def contrast(first: str, second: str) -> float:
+    levels = []
+    for colour in (first, second):
+        channels = np.array([float(c) for c in re.findall(r"[\d.]+", colour)[:3]]) / 255
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        levels.append(float(linear @ [0.2126, 0.7152, 0.0722]) + 0.05)
+    return max(levels) / min(levels)
+
+
+def test_nothing_of_the_log_becomes_markup(browser, page):
+    browser.open(page)
+    assert browser.evaluate("document.scripts.length") == 0
+    handlers = (
+        "[...document.querySelectorAll('*')].some(e => [...e.attributes].some(a => a.name.startsWith('on')))"
+    )
+    assert browser.evaluate(handlers) is False
+    assert browser.evaluate("[...document.querySelectorAll('*')].filter(e => e.tagName == 'IMG').length") == 0
+
+
+def test_it_prints(browser, page):
+    browser.open(page, dark=True)
+    pdf = browser.pdf()
+    assert pdf.startswith(b"%PDF")
+    pages = len(re.findall(rb"/Type\s*/Page\b", pdf))
+    assert 3 <= pages <= 25
+
+
+def test_the_fleet_s_table(browser, tmp_path):
+    rows = [
+        FleetRow(f"robot-{n}", "PASS", 0, "fine", 12, (0.1, n * 1e-4, 0), (0.1,) * 6, (1e-3,) * 9)
+        for n in range(8)
+    ]
+    rows.append(FleetRow("broken", "ERROR", 3, HOSTILE))
+    path = tmp_path / "summary.html"
+    path.write_text(fleet_html(rows), encoding="utf-8")
+    for width in (360, 1400):
+        browser.open(path, width=width)
+        assert browser.complaints() == []
+        assert browser.requests() == [path.absolute().as_uri()]
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate("document.querySelectorAll('tbody tr').length") == 9
