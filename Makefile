@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := demo_calibration
 
-.PHONY: demo test check lint types layers logs docs slow bench clean
+.PHONY: demo test pages check lint types layers logs docs slow bench clean
 
 $(VENV)/.run: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -20,7 +20,10 @@ demo: $(VENV)/.run  ## install, then calibrate the paper's robot from its sample
 	$(BIN)/mobilecal calibrate sample_logs/paper_robot.mcap --output $(DEMO) --force
 
 test: $(VENV)/.dev  ## install, then run every test
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow'
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not pages'
+
+pages: $(VENV)/.dev  ## every command of the tutorial and the how-to pages
+	$(BIN)/python -m pytest -n 2 -m pages
 
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
@@ -44,8 +47,10 @@ check: lint types layers test  ## what must be clean before a commit
 logs: $(VENV)/.run  ## rebuild sample_logs/ from their seeds
 	$(BIN)/python -m mobilecal_cli.simulate.samples sample_logs
 
-docs: $(VENV)/.dev  ## the parts of docs/ that are made out of the code
+docs: $(VENV)/.dev  ## the parts of docs/ that are made out of the code, then the pages; a warning is an error
 	$(BIN)/python docs/generate/errors.py
+	$(BIN)/python docs/generate/options.py
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis $(DEMO)

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import subprocess
+import sys
 
+import jsonschema
 import pytest
 
 from mobilecal_cli import errors
 from tests.conftest import REPOSITORY
 
+DOCS = REPOSITORY / "docs"
 
-@pytest.fixture(scope="module")
-def generator():
-    path = REPOSITORY / "docs" / "generate" / "errors.py"
-    spec = importlib.util.spec_from_file_location("generate_errors", path)
+
+def generator_of(name):
+    spec = importlib.util.spec_from_file_location(f"generate_{name}", DOCS / "generate" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    import sys
-
     sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def generator():
+    return generator_of("errors")
 
 
 def test_the_error_catalogue_is_up_to_date(generator):
@@ -38,3 +45,49 @@ def test_every_error_says_what_to_do(generator):
     lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
     without = {room.removeprefix("| ") for room, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/images", "readers/video"}
+
+
+def test_the_options_are_up_to_date():
+    options = generator_of("options")
+    assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
+
+
+def test_the_pages_are_built_without_a_warning(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        DOCS,
+        tmp_path / "html",
+    ]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert (tmp_path / "html" / "tutorial" / "first-calibration.html").is_file()
+
+
+def test_the_sample_s_report_fits_its_schema(sample_logs, tmp_path):
+    schema = json.loads((DOCS / "reference" / "report.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    path = sample_logs / "paper_robot.mcap"
+    for name, options in {
+        "result": (path, "--hold-out", "0.3", "--gate", "stations=3"),
+        "lm": (tmp_path / "result" / "extraction.npz", "--method", "lm"),
+    }.items():
+        command = [
+            sys.executable,
+            "-m",
+            "mobilecal_cli",
+            "calibrate",
+            *options,
+            "-q",
+            "--output",
+            tmp_path / name,
+        ]
+        subprocess.run(list(map(str, command)), capture_output=True, check=False)
+        jsonschema.validate(json.loads((tmp_path / name / "report.json").read_text(encoding="utf-8")), schema)

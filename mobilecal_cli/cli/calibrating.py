@@ -21,6 +21,7 @@ from mobilecal_cli.cli.options import (
     NoBar,
     Quiet,
     Settings,
+    Verbose,
     flags_of,
 )
 from mobilecal_cli.errors import MobilecalError, QualityError
@@ -94,6 +95,7 @@ def calibrate(
     as_json: AsJson = False,
     junit: JUnit = None,
     force: Force = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Read recordings, solve for all nine numbers, and write parameters and a report.
@@ -112,7 +114,7 @@ def calibrate(
     with _told_to(junit, str(logs[0]), force):
         flags = flags_of(setting, board, square_m)
         asked = asked_of(fix or [], prior or [], estimate or [])
-        with progress_bar(quiet) as progress:
+        with progress_bar(quiet, verbose) as progress:
             result = pipeline.calibrate(
                 logs,
                 output,
@@ -154,6 +156,7 @@ def evaluate(
     as_json: AsJson = False,
     junit: JUnit = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the JUnit file.")] = False,
+    verbose: Verbose = False,
     quiet: NoBar = False,
 ) -> None:
     """Try a calibration on a recording that it was not made from: what it predicts from stop to stop, and its drift.
@@ -167,7 +170,7 @@ def evaluate(
     from mobilecal_cli.terminal import progress_bar
 
     with _told_to(junit, str(logs[0]), force):
-        with progress_bar(quiet) as progress:
+        with progress_bar(quiet, verbose) as progress:
             found = pipeline.evaluate(
                 logs,
                 params,

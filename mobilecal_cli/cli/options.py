@@ -21,6 +21,9 @@ Gates = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Replace an output that is there already.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and no summary.")]
 NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Say what is done and how long it takes, on standard error.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="JSON for programs on standard output instead of text.")]
 JUnit = Annotated[
     Path | None, typer.Option("--junit", help="Also write every criterion as JUnit XML to this file.")

@@ -1,0 +1,65 @@
+"""Screenshots of reports in Chromium: `python docs/generate/screenshots.py` writes docs/images/.
+
+A pass, a report that is not enough, and a fail, out of the sample logs.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(REPOSITORY))
+from tests.report.browser import Browser  # noqa: E402
+
+IMAGES = REPOSITORY / "docs" / "images"
+SAMPLES = REPOSITORY / "sample_logs"
+#: Name of the picture → recording, further options, and the exit code.
+REPORTS = {
+    "report-pass": ("paper_robot.mcap", (), 0),
+    "report-not-enough": ("straight.mcap", (), 6),
+    "report-fail": (
+        "tick_robot.mcap",
+        (
+            "--config",
+            str(SAMPLES / "tick_robot.rig.yaml"),
+            "--set",
+            "wheels.left.ticks_per_revolution=2048",
+            "--set",
+            "wheels.right.ticks_per_revolution=2048",
+        ),
+        6,
+    ),
+}
+
+
+def main() -> None:
+    """Calibrate, open, photograph."""
+    IMAGES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
+        for name, (log, options, code) in REPORTS.items():
+            out = Path(folder) / name
+            command = [
+                sys.executable,
+                "-m",
+                "mobilecal_cli",
+                "calibrate",
+                str(SAMPLES / log),
+                "-o",
+                str(out),
+                *options,
+            ]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == code, done.stderr
+            browser.open(out / "report.html", width=900, height=1100)
+            browser.screenshot(IMAGES / f"{name}.png", whole=False)
+            if name == "report-pass":
+                browser.open(out / "report.html", width=390, height=844, dark=True)
+                browser.screenshot(IMAGES / "report-phone-dark.png", whole=False)
+            print(f"{name}: {done.stderr.splitlines()[:1]}")
+
+
+if __name__ == "__main__":
+    main()

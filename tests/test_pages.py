@@ -1,0 +1,73 @@
+"""Every command of the tutorial and the how-to pages, in a shell: `make pages`."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+DOCS = REPOSITORY / "docs"
+
+pytestmark = pytest.mark.pages
+
+
+PAGES = sorted(
+    str(path.relative_to(DOCS))
+    for path in [*DOCS.glob("tutorial/*.md"), *DOCS.glob("how-to/*.md")]
+    if "```bash" in path.read_text(encoding="utf-8")
+)
+
+
+@pytest.fixture(scope="module")
+def bench(sample_logs, tmp_path_factory):
+    """What the pages take for granted: recordings, a robot's URDF, a fleet, and an earlier result."""
+    from mobilecal_cli.simulate.robot import ROBOTS
+    from mobilecal_cli.simulate.urdf import urdf_text
+
+    folder = tmp_path_factory.mktemp("bench")
+    shutil.copy(sample_logs / "paper_robot.mcap", folder / "log.mcap")
+    shutil.copy(sample_logs / "paper_robot.bag", folder / "another.mcap")  # contents tell, not the name
+    (folder / "sample_logs").symlink_to(sample_logs)
+    (folder / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
+    assert shell("mobilecal calibrate log.mcap --output result --quiet", folder).returncode == 0
+    (folder / "recordings").mkdir()
+    for number in (1, 2):
+        shutil.copy(folder / "result" / "extraction.npz", folder / f"robot_{number}.npz")
+    shutil.copy(folder / "log.mcap", folder / "recordings" / "robot_1.mcap")
+    manifest = "robots: [{name: a, logs: [robot_1.npz]}, {name: b, logs: [robot_2.npz]}]"
+    (folder / "fleet.yaml").write_text(manifest, encoding="utf-8")
+    return folder
+
+
+def shell(command, folder):
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        command, shell=True, cwd=folder, capture_output=True, text=True, env={**os.environ, "PATH": path}
+    )
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_a_page_works(page, bench, tmp_path):
+    folder = tmp_path / "work"
+    shutil.copytree(bench, folder, symlinks=True)
+    text = (DOCS / page).read_text(encoding="utf-8")
+    if "--output result" in text:
+        shutil.rmtree(folder / "result")  # the page makes it itself
+    commands = [
+        line
+        for block in re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)
+        for line in block.replace("\\\n", " ").splitlines()
+        if line.strip()
+    ]
+    assert commands
+    for line in commands:
+        command, _, remark = line.partition("  # exit code ")
+        done = shell(command, folder)
+        assert done.returncode == int(remark or 0), f"{command}\n{done.stdout}{done.stderr}"
