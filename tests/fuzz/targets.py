@@ -9,10 +9,11 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -21,14 +22,38 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli import pipeline
+from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.discovery import lacking
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.export import (
+    diff_drive_yaml,
+    extraction_from_npz,
+    extraction_to_npz,
+    parameters_from_yaml,
+    params_yaml,
+    patched_urdf,
+    plain_json,
+    static_transform_launch,
+    static_transform_yaml,
+    xacro_properties,
+)
 from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
-from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    Extraction,
+    LogSource,
+    Provenance,
+    Sources,
+    WheelGeometry,
+    WheelSource,
+)
+from mobilecal_cli.pipeline import silent
+from mobilecal_cli.pipeline.fleet import fleet_jobs
+from mobilecal_cli.pipeline.loading import load
+from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.readers import open_recording, pictures_near, read_images, read_prelude, read_signals
-from mobilecal_cli.report import inspection_json, inspection_text
+from mobilecal_cli.report import comparison_text, inspection_json, inspection_text
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -85,7 +110,11 @@ def _rig(path: Path) -> None:
 
 
 def _params(path: Path) -> None:
-    parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
+    robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
+    comparison_text(["a", "b"], [difference(robot, robot)], history([robot, robot]))
+    for text in (plain_json, static_transform_launch, static_transform_yaml, xacro_properties):
+        text(robot)
+    diff_drive_yaml(robot, robot.wheel_joints, robot.nominal_wheels)
 
 
 def _urdf(path: Path) -> None:
@@ -97,10 +126,15 @@ def _urdf(path: Path) -> None:
     if urdf.joints.keys() >= set(wheels):
         with suppress(MobilecalError):
             wheel_centres(urdf, urdf.root, *wheels)
+    patched_urdf(path.read_bytes(), ROBOT, {"left": wheels[0], "right": wheels[1]})
+
+
+def _manifest(path: Path) -> None:
+    fleet_jobs(path, path.parent / "out", None, {}, ())
 
 
 def _npz(path: Path) -> None:
-    extraction = extraction_from_npz(path)
+    extraction, _ = load([path], load_rig(None, {}), None, {}, silent)
     require_stations(extraction)
     motion_gaps(extraction)
 
@@ -111,11 +145,11 @@ def _solved(path: Path) -> None:
     solve(extraction, "linear")
 
 
-def _small_extraction() -> bytes:
+def _small_extraction() -> Extraction:
     robot = paper_robot()
     route = plan_route(robot, "standard", stations=6, seed=1)
     extraction = ideal_extraction(robot, route, Noise(0.2, 0.003, 0.0, 1e-3), 1)
-    return extraction_to_npz(extraction)
+    return replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))
 
 
 RIG = """\
@@ -144,7 +178,10 @@ nominal:
   wheels: {radius_left_m: 0.08, radius_right_m: 0.08, separation_m: 0.4}
   head_eye: {translation_m: [0.05, 0.06, 0.02], quaternion_xyzw: [-0.5, 0.5, -0.5, 0.5]}
 noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}
+gates: {reprojection_rms_px: 4, std.wheels.separation_m: 0.002}
 """
+MANIFEST = b"robots: [{name: a, logs: [a.mcap, b.bag], config: rig.yaml}, {name: b, logs: [c.mcap]}]"
+ROBOT = CalibratedRobot("head_link", "camera", np.eye(4), WheelGeometry(0.1, 0.1, 0.5))
 
 
 _STAMP = {"sec": 5, "nsec": 7}
@@ -251,7 +288,12 @@ def targets(folder: Path) -> dict[str, Target]:
         {"rig.yaml": pipeline.draft(sample / "paper_robot.mcap").encode()}, "rig.yaml", _rig
     )
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
-    extraction = _small_extraction()
+    small = _small_extraction()
+    extraction = extraction_to_npz(small)
+    provenance = Provenance("0", "2026-01-01T00:00:00Z", "ml", small.logs, settings_of(small))
+    params = params_yaml(solve(small), small, provenance)
+    found["params.yaml"] = Target({"params.yaml": params.encode()}, "params.yaml", _params)
+    found["manifest"] = Target({"fleet.yaml": MANIFEST}, "fleet.yaml", _manifest)
     found["npz"] = Target({"extraction.npz": extraction}, "extraction.npz", _npz)
     with zipfile.ZipFile(io.BytesIO(extraction)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
