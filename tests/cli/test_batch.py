@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +23,7 @@ from mobilecal_cli.report.fleet import standing_out
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
+from tests.cli.dask_cluster import local_cluster
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
 ROBOTS_HERE = 6
@@ -106,33 +106,10 @@ def test_changed_settings_and_lost_outputs_are_done_again(local, fleet, tmp_path
     assert len(asked) == ROBOTS_HERE + 1
 
 
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-m", *map(str, arguments)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-
-
 @pytest.fixture
 def cluster(tmp_path):
-    """A scheduler and two workers on loopback, each a process of its own."""
-    file = tmp_path / "scheduler.json"
-    scheduler = start(
-        "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard",
-        "--scheduler-file", file,
-    )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not file.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    address = json.loads(file.read_text(encoding="utf-8"))["address"]
-    workers = [
-        start("distributed.cli.dask_worker", address, "--host", "127.0.0.1", "--nworkers", 1, "--nthreads", 1,
-              "--no-nanny", "--no-dashboard", "--local-directory", tmp_path / f"worker{n}")
-        for n in range(2)
-    ]  # fmt: skip
-    yield address, workers
-    for process in (*workers, scheduler):
-        process.kill()
-        process.wait()
+    with local_cluster(tmp_path, workers=2) as started:
+        yield started
 
 
 def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):

@@ -1,0 +1,31 @@
+"""Pictures of good and bad motion, out of the sample logs: `docs/generate/motions.py` writes docs/images/."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from mobilecal_cli import pipeline
+from mobilecal_cli.report import plots
+from mobilecal_cli.report.figures import standalone
+from mobilecal_cli.solvers import asked_of
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+IMAGES = REPOSITORY / "docs" / "images"
+SAMPLES = REPOSITORY / "sample_logs"
+
+
+def main() -> None:
+    """The way and the head's angles of a good log, of one that only drives straight, and of one whose head is still."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("paper_robot", "straight", "head_fixed"):
+            asked = asked_of(["t_y=0"] if name == "head_fixed" else [], [], [])
+            done = pipeline.calibrate([SAMPLES / f"{name}.mcap"], Path(folder) / name, asked=asked)
+            way = plots.seen_from_above(done.solution, done.extraction, 0)
+            (IMAGES / f"way-{name}.svg").write_text(standalone(way), encoding="utf-8")
+            head = plots.head_angles(done.extraction)
+            (IMAGES / f"head-{name}.svg").write_text(standalone(head), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

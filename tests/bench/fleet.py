@@ -1,0 +1,79 @@
+"""Twenty-four simulated robots, here and on a Dask cluster that loses a worker half-way: the same table.
+
+`python -m tests.bench.fleet [ROBOTS]`. Every sixth recording is cut off, so that some robots fail.
+"""
+
+from __future__ import annotations
+
+import csv
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from mobilecal_cli import pipeline
+from mobilecal_cli.pipeline.fleet import RECORDS
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.scenario import Scenario
+from tests.bench.simulated import conditions
+from tests.cli.dask_cluster import local_cluster
+
+_CUT = 6  # every so many robots
+
+
+def _record(log: Path, seed: int) -> None:
+    simulate(Scenario(robot="paper", seed=seed), log, False, pipeline.silent)
+    if seed % _CUT == 0:
+        whole = log.read_bytes()
+        log.write_bytes(whole[: len(whole) // 2])
+
+
+def _records(out: Path) -> dict[str, int]:
+    return {path.stem: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.json")}
+
+
+def main() -> None:
+    """Both runs, compared."""
+    robots = int(sys.argv[1]) if len(sys.argv) > 1 else 24
+    print(conditions())
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        logs = folder / "logs"
+        logs.mkdir()
+        with ProcessPoolExecutor(2) as pool:
+            list(pool.map(_record, [logs / f"robot_{n:02}.mcap" for n in range(robots)], range(robots)))
+        began = time.perf_counter()
+        pipeline.batch(logs, folder / "here", run=pipeline.run_locally(2))
+        here_s = time.perf_counter() - began
+        began = time.perf_counter()
+        pipeline.batch(logs, folder / "here", run=pipeline.run_locally(2))
+        again_s = time.perf_counter() - began
+        kept: dict[str, int] = {}
+        with local_cluster(folder, workers=2) as (address, workers):
+
+            def progress(_: str, done: int, __: int | None) -> None:
+                if done == robots // 2:
+                    workers[0].send_signal(signal.SIGKILL)
+                    workers[0].wait()
+                    kept.update(_records(folder / "cluster"))
+
+            began = time.perf_counter()
+            pipeline.batch(logs, folder / "cluster", run=pipeline.run_on(address), progress=progress)
+            cluster_s = time.perf_counter() - began
+        tables = [(folder / run / "summary.csv").read_text(encoding="utf-8") for run in ("here", "cluster")]
+        verdicts = Counter(row["verdict"] for row in csv.DictReader(tables[0].splitlines()))
+        redone = sum(_records(folder / "cluster")[robot] != time_ns for robot, time_ns in kept.items())
+        print(f"\n{robots} robots: {', '.join(f'{n} {verdict}' for verdict, n in sorted(verdicts.items()))}")
+        print(
+            f"tables alike: {tables[0] == tables[1]}; done when the worker was killed: {len(kept)}, done twice: {redone}"
+        )
+        print(
+            f"s: {here_s:.0f} here, {again_s:.1f} here once more, {cluster_s:.0f} on the cluster (one worker from half-way on)"
+        )
+
+
+if __name__ == "__main__":
+    main()
