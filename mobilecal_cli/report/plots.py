@@ -27,6 +27,7 @@ _MOST_LABELS = 40  # more numbers than this on one plot are not read
 _MOST_OUTLINES = 150
 _LABEL_CHARACTERS = 100  # what fits side by side under a wide plot
 _TRAIL_POINTS = 400
+_LEAST_SPAN_DEG = 20.0
 
 
 def wheel_convergence(solution: Solution, extraction: Extraction) -> str:
@@ -218,7 +219,16 @@ def head_angles(extraction: Extraction) -> str:
         axes.set_xlabel(labels[0])
         axes.set_ylabel(labels[1] if len(columns) == 2 else "")
         axes.margins(0.15)
+        axes.set_xlim(*_at_least(axes.get_xlim(), _LEAST_SPAN_DEG))
+        axes.set_ylim(*_at_least(axes.get_ylim(), _LEAST_SPAN_DEG))
         return svg(drawing, "head", "head angles of every station")
+
+
+def _at_least(limits: tuple[float, float], span: float) -> tuple[float, float]:
+    """Limits that are no closer together than a span: a head that is still must not look as if it moved."""
+    low, high = limits
+    more = max(0.0, span - (high - low)) / 2
+    return low - more, high + more
 
 
 def _short(name: str) -> str:
