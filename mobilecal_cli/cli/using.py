@@ -10,7 +10,6 @@ import typer
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Force
 from mobilecal_cli.errors import QualityError
-from mobilecal_cli.model.text import visible
 from mobilecal_cli.targets import Target
 
 
@@ -78,6 +77,7 @@ def export(
     For a controller: mobilecal export out/params.yaml --to ros2_control
     """
     from mobilecal_cli import pipeline
+    from mobilecal_cli.model.text import visible
 
     given = {"left": left_joint, "right": right_joint}
     if output is not None:
