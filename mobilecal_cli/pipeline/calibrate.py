@@ -156,7 +156,8 @@ def calibrate(
     solution = _solved(extraction, method, asked)
     nominal = extraction.rig.nominal.wheels
     trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
-    provenance = Provenance(__version__, _created(), method, extraction.logs, settings_of(extraction))
+    settings = settings_of(extraction) | ({} if hold_out is None else {"hold_out": hold_out})
+    provenance = Provenance(__version__, _created(), method, extraction.logs, settings)
     params = params_yaml(solution, extraction, provenance)
     change = _change(parameters_from_yaml(params), earlier, last, extraction)
     gated = gate_checks(limits, figures_of(solution, extraction, trial))

@@ -38,6 +38,7 @@ def test_hold_out_gates_and_json(made):
     assert printed == json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))
     assert printed["quality"]["stations"] == 9
     assert printed["hold_out"]["stations"] == 3
+    assert printed["provenance"]["config"]["hold_out"] == 0.25
     assert printed["hold_out"]["drift_after"]["mm_per_m"] < printed["hold_out"]["drift_before"]["mm_per_m"]
     names = [check["name"] for check in printed["verdict"]["checks"]]
     assert {"gate std.wheels.separation_m", "gate hold_out.translation_rms_mm", "gate stations"} <= set(names)
