@@ -24,7 +24,7 @@ REPORTS = {
         "tick_robot.mcap",
         (
             "--config",
-            str(SAMPLES / "tick_robot.rig.yaml"),
+            "tick_robot.rig.yaml",
             "--set",
             "wheels.left.ticks_per_revolution=2048",
             "--set",
@@ -46,12 +46,12 @@ def main() -> None:
                 "-m",
                 "mobilecal_cli",
                 "calibrate",
-                str(SAMPLES / log),
+                log,
                 "-o",
                 str(out),
                 *options,
             ]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=SAMPLES)
             assert done.returncode == code, done.stderr
             browser.open(out / "report.html", width=900, height=1100)
             browser.screenshot(IMAGES / f"{name}.png", whole=False)
