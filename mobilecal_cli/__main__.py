@@ -17,7 +17,7 @@ def main() -> None:
     except SystemExit as leaving:  # typer has turned Ctrl-C into an exit by now
         if leaving.code != _INTERRUPTED:
             raise
-    print("interrupted: nothing was written", file=sys.stderr)
+    print("interrupted: what was not finished was not written", file=sys.stderr)
     sys.exit(_INTERRUPTED)
 
 

@@ -28,8 +28,8 @@ HEAD = """\
 
 Generated from the code by `make docs`. Every error that a user meets is one of six kinds, each with an exit code of its
 own; anything else (exit code 1 and a Python traceback) is a bug of mobilecal's. The first line on standard error is the
-message, the second what to do next. What a message fills in stands in ⟨⟩. Ctrl-C ends with exit code 130 and writes
-nothing.
+message, the second what to do next. What a message fills in stands in ⟨⟩. Ctrl-C ends with exit code 130; what was not
+finished is not written.
 """
 
 

@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import re
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -219,9 +220,14 @@ def run_locally(workers: int) -> Run:
     return run
 
 
+def _dies_by_ctrl_c() -> None:
+    """Without a word of its own: the command tells that it was interrupted."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _in_a_pool(jobs: Sequence[FleetJob], workers: int) -> Iterator[FleetRow]:
     """Rows as they come; those of a pool that breaks are missing."""
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _dies_by_ctrl_c) as pool:
         futures = [pool.submit(run_job, job) for job in jobs]
         for future in as_completed(futures):
             with suppress(BrokenProcessPool):

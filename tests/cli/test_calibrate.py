@@ -311,5 +311,5 @@ def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, after_s):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err == "interrupted: nothing was written\n"
+    assert err == "interrupted: what was not finished was not written\n"
     assert list(tmp_path.iterdir()) == []
