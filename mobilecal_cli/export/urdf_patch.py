@@ -156,9 +156,7 @@ def _wheel_origins(
     """New origins of both wheel joints: on the old axle, about its old middle."""
     T = {}
     for side, name in wheel_joints.items():
-        above = [_joint(urdf, name)]
-        while above[0].parent != urdf.root:
-            above.insert(0, next(j for j in urdf.joints.values() if j.child == above[0].parent))
+        above = urdf.path(urdf.root, _joint(urdf, name).child)
         T_root_parent = np.eye(4)
         for joint in above[:-1]:
             T_root_parent = T_root_parent @ joint.T_parent_child

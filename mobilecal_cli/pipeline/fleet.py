@@ -128,6 +128,7 @@ def run_job(job: FleetJob) -> FleetRow:
         OutputError: the record cannot be written.
     """
     record = job.output / RECORDS / f"{job.name}.json"
+    key = ""  # of a job that cannot be told from another: it is done again
     try:
         key = fingerprint(job)
         done = _recorded(record, key, job)
@@ -137,10 +138,8 @@ def run_job(job: FleetJob) -> FleetRow:
             job.logs, job.output / job.name, config_path=job.config, flags=job.flags, gates=job.gates, force=True
         ))  # fmt: skip
     except MobilecalError as error:
-        key = _key_or_nothing(job)
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
     except Exception as error:  # a bug must not stop the other robots
-        key = _key_or_nothing(job)
         row = FleetRow(job.name, "ERROR", 1, f"a bug of mobilecal: {type(error).__name__}: {error}")
     record.parent.mkdir(parents=True, exist_ok=True)
     write_file(record, json.dumps({"key": key, "row": to_plain(row)}, indent=1).encode() + b"\n", force=True)
@@ -165,12 +164,6 @@ def _text(path: Path) -> str:
         return read_text(path, LARGEST_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}", "check the path") from error
-
-
-def _key_or_nothing(job: FleetJob) -> str:
-    with suppress(MobilecalError):
-        return fingerprint(job)
-    return ""
 
 
 def _recorded(record: Path, key: str, job: FleetJob) -> FleetRow | None:

@@ -119,6 +119,14 @@ def test_any_pose_survives(numbers):
         (URDF, robot(parent="base_link"), {}, "is not fixed to 'base_link': joint 'tilt'"),
         (URDF, robot(parent="neck", child="eye"), {}, "neither 'eye' nor 'neck'"),
         (URDF, robot(), {"left": "wheel"}, "no joint 'wheel'"),
+        (
+            URDF.replace(
+                b'<parent link="base_link"/><child link="axle"/>', b'<parent link="l"/><child link="axle"/>'
+            ),
+            robot(),
+            JOINTS,
+            "does not hang on",
+        ),
     ],
 )
 def test_what_cannot_be_patched(content, calibrated, joints, says):
