@@ -24,9 +24,11 @@ from mobilecal_cli.report.findings import (
     suggestion_sentences,
 )
 from mobilecal_cli.report.numbers import (
+    NEAR_LOCK_DEG,
     QUANTITIES,
     board_distance_m,
     nine_numbers,
+    nine_std,
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
@@ -78,6 +80,7 @@ def report_html(
         camera_frame=reference_frame(rig.cameras),
         camera_side=rig.cameras.reference,
         rectified=rig.cameras.rectified,
+        near_lock_deg=NEAR_LOCK_DEG,
         lock_deg=se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
         quaternion=se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
         linear=solution.linear,
@@ -135,6 +138,7 @@ def _template() -> Template:
 def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:
     cameras = extraction.rig.cameras
     final = nine_numbers(solution.parameters, cameras)
+    std = nine_std(solution, cameras) or (None,) * len(QUANTITIES)
     linear = nine_numbers(solution.linear.parameters, cameras)
     return [
         {
@@ -143,8 +147,9 @@ def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any
             "unit": quantity.unit,
             "linear": f"{before:.{quantity.digits}f}",
             "final": f"{after:.{quantity.digits}f}",
+            "std": "" if s is None else f"± {s:.{quantity.digits}f}",
         }
-        for quantity, before, after in zip(QUANTITIES, linear, final, strict=True)
+        for quantity, before, after, s in zip(QUANTITIES, linear, final, std, strict=True)
     ]
 
 

@@ -10,6 +10,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
+#: Nearer to gimbal lock than this, two of the angles have no meaning one by one.
+NEAR_LOCK_DEG = 5.0
+_ANGLE_STEP_RAD = 1e-5
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -105,6 +109,26 @@ def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None,
         return ()
     std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
     return tuple(float(s) if seen else None for s, seen in zip(std, found.observable, strict=True))
+
+
+def nine_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
+    """Nine standard deviations in the order and units of `QUANTITIES`, None where one is held or means nothing.
+
+    Those of the angles are carried over from the small rotation vector, `R_true = exp(r) R`, to first order; near
+    gimbal lock, where x and z trade places, there are none. Empty for methods that know none.
+    """
+    found, std = solution.uncertainty, reference_std(solution, cameras)
+    if found is None:
+        return ()
+    R = reference_pose(solution.parameters, cameras)[:3, :3]
+    lengths = tuple(None if s is None else 1e3 * s for s in std[3:])
+    if se3.gimbal_margin_deg(R) < NEAR_LOCK_DEG or not found.observable[:3].all():
+        return (None, None, None, *lengths)
+    step = np.eye(3) * _ANGLE_STEP_RAD
+    ahead, behind = (np.array([se3.euler_zyx_deg(se3.exp_so3(s * r) @ R) for r in step]) for s in (1, -1))
+    J = ((ahead - behind + 180) % 360 - 180).T / (2 * _ANGLE_STEP_RAD)
+    angles = np.sqrt(np.diag(J @ found.covariance[:3, :3] @ J.T))
+    return (*angles.tolist(), *lengths)
 
 
 def written(sigma: Sigma) -> str:

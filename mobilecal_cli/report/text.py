@@ -9,6 +9,7 @@ from mobilecal_cli.model import Evaluation, Extraction, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import (
+    NEAR_LOCK_DEG,
     nine_numbers,
     reference_frame,
     reference_pose,
@@ -19,7 +20,6 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.verdict import Verdict
 
 _WIDTH = 96
-_NEAR_LOCK_DEG = 5.0
 
 
 def summary_table(
@@ -34,7 +34,7 @@ def summary_table(
         _row("rotation x, y, z", (f"{ax:.3f}", f"{ay:.3f}", f"{az:.3f}"), "deg"),
         _row("translation x, y, z", (f"{tx:.2f}", f"{ty:.2f}", f"{tz:.2f}"), "mm"),
     ]
-    if margin_deg < _NEAR_LOCK_DEG:
+    if margin_deg < NEAR_LOCK_DEG:
         lines.append(f"  (y is {margin_deg:.1f} deg from gimbal lock: use the quaternion in params.yaml)")
     used, looked = len(extraction.observations), stations_looked_at(extraction)
     lines += [
