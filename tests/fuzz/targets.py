@@ -25,7 +25,7 @@ from mobilecal_cli import pipeline
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.discovery import lacking
-from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import (
     diff_drive_yaml,
     extraction_from_npz,
@@ -266,6 +266,21 @@ def _foreign(path: Path) -> None:
         read_signals(recording, _ELSEWHERE, r.JOINTS)
 
 
+def _pictures_only(path: Path) -> None:
+    """Pictures and calibrations without anything that moves: all messages are decoded."""
+    with open_recording([path]) as recording:
+        recording.log_times()
+        read_prelude(recording)
+        sources = Sources(
+            image=dict.fromkeys(("left", "right"), "/left/image_raw"), info={}, joints=(), wheels={}
+        )
+        for picture in pictures_near(recording, sources, [recording.start_ns or 0]):
+            assert picture is not None
+        for message in recording.messages([info.name for info in recording.topics]):
+            with suppress(RecordingError):
+                message.decode()
+
+
 def targets(folder: Path) -> dict[str, Target]:
     """All of them; sound containers are written below a folder."""
     items = r.world(12)
@@ -278,10 +293,13 @@ def targets(folder: Path) -> dict[str, Target]:
         if not path.is_dir():
             files = {path.name: files[path.name]}
         found[name] = Target(files, "" if path.is_dir() else path.name, _read)
-    for name, write in (("mcap-json", _in_json), ("mcap-protobuf", _in_protobuf)):
+    for name, write, use in (
+        ("mcap-json", _in_json, _foreign),
+        ("mcap-protobuf", _in_protobuf, _pictures_only),
+    ):
         path = folder / f"{name}.mcap"
         write(path)
-        found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", _foreign)
+        found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", use)
     sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
     found["draft.yaml"] = Target(

@@ -8,10 +8,10 @@ import signal
 
 import pytest
 
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import MobilecalError, RecordingError
 from tests.fuzz.hunt import hunt
 from tests.fuzz.mutate import mutated
-from tests.fuzz.targets import Target
+from tests.fuzz.targets import Target, place, targets
 
 
 def checked(count: int, first: int) -> None:
@@ -57,3 +57,14 @@ def test_the_hunt_sees_bugs_and_crashes(monkeypatch):
     assert haul.outcomes["planted", "FOUND KeyError"] > 0
     assert haul.outcomes["", "FOUND hang or crash"] > 0
     assert len(haul.findings) == 16 - haul.outcomes["planted", "RecordingError"]
+
+
+def test_every_sound_input_is_read(tmp_path):
+    """What is refused before any damage would never be hunted through."""
+    refused = {}
+    for name, target in targets(tmp_path / "sound").items():
+        try:
+            target.use(place(target, target.files, tmp_path / "input"))
+        except MobilecalError as error:
+            refused[name] = error.message
+    assert refused == {}
