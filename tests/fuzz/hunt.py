@@ -17,6 +17,7 @@ import traceback
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 
 from mobilecal_cli.errors import MobilecalError
@@ -65,8 +66,14 @@ def attempt(name: str, target: Target, case: int, folder: Path) -> str:
     return "read"
 
 
+def _peak_mb() -> float:
+    """Peak resident memory of this process by its own page tables: getrusage's counts what its parent had, too."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+
+
 def _work(
-    every: dict[str, Target], first: int, last: int, step: int, case: mp.Value, reports: mp.Queue
+    every: dict[str, Target], first: int, last: int, step: int, case: mp.Value, reports: SimpleQueue
 ) -> None:
     """Cases first, first + step, ... below last."""
     warnings.simplefilter("ignore")  # numpy's on absurd numbers
@@ -89,7 +96,7 @@ def _work(
                 wrong = f"case {number} ({name}): {''.join(traceback.format_exception(error)[-6:])}"
             faulthandler.cancel_dump_traceback_later()
             reports.put((number, name, outcome, wrong, time.perf_counter() - start))
-        reports.put((last, "", "peak", "", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+        reports.put((last, "", "peak", "", _peak_mb()))
     case.value = -1
 
 
@@ -97,7 +104,7 @@ def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
     """Try so many cases."""
     workers = workers or os.cpu_count() or 1
     context = mp.get_context("spawn")
-    reports: mp.Queue = context.Queue()
+    reports = context.SimpleQueue()  # what a process put is there, even if it dies next
     haul, last = Haul(), first + count
     with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
         every = targets(Path(temporary))

@@ -35,21 +35,21 @@ class Late(BaseException):
 
 @contextmanager
 def bounded():
-    """The process may ask for no more than so much memory beyond what it has, and for no more time."""
+    """The process may ask for no more than so much memory beyond what it has, and for no more processor time."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
 
     def late(*_: object) -> None:
         raise Late(f"still busy after {SECONDS} s")
 
-    handler = signal.signal(signal.SIGALRM, late)
+    handler = signal.signal(signal.SIGPROF, late)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES, before[1]))
-    signal.alarm(SECONDS)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)  # of this process alone, however busy the machine is
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, handler)
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
