@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := demo_calibration
 
-.PHONY: demo test pages check lint types layers logs docs slow bench clean
+.PHONY: demo test long pages check lint types layers logs docs slow bench clean
 
 $(VENV)/.run: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -20,7 +20,10 @@ demo: $(VENV)/.run  ## install, then calibrate the paper's robot from its sample
 	$(BIN)/mobilecal calibrate sample_logs/paper_robot.mcap --output $(DEMO) --force
 
 test: $(VENV)/.dev  ## install, then run every test
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not pages'
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not pages and not long'
+
+long: $(VENV)/.dev  ## whole commands that take long
+	$(BIN)/python -m pytest -n 2 -m long
 
 pages: $(VENV)/.dev  ## every command of the tutorial and the how-to pages
 	$(BIN)/python -m pytest -n 2 -m pages

@@ -89,6 +89,7 @@ def test_a_topic_that_is_not_there(paper, tmp_path):
     refused(result, 3, "/nope", "/stereo/left/image_raw")
 
 
+@pytest.mark.long
 def test_no_board_anywhere(make, tmp_path):
     import cv2
 
@@ -99,6 +100,7 @@ def test_no_board_anywhere(make, tmp_path):
     refused(run("calibrate", log, "--board", "9x6", cwd=tmp_path), 4, "at 0 of 12 stations", "whole board")
 
 
+@pytest.mark.long
 def test_the_wrong_board_size(paper, tmp_path):
     refused(
         run("calibrate", paper, "--board", "8x6", cwd=tmp_path),
@@ -149,6 +151,7 @@ def test_nothing_but_nan_in_a_joint(make, tmp_path):
     refused(run("calibrate", make(spoil), cwd=tmp_path), 3, "head_pan_joint")
 
 
+@pytest.mark.long
 def test_a_few_nan_are_left_out_and_told(make, tmp_path):
     count = iter(range(10**9))
 
@@ -208,6 +211,7 @@ def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
     assert "--fix t_y=VALUE" in result.err
 
 
+@pytest.mark.long
 def test_a_wheel_that_counts_backwards(make, tmp_path):
     def backwards(topic, message):
         if topic != "/joint_states":

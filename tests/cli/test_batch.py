@@ -112,6 +112,7 @@ def cluster(tmp_path):
         yield started
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
     """The same table as of the processes here; what was done when the worker died is not done again."""
     address, workers = cluster

@@ -94,6 +94,7 @@ def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, nam
     assert "separation_m" in ours
 
 
+@pytest.mark.long
 def test_the_parts_of_a_rosbag2(first, workplace, sample_logs):
     (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
     bare = workplace / "bare.db3"
@@ -245,6 +246,7 @@ def test_the_right_camera_as_reference(first, workplace, sample_logs):
     assert right["wheels"] == left["wheels"]
 
 
+@pytest.mark.long
 def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for name in ("a", "b"):
@@ -254,6 +256,7 @@ def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch
     assert load(workplace / "a/params.yaml")["provenance"]["created"] == "2023-11-14T22:13:20Z"
 
 
+@pytest.mark.long
 def test_init_drafts_a_configuration_that_works(first, workplace, sample_logs):
     log = sample_logs / "paper_robot.mcap"
     assert run("init", log, cwd=workplace).code == 0

@@ -30,6 +30,7 @@ def test_pictures_without_noise_and_exact_encoders(exact, tmp_path, method):
     assert wheels < 0.015
 
 
+@pytest.mark.long
 def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
     log = tmp_path_factory.mktemp("logs") / "turns.bag"
     made = run(
@@ -52,6 +53,7 @@ def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
     assert wheels < 0.15
 
 
+@pytest.mark.long
 def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     log = tmp_path_factory.mktemp("logs") / "moving.mcap"
     moving = ("--motion", "moving", "--stations", "4", "--camera-late", "0.025")

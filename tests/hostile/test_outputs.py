@@ -76,6 +76,7 @@ class Tags(html.parser.HTMLParser):
         self.found.append((tag, dict(attrs)))
 
 
+@pytest.mark.long
 def test_names_that_try_to_steer(sample_logs, tmp_path, tmp_path_factory):
     def edit(topic, message):
         if hasattr(message, "header"):
