@@ -62,6 +62,7 @@ def test_not_a_recording(tmp_path, tmp_path_factory):
     refused(run("calibrate", text, cwd=tmp_path), 3, "notes.mcap")
 
 
+@pytest.mark.long
 def test_a_log_cut_off_near_its_end_is_used_and_told(paper, tmp_path, tmp_path_factory):
     cut = tmp_path_factory.mktemp("logs") / "cut.mcap"
     data = paper.read_bytes()

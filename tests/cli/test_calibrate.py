@@ -86,6 +86,7 @@ def test_the_report_repeats_table_1(first, workplace):
 
 
 @pytest.mark.parametrize("name", ["paper_robot.bag", "paper_robot_rosbag2"])
+@pytest.mark.long
 def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, name):
     result = run("calibrate", sample_logs / name, "--output", f"out_{name}", cwd=workplace)
     assert result.code == 0, result.err

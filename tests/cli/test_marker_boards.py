@@ -19,6 +19,7 @@ BOARDS = {
 
 
 @pytest.mark.parametrize("kind", [pytest.param("charuco", marks=pytest.mark.slow), "aprilgrid"])
+@pytest.mark.long
 def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     """The board is larger than the pictures: a checkerboard of its size would be seen nowhere."""
     log, board = tmp_path / "log.mcap", PRINTED[kind]

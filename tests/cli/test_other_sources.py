@@ -38,6 +38,7 @@ def in_other_clothes(log, folder):
     return [folder / "pictures.mcap", written_in_json(folder / "joints.mcap", joints)]
 
 
+@pytest.mark.long
 def test_protobuf_and_json(log, usual, tmp_path):
     (tmp_path / "rig.yaml").write_text("head: {urdf: robot.urdf}\n")
     logs = in_other_clothes(log, tmp_path)

@@ -20,6 +20,7 @@ def exact(tmp_path_factory):
 
 
 @pytest.mark.parametrize("method", ["linear", "lm"])
+@pytest.mark.long
 def test_pictures_without_noise_and_exact_encoders(exact, tmp_path, method):
     result = run("calibrate", exact / "exact.mcap", "--method", method, "--output", "out", cwd=tmp_path)
     assert result.code == 0, result.err

@@ -73,6 +73,7 @@ def test_noise_levels_that_are_given_stay(noisy):
     assert "joint_rad" not in levels.estimated
 
 
+@pytest.mark.long
 def test_play_of_the_encoders_is_told_from_noise_of_the_wheels():
     # Every stop is read wrong by whole steps, 2 on average.
     step, random = np.radians(1.2), np.random.default_rng(3)
