@@ -11,11 +11,9 @@ from scipy.special import chdtrc
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray
 from mobilecal_cli.model.arrays import freeze
-
-#: How far ahead a point is whose shift is told, m.
-AHEAD_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

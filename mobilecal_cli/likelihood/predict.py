@@ -9,7 +9,8 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, Parameters
 
-_AHEAD_M = 2.0
+#: How far ahead a point is whose shift is told, m.
+AHEAD_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ def predicted(parameters: Parameters, covariance: FloatArray) -> Predicted:
     """
     wheels = parameters.wheels
     rR, rL, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
-    ahead = parameters.T_h_c[:3, :3] @ np.array([0.0, 0.0, _AHEAD_M])
+    ahead = parameters.T_h_c[:3, :3] @ np.array([0.0, 0.0, AHEAD_M])
     by_head_eye = np.zeros((3, 9))
     by_head_eye[:, :3] = -np.cross(np.eye(3), ahead)
     by_head_eye[:, 3:6] = np.eye(3)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.comparison import AHEAD_M, Difference, History
+from mobilecal_cli.comparison import Difference, History
+from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.units import SHOWN
