@@ -1,30 +1,75 @@
 """Corners by a model of what a blurred checkerboard corner looks like, fitted to all corners at once.
 
-``I(p) = m + a erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)) + g . (p - c)``, where d1 and d2 are the distances of pixel
-p from the two edges that cross in the corner c, s is the blur, and g a gradient of light. Every pixel around
-a corner takes part, not only those on the edges, which brings the error near its Cramer-Rao bound.
+``I(p) = m + a erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)) + g . (p - o)``, where d1 and d2 are the distances of pixel
+p from the two edges that cross in the corner, s is the blur, and g a gradient of light about the window's middle o.
+Every pixel around a corner takes part, not only those on the edges, which brings the error near its Cramer-Rao bound.
+
+The edges' directions are the board's lines as the corners have them, drawn anew after each round: by symmetry an
+edge that is turned a little moves no corner. One round of Gauss-Newton is a few operations on arrays of all windows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import cv2
 import numpy as np
-from scipy.special import erf
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
+from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
 
 # Reach of a corner's window in units of the edge: up to the middle of a square, short of the next edge's blur;
 # less to the outside of the board, where printed boards often have squares of less than half the width.
-_INNER_REACH, _OUTER_REACH = 0.45, 0.28
-_MAX_HALF_PX = 7
-_ROUNDS = 4
-_DAMPING = 1e-4
+_INNER_REACH, _OUTER_REACH = 0.5, 0.28
+_LEAST_HALF_PX, _MOST_HALF_PX = 2, 7
+_MOST_ROUNDS = 5
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0
 _LEAST_PIXELS = 20
 _LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; below it there is no corner
 _LARGEST_MOVE = 0.15  # in units of the edge, from where cornerSubPix left it
-_UNKNOWNS = 9
+_UNKNOWNS = 7
+_STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # no round moves a corner or widens the blur by more
+# A round leaves about a tenth of the step it made: with less than this, in units of sigma, there is no point in more.
+_SETTLED = 1.0
+# erf(z / sqrt(2)) within 4e-4 and with its slope, by the hyperbolic tangent that processors have at hand.
+_TANH_1 = np.float32(np.sqrt(2 / np.pi))
+_TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
+_RIDGE = 1e-6 * np.eye(_UNKNOWNS)
+_NO_CONTRAST = 1e-3
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What pictures of one camera have in common, to begin the next fit with.
+
+    Attributes:
+        blur_px: sigma of the edges' blur, px.
+        noise_grey: sigma of a pixel, grey levels; None where it is not known yet.
+    """
+
+    blur_px: float = 0.9
+    noise_grey: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """What one round of the fit gives.
+
+    Attributes:
+        step: (M, 2) to the new corners, px.
+        cov: (M, 2, 2) of the corners, px^2.
+        contrast_grey: (M,) half of the step from dark to light.
+        noise_grey: (M,) sigma of a pixel, grey levels.
+    """
+
+    step: FloatArray
+    cov: FloatArray
+    contrast_grey: FloatArray
+    noise_grey: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,172 +78,234 @@ class FittedCorners:
 
     Attributes:
         pixels: (M, 2) px; where the fit failed, the start.
-        sigma_px: (M,) standard deviation of one coordinate as the fit's own residual tells, px.
+        cov: (M, 2, 2) covariance as the fit's own residual tells, px^2.
+        contrast_grey: (M,) half of the step from dark to light; its sign tells the colours.
         fitted: (M,) where the fit stands.
+        look: of this picture.
     """
 
     pixels: FloatArray
-    sigma_px: FloatArray
+    cov: FloatArray
+    contrast_grey: FloatArray
     fitted: BoolArray
+    look: Look
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """(M,) standard deviation of one coordinate, px."""
+        return np.asarray(np.sqrt((self.cov[:, 0, 0] + self.cov[:, 1, 1]) / 2))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """Pixels around each corner: positions relative to a whole pixel, grey values, weights; (M, P) each."""
-
-    origin: FloatArray
-    dx: FloatArray
-    dy: FloatArray
-    grey: FloatArray
-    weight: FloatArray
+def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Steps to the next corner along a row and along a column, (M, 2) each, by central differences."""
+    along, down = np.empty_like(grid), np.empty_like(grid)
+    along[:, 1:-1], down[1:-1] = (grid[:, 2:] - grid[:, :-2]) / 2, (grid[2:] - grid[:-2]) / 2
+    along[:, 0], along[:, -1] = grid[:, 1] - grid[:, 0], grid[:, -1] - grid[:, -2]
+    down[0], down[-1] = grid[1] - grid[0], grid[-1] - grid[-2]
+    return along.reshape(-1, 2), down.reshape(-1, 2)
 
 
-def _edge_vectors(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Steps to the next corner along a row and along a column, (rows, columns, 2) each, by central differences."""
-    return np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+def _normals(along: FloatArray, down: FloatArray) -> FloatArray:
+    """(M, 2, 2) unit normals of the edges: row 0 of the one along the board's rows, row 1 of the other."""
+    normals = np.empty((len(along), 2, 2))
+    normals[:, 0, 0], normals[:, 0, 1] = -along[:, 1], along[:, 0]
+    normals[:, 1, 0], normals[:, 1, 1] = down[:, 1], -down[:, 0]
+    normals /= np.hypot(normals[..., 0], normals[..., 1])[..., None]
+    return normals
 
 
-def _reaches(rows: int, columns: int, outer_whole: bool) -> FloatArray:
-    """How far each window reaches in units of the edge: towards -x, +x, -y, +y of the board, (M, 4)."""
-    reach = np.full((rows, columns, 4), _INNER_REACH)
+def _reaches(
+    along: FloatArray, down: FloatArray, shape: tuple[int, int], outer_whole: bool
+) -> tuple[Single, Single]:
+    """How far windows reach on either side of each edge along its normal: (M, 2, 1) lower and upper ends, px."""
+    area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
+    width = np.stack([area / np.hypot(*along.T), area / np.hypot(*down.T)], axis=1)
+    reach = np.full((*shape, 2, 2), _INNER_REACH)
     if not outer_whole:
-        reach[:, 0, 0] = reach[:, -1, 1] = reach[0, :, 2] = reach[-1, :, 3] = _OUTER_REACH
-    return reach.reshape(-1, 4)
+        reach[0, :, 0, 0] = reach[-1, :, 0, 1] = reach[:, 0, 1, 0] = reach[:, -1, 1, 1] = _OUTER_REACH
+    ends = (reach.reshape(-1, 2, 2) * width[..., None]).astype(np.float32)
+    return -ends[..., :1], ends[..., 1:]
 
 
-def _cut_windows(
-    image: GrayImage, grid: FloatArray, along: FloatArray, down: FloatArray, outer_whole: bool
-) -> _Windows:
-    rows, columns = grid.shape[:2]
-    centres = grid.reshape(-1, 2)
-    steps = np.stack([along.reshape(-1, 2), down.reshape(-1, 2)], axis=-1)  # (M, 2, 2): board to pixels
-    extent = _INNER_REACH * np.abs(steps).sum(axis=2).max()
-    half = int(np.clip(np.ceil(extent), 2, _MAX_HALF_PX))
-    offset = np.arange(-half, half + 1)
-    oy, ox = (o.ravel() for o in np.meshgrid(offset, offset, indexing="ij"))
-    origin = np.round(centres)
-    x = origin[:, :1].astype(np.int64) + ox
-    y = origin[:, 1:].astype(np.int64) + oy
+@lru_cache(maxsize=16)
+def _offsets(half: int) -> Single:
+    """(3, P) x and y of a window's pixels from its middle, px, and ones."""
+    one = np.arange(-half, half + 1, dtype=np.float32)
+    x, y = np.meshgrid(one, one)
+    offsets = np.stack([x.ravel(), y.ravel(), np.ones(x.size, dtype=np.float32)])
+    offsets.setflags(write=False)
+    return offsets
+
+
+def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.uint8], BoolArray | None]:
+    """Square windows about whole pixels, (M, P), and which of their pixels lie in the picture, None for all."""
+    side = 2 * half + 1
+    corner = middle - half
     height, width = image.shape
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    grey = image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
-    from_centre = np.stack([x - centres[:, :1], y - centres[:, 1:]], axis=-1)
-    on_board = from_centre @ np.swapaxes(np.linalg.inv(steps), 1, 2)
-    reach = _reaches(rows, columns, outer_whole)[:, None]
-    near = (on_board[..., 0] > -reach[..., 0]) & (on_board[..., 0] < reach[..., 1])
-    near &= (on_board[..., 1] > -reach[..., 2]) & (on_board[..., 1] < reach[..., 3])
-    shape = x.shape
-    return _Windows(
-        origin,
-        np.broadcast_to(ox, shape).astype(np.float64),
-        np.broadcast_to(oy, shape).astype(np.float64),
-        grey,
-        (near & inside).astype(np.float64),
-    )
+    inside = None
+    if corner.min() < 0 or (corner + side).max(axis=0)[0] > width or (corner + side).max(axis=0)[1] > height:
+        reach = np.arange(side)
+        x, y = corner[:, :1] + reach, corner[:, 1:] + reach
+        in_x, in_y = (x >= 0) & (x < width), (y >= 0) & (y < height)
+        inside = (in_y[:, :, None] & in_x[:, None, :]).reshape(len(middle), -1)
+        image = np.asarray(cv2.copyMakeBorder(image, *[side] * 4, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        corner = np.clip(corner + side, 0, np.array(image.shape[::-1]) - side)
+    view = sliding_window_view(image, (side, side))
+    return view[corner[:, 1], corner[:, 0]].reshape(len(middle), -1), inside
 
 
-def _shape_terms(windows: _Windows, unknowns: FloatArray) -> tuple[FloatArray, ...]:
-    """Both edges' profiles and their derivatives by distance and blur, (M, P) each."""
-    x, y, angle_1, angle_2, blur = (unknowns[:, k, None] for k in range(5))
-    dx, dy = windows.dx - x, windows.dy - y
-    terms: list[FloatArray] = [dx, dy]
-    for angle in (angle_1, angle_2):
-        distance = dx * np.cos(angle) + dy * np.sin(angle)
-        scaled = distance / (np.sqrt(2) * blur)
-        slope = np.sqrt(2 / np.pi) / blur * np.exp(-(scaled**2))
-        terms += [erf(scaled), slope, -slope * distance / blur, -dx * np.sin(angle) + dy * np.cos(angle)]
-    return tuple(terms)
+class _Fit:
+    """Windows of all corners, and Gauss-Newton on them.
+
+    The columns of the edges' shifts and of the blur are left without the contrast that multiplies them: so every
+    round finds contrast, mean and gradient anew, and needs no start for them.
+    """
+
+    def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look) -> None:
+        self.shape = (grid.shape[0], grid.shape[1])
+        self.pixels = grid.reshape(-1, 2)
+        along, down = _steps(grid)
+        self.edge_px = np.minimum(np.hypot(*along.T), np.hypot(*down.T))
+        self._lower, self._upper = _reaches(along, down, self.shape, outer_whole)
+        extent = _INNER_REACH * float((np.abs(along) + np.abs(down)).max())
+        half = min(max(int(np.ceil(extent)), _LEAST_HALF_PX), _MOST_HALF_PX)
+        self._middle = np.rint(self.pixels).astype(np.int64)
+        self._grey, self._inside = _windows(image, self._middle, half)
+        self._offsets = _offsets(half)
+        self.blur = np.full(len(along), look.blur_px)
+        self.noise_grey = look.noise_grey
+        # Columns: shift of edge 1 and 2, blur, contrast, mean, gradient in x and y; and the picture itself.
+        self._columns = np.empty((len(along), _UNKNOWNS + 1, self._offsets.shape[1]), dtype=np.float32)
+        self.used = np.zeros(len(along))
+
+    def _distances(self, normals: FloatArray) -> Single:
+        """(M, 2, P) of the windows' pixels from the two edges, px."""
+        lines = np.empty((len(normals), 2, 3), dtype=np.float32)
+        lines[..., :2] = normals
+        at = self.pixels - self._middle
+        lines[..., 2] = -(normals[..., 0] * at[:, :1] + normals[..., 1] * at[:, 1:])
+        distances: Single = lines.reshape(-1, 3) @ self._offsets
+        return distances.reshape(len(normals), 2, -1)
+
+    def _choose_pixels(self, distance: Single) -> None:
+        """Settle which pixels of the windows take part, and fill the columns that never change."""
+        near = (distance > self._lower) & (distance < self._upper)
+        chosen = near[:, 0] & near[:, 1]
+        if self._inside is not None:
+            chosen &= self._inside
+        weight = self._columns[:, 4]
+        weight[:] = chosen
+        self.used = weight.sum(axis=1).astype(np.float64)
+        np.multiply(weight[:, None], self._offsets[:2], out=self._columns[:, 5:7])
+        np.multiply(weight, self._grey, out=self._columns[:, 7])
+
+    def _fill_columns(self, distance: Single) -> None:
+        """The model's derivatives, by edges that move in units of the blur."""
+        columns, weight = self._columns, self._columns[:, 4]
+        scaled = distance * (1 / self.blur).astype(np.float32)[:, None, None]
+        square = scaled * scaled
+        profile = np.tanh(scaled * (_TANH_1 + _TANH_3 * square))
+        slope = (1 - profile * profile) * (_TANH_1 + 3 * _TANH_3 * square)
+        profile *= weight[:, None]
+        np.multiply(slope, profile[:, ::-1], out=columns[:, :2])  # one edge's slope times the other's profile
+        scaled *= columns[:, :2]
+        np.add(scaled[:, 0], scaled[:, 1], out=columns[:, 2])
+        np.multiply(profile[:, 0], profile[:, 1], out=columns[:, 3])
+
+    def _steady(self, normal: FloatArray, right_side: FloatArray) -> None:
+        """Add to the normal matrices what is known of the gradient: light changes in a window as over the board."""
+        if self.noise_grey is None:
+            return
+        level = (right_side[:, 4] / np.maximum(normal[:, 4, 4], 1)).reshape(self.shape)
+        squares = ((level[1:] - level[:-1]) ** 2).sum() + ((level[:, 1:] - level[:, :-1]) ** 2).sum()
+        gradient = squares / max(2 * level.size - sum(self.shape), 1) / _median(self.edge_px) ** 2
+        normal[:, [5, 6], [5, 6]] += self.noise_grey**2 / max(gradient, 1e-6)
+
+    def round(self) -> Round:
+        """One step of Gauss-Newton."""
+        normals = _normals(*_steps(self.pixels.reshape(*self.shape, 2)))
+        distance = self._distances(normals)
+        if not self.used.any():
+            self._choose_pixels(distance)
+        self._fill_columns(distance)
+        # A product with a copy: with the same memory on both sides a slower routine would be taken.
+        products = (self._columns.copy() @ np.swapaxes(self._columns, 1, 2)).astype(np.float64)
+        normal, right_side = products[:, :_UNKNOWNS, :_UNKNOWNS], products[:, :_UNKNOWNS, _UNKNOWNS]
+        self._steady(normal, right_side)
+        normal += _RIDGE
+        # Three right sides: the solution, and the two columns of the inverse that the corner's covariance needs.
+        sides = np.zeros((len(normal), _UNKNOWNS, 3))
+        sides[:, :, 0] = right_side
+        sides[:, 0, 1] = sides[:, 1, 2] = 1.0
+        solved = np.linalg.solve(normal, sides)
+        unknowns = solved[..., 0]
+        cost = products[:, _UNKNOWNS, _UNKNOWNS] - np.einsum("mi,mi->m", unknowns, right_side)
+        variance = np.maximum(cost, 0.0) / np.maximum(self.used - _UNKNOWNS, 1)
+        contrast = unknowns[:, 3]
+        # Shifts come in units of the blur and times the contrast.
+        unit = self.blur / np.where(np.abs(contrast) > _NO_CONTRAST, contrast, _NO_CONTRAST)
+        by_shift = _inverse_2x2(normals)
+        shift = unknowns[:, :2] * unit[:, None]
+        step = -(by_shift @ shift[..., None])[..., 0]
+        cov = (
+            by_shift @ (solved[:, :2, 1:] * (variance * unit**2)[:, None, None]) @ np.swapaxes(by_shift, 1, 2)
+        )
+        self.pixels = self.pixels + np.minimum(np.maximum(step, -_STEP_PX), _STEP_PX)
+        wider = np.minimum(np.maximum(-unknowns[:, 2] * unit, -_STEP_BLUR_PX), _STEP_BLUR_PX)
+        self.blur = np.minimum(np.maximum(self.blur + wider, _LEAST_BLUR_PX), _MOST_BLUR_PX)
+        self.noise_grey = float(np.sqrt(_median(variance)))
+        return Round(step, cov, contrast, np.sqrt(variance))
 
 
-def _linear_part(windows: _Windows, unknowns: FloatArray) -> FloatArray:
-    """Amplitude, mean and gradient for given edges, written into the unknowns (columns 5 to 8)."""
-    dx, dy, first, _, _, _, second, *_ = _shape_terms(windows, unknowns)
-    columns = np.stack([first * second, np.ones_like(dx), dx, dy], axis=-1) * windows.weight[..., None]
-    normal = np.swapaxes(columns, 1, 2) @ columns + 1e-9 * np.eye(4)
-    right_side = np.swapaxes(columns, 1, 2) @ (windows.grey * windows.weight)[..., None]
-    filled = unknowns.copy()
-    filled[:, 5:] = np.linalg.solve(normal, right_side)[..., 0]
-    return filled
+def _median(values: FloatArray) -> float:
+    """The upper median; `np.median` takes longer than a whole sort of so few."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
-def _residual_and_jacobian(windows: _Windows, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    dx, dy, first, slope_1, blur_1, turn_1, second, slope_2, blur_2, turn_2 = _shape_terms(windows, unknowns)
-    angle_1, angle_2 = unknowns[:, 2, None], unknowns[:, 3, None]
-    a, m, gx, gy = (unknowns[:, k, None] for k in range(5, 9))
-    model = m + a * first * second + gx * dx + gy * dy
-    towards_1, towards_2 = a * second * slope_1, a * first * slope_2
-    J = np.stack(
-        [
-            -towards_1 * np.cos(angle_1) - towards_2 * np.cos(angle_2) - gx,
-            -towards_1 * np.sin(angle_1) - towards_2 * np.sin(angle_2) - gy,
-            towards_1 * turn_1,
-            towards_2 * turn_2,
-            a * (second * blur_1 + first * blur_2),
-            first * second,
-            np.ones_like(dx),
-            dx,
-            dy,
-        ],
-        axis=-1,
-    )
-    return (model - windows.grey) * windows.weight, J * windows.weight[..., None]
+def _inverse_2x2(matrices: FloatArray) -> FloatArray:
+    """(M, 2, 2) inverses; NumPy's take ten times as long for matrices as small as these."""
+    a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
+    determinant = a * d - b * c
+    inverse = np.empty_like(matrices)
+    inverse[:, 0, 0], inverse[:, 0, 1] = d / determinant, -b / determinant
+    inverse[:, 1, 0], inverse[:, 1, 1] = -c / determinant, a / determinant
+    return inverse
 
 
-def fit_corners(image: GrayImage, grid: FloatArray, outer_whole: bool) -> FittedCorners:
+def fit_corners(
+    image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | None = None
+) -> FittedCorners:
     """Fit the corner model to every corner of a board.
 
     Args:
         image: (height, width) grey.
         grid: (rows, columns, 2) corners to a fraction of a pixel, px.
         outer_whole: the outer squares are about as wide as the others.
+        look: of an earlier picture; one round less is needed with it.
 
     Returns:
         Corner index = row * columns + column. A corner whose fit does not settle, leaves its place or lies on
         too few pixels keeps its start and is marked so.
     """
-    along, down = _edge_vectors(grid)
-    windows = _cut_windows(image, grid, along, down, outer_whole)
+    fit = _Fit(image, grid, outer_whole, look or Look())
+    for done in range(1, _MOST_ROUNDS + 1):
+        last = fit.round()
+        variance = (last.cov[:, 0, 0] + last.cov[:, 1, 1]) / 2
+        moved = _median(last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
+        if (look is not None or done > 1) and moved < _SETTLED**2 * _median(variance):
+            break
     start = grid.reshape(-1, 2)
-    count = len(start)
-    unknowns = np.zeros((count, _UNKNOWNS))
-    unknowns[:, :2] = start - windows.origin
-    # An edge's normal is at right angles to the board's axis along which the edge runs.
-    unknowns[:, 2] = np.arctan2(along[..., 0], -along[..., 1]).ravel()
-    unknowns[:, 3] = np.arctan2(down[..., 0], -down[..., 1]).ravel()
-    unknowns[:, 4] = 0.8
-    unknowns = _linear_part(windows, unknowns)
-    residual, J = _residual_and_jacobian(windows, unknowns)
-    cost = np.sum(residual**2, axis=1)
-    damping = np.full(count, _DAMPING)
-    for _ in range(_ROUNDS):
-        normal = np.swapaxes(J, 1, 2) @ J
-        diagonal = np.diagonal(normal, axis1=1, axis2=2) + 1e-9
-        damped = (
-            normal
-            + np.einsum("m,mk,kl->mkl", damping, diagonal, np.eye(_UNKNOWNS))
-            + 1e-9 * np.eye(_UNKNOWNS)
-        )
-        step = np.linalg.solve(damped, np.swapaxes(J, 1, 2) @ residual[..., None])[..., 0]
-        trial = unknowns - step
-        trial[:, 4] = np.clip(trial[:, 4], _LEAST_BLUR_PX, _MOST_BLUR_PX)
-        trial_residual, trial_J = _residual_and_jacobian(windows, trial)
-        trial_cost = np.sum(trial_residual**2, axis=1)
-        better = trial_cost <= cost
-        unknowns = np.where(better[:, None], trial, unknowns)
-        residual = np.where(better[:, None], trial_residual, residual)
-        J = np.where(better[:, None, None], trial_J, J)
-        cost = np.where(better, trial_cost, cost)
-        damping = np.where(better, damping / 5, damping * 10)
-    pixels = windows.origin + unknowns[:, :2]
-    used = windows.weight.sum(axis=1)
-    edge = np.minimum(np.linalg.norm(along, axis=-1), np.linalg.norm(down, axis=-1)).ravel()
-    variance = cost / np.maximum(used - _UNKNOWNS, 1)
-    information = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(_UNKNOWNS)
-    covariance = np.linalg.inv(information)[:, :2, :2] * variance[:, None, None]
-    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    fitted = (used >= _LEAST_PIXELS) & (np.linalg.norm(pixels - start, axis=1) < _LARGEST_MOVE * edge)
-    fitted &= np.abs(unknowns[:, 5]) > np.maximum(_LEAST_CONTRAST_GREY, 3 * np.sqrt(variance))
-    fitted &= np.isfinite(sigma) & (sigma < _LARGEST_MOVE * edge)
+    off = fit.pixels - start
+    limit = _LARGEST_MOVE * fit.edge_px
+    fitted = (
+        (fit.used >= _LEAST_PIXELS) & (off[:, 0] ** 2 + off[:, 1] ** 2 < limit**2) & (variance < limit**2)
+    )
+    fitted &= np.abs(last.contrast_grey) > np.maximum(_LEAST_CONTRAST_GREY, 3 * last.noise_grey)
+    poor = limit[:, None, None] ** 2 * np.eye(2)
     return FittedCorners(
-        np.where(fitted[:, None], pixels, start), np.where(fitted, sigma, _LARGEST_MOVE * edge), fitted
+        np.where(fitted[:, None], fit.pixels, start),
+        np.where(fitted[:, None, None], last.cov, poor),
+        last.contrast_grey,
+        fitted,
+        Look(_median(fit.blur), fit.noise_grey),
     )

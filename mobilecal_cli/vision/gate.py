@@ -6,12 +6,14 @@ Looks at the picture's brightness on the grid itself, so it shares no assumption
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from math import erf, sqrt
 
+import cv2
 import numpy as np
-from scipy.special import erf
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
-from mobilecal_cli.vision.grid import GridMap
+from mobilecal_cli.vision.grid import GridMap, Places, places
 from mobilecal_cli.vision.values import Miss
 
 # The outer squares are sampled near the corners, because printed boards often have them narrower than the rest.
@@ -23,20 +25,23 @@ _BEYOND = 0.35  # contrast that a pair beyond the outer squares needs to count a
 _MIN_CONTRAST_GREY = 4.0
 _NOISE_FACTOR = 5.0
 _MAX_EDGE_WIDTH = 0.6  # of a square, 10 to 90 %
+# Where borders are looked at, in squares, and what the contrasts' ratio there says of a blur's sigma.
+_NEAR, _FAR = 0.15, 0.38
+_SIGMAS = np.linspace(0.02, 1.0, 99)
+_RATIOS = np.array([erf(_NEAR / (s * sqrt(2))) / erf(_FAR / (s * sqrt(2))) for s in _SIGMAS])
 
 
 def sample(image: GrayImage, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Brightness by bilinear interpolation: (..., 2) px → (...) grey, and which lie in the picture."""
+    """Brightness by bilinear interpolation: (..., 2) px → (...) whole grey levels, and which lie in the picture."""
     height, width = image.shape
-    x, y = pixels[..., 0], pixels[..., 1]
+    at = pixels.astype(np.float32)
+    x, y = at[..., 0], at[..., 1]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
-    i = np.minimum(x.astype(np.intp), width - 2)
-    j = np.minimum(y.astype(np.intp), height - 2)
-    fx, fy = x - i, y - j
-    top = image[j, i] * (1 - fx) + image[j, i + 1] * fx
-    bottom = image[j + 1, i] * (1 - fx) + image[j + 1, i + 1] * fx
-    return top * (1 - fy) + bottom * fy, inside
+    shape = (-1, 1)  # one column: OpenCV takes no pictures wider than 32,767
+    grey = cv2.remap(
+        image, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(grey.reshape(x.shape), dtype=np.float64), inside
 
 
 def _centres(count: int, outer: float) -> FloatArray:
@@ -44,16 +49,63 @@ def _centres(count: int, outer: float) -> FloatArray:
     return np.concatenate([[-outer], np.arange(count - 1) + 0.5, [count - 1 + outer]])
 
 
-def _square_means(
-    image: GrayImage, grid_map: GridMap, u: FloatArray, v: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Mean brightness of squares at u x v: (len(v), len(u)) means, scatter inside a square, wholly in the picture."""
+def _around(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Nine places in each square at u x v, (len(v), len(u), 9, 2)."""
     offset = _SPREAD * np.array([-1.0, 0.0, 1.0])
     du, dv = np.meshgrid(offset, offset)
     uu, vv = np.meshgrid(u, v)
-    uv = np.stack([uu[..., None] + du.ravel(), vv[..., None] + dv.ravel()], axis=-1)
-    values, inside = sample(image, grid_map(uv))
-    return values.mean(axis=-1), values.std(axis=-1), np.all(inside, axis=-1, keepdims=True)[..., 0]
+    return np.stack([uu[..., None] + du.ravel(), vv[..., None] + dv.ravel()], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Probes:
+    """Where boards of some size are looked at; the outer squares near the corners, or where narrow ones have ended.
+
+    Attributes:
+        squares: all squares, the outer ones near the corners, and then those of four lines beyond.
+        whole: all squares, the outer ones at `_WHOLE`.
+        borders: for each axis, places ahead and behind of borders, near and far.
+        lines: side → beginning and end of its squares among those beyond, and the parity of the first.
+    """
+
+    squares: Places
+    whole: Places
+    borders: tuple[Places, Places]
+    lines: dict[str, tuple[int, int, int]]
+
+
+@lru_cache(maxsize=64)
+def _probes(columns: int, rows: int) -> _Probes:
+    u, v = _centres(columns, _OUTER), _centres(rows, _OUTER)
+    beyond = {
+        "left": (np.array([-1 - _OUTER]), v, -1),
+        "right": (np.array([columns + _OUTER]), v, columns + 1),
+        "upper": (u, np.array([-1 - _OUTER]), -1),
+        "lower": (u, np.array([rows + _OUTER]), rows + 1),
+    }
+    parts, lines, begin = [_around(u, v).reshape(-1, 9, 2)], {}, 0
+    for side, (line_u, line_v, index) in beyond.items():
+        parts.append(_around(line_u, line_v).reshape(-1, 9, 2))
+        lines[side] = (begin, begin + len(parts[-1]), index)
+        begin += len(parts[-1])
+    borders = []
+    for axis in (0, 1):
+        # Borders across u pass midway between two rows of corners, and the other way round.
+        along_u = np.arange(columns) if axis == 0 else np.arange(columns - 1) + 0.5
+        along_v = np.arange(rows - 1) + 0.5 if axis == 0 else np.arange(rows)
+        uv = np.stack(np.meshgrid(along_u, along_v), axis=-1).reshape(-1, 2).astype(np.float64)
+        steps = np.array([_NEAR, -_NEAR, _FAR, -_FAR])[:, None, None] * np.eye(2)[axis]
+        borders.append(places(uv + steps, columns, rows))
+    whole = _around(_centres(columns, _WHOLE), _centres(rows, _WHOLE))
+    squares = places(np.concatenate(parts), columns, rows)
+    return _Probes(squares, places(whole, columns, rows), (borders[0], borders[1]), lines)
+
+
+def _squares(image: GrayImage, grid_map: GridMap, where: Places) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Of each square: mean brightness, scatter inside it, whether it is wholly in the picture; (n,) each."""
+    values, inside = sample(image, grid_map.at(where))
+    nine = values.reshape(-1, 9)
+    return nine.mean(axis=1), nine.std(axis=1), inside.reshape(-1, 9).all(axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +132,9 @@ def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int)
     Returns:
         The polarity, or why not.
     """
-    values, scatter, inside = _square_means(
-        image, grid_map, _centres(columns, _OUTER), _centres(rows, _OUTER)
-    )
+    means, scatters, insides = _squares(image, grid_map, _probes(columns, rows).squares)
+    own = (rows + 1) * (columns + 1)
+    values, scatter, inside = means[:own].reshape(rows + 1, columns + 1), scatters[:own], insides[:own]
     if not inside.all():
         return Miss(
             "board partly hidden or cut off by the border",
@@ -123,27 +175,18 @@ def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int)
                 "board partly hidden or cut off by the border",
                 f"{int(np.sum(~good))} of {good.size} outer squares on the grid's {side} side do not alternate",
             )
-    beyond = _goes_on(image, grid_map, columns, rows, flip * contrast)
+    beyond = _goes_on(means[own:], insides[own:], columns, rows, flip * contrast)
     if beyond is not None:
         return beyond
     return Polarity(contrast, dark_at_origin=flip < 0)
 
 
-def _goes_on(image: GrayImage, grid_map: GridMap, columns: int, rows: int, contrast: float) -> Miss | None:
+def _goes_on(values: FloatArray, inside: BoolArray, columns: int, rows: int, contrast: float) -> Miss | None:
     """Does the pattern alternate along a line one square beyond the outer squares?"""
-    u, v = _centres(columns, _OUTER), _centres(rows, _OUTER)
-    lines = {
-        "left": (np.array([-1 - _OUTER]), v, -1),
-        "right": (np.array([columns + _OUTER]), v, columns + 1),
-        "upper": (u, np.array([-1 - _OUTER]), -1),
-        "lower": (u, np.array([rows + _OUTER]), rows + 1),
-    }
-    for side, (line_u, line_v, index) in lines.items():
-        means, _, all_inside = _square_means(image, grid_map, line_u, line_v)
-        values, inside = means.ravel(), all_inside.ravel()
-        sign = np.where((np.arange(len(values)) + index) % 2 == 0, 1.0, -1.0)
-        pair = sign[:-1] * (values[:-1] - values[1:]) / contrast
-        seen = inside[:-1] & inside[1:]
+    for side, (begin, end, index) in _probes(columns, rows).lines.items():
+        line, seen = values[begin:end], inside[begin : end - 1] & inside[begin + 1 : end]
+        sign = np.where((np.arange(len(line)) + index) % 2 == 0, 1.0, -1.0)
+        pair = sign[:-1] * (line[:-1] - line[1:]) / contrast
         if np.sum(seen) >= 3 and np.mean(pair[seen] > _BEYOND) >= 0.6:
             return Miss(
                 "board continues beyond the grid",
@@ -155,7 +198,8 @@ def _goes_on(image: GrayImage, grid_map: GridMap, columns: int, rows: int, contr
 
 def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool:
     """Do the outer squares still alternate where a board with narrow ones has its margin?"""
-    values, _, inside = _square_means(image, grid_map, _centres(columns, _WHOLE), _centres(rows, _WHOLE))
+    means, _, inside = _squares(image, grid_map, _probes(columns, rows).whole)
+    values = means.reshape(rows + 1, columns + 1)
     j, i = np.indices(values.shape)
     signed = np.where((i + j) % 2 == 0, 1.0, -1.0) * values
     inner = signed[1:-1, 1:-2] + signed[1:-1, 2:-1]
@@ -171,23 +215,12 @@ def edge_width(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> 
     Differences across a border at two distances d from it, for a step blurred by a Gaussian of width s, go as
     erf(d / (s sqrt(2))); their ratio gives s.
     """
-    near, far = 0.15, 0.38
-    sigma = np.linspace(0.02, 1.0, 99)
-    ratios = erf(near / (sigma * np.sqrt(2))) / erf(far / (sigma * np.sqrt(2)))
     widths = []
-    along = np.arange(columns), np.arange(rows)
-    for axis in (0, 1):
-        # Borders across u pass midway between two rows of corners, and the other way round.
-        u = along[0] if axis == 0 else along[0][:-1] + 0.5
-        v = along[1][:-1] + 0.5 if axis == 0 else along[1]
-        uv = np.stack(np.meshgrid(u, v), axis=-1).astype(np.float64)
-        step = np.eye(2)[axis]
-        difference = []
-        for d in (near, far):
-            ahead, behind = (sample(image, grid_map(uv + s * d * step))[0] for s in (1, -1))
-            difference.append(np.abs(ahead - behind))
-        ratio = float(np.median(difference[0] / np.maximum(difference[1], 1.0)))
-        widths.append(float(np.interp(-ratio, -ratios, sigma)))
+    for where in _probes(columns, rows).borders:
+        ahead_near, behind_near, ahead_far, behind_far = sample(image, grid_map.at(where))[0].reshape(4, -1)
+        near, far = np.abs(ahead_near - behind_near), np.abs(ahead_far - behind_far)
+        ratio = float(np.median(near / np.maximum(far, 1.0)))
+        widths.append(float(np.interp(-ratio, -_RATIOS, _SIGMAS)))
     return 2.563 * max(widths)
 
 

@@ -7,13 +7,27 @@ border lines are at whole numbers, beyond the inner corners too.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Grid coordinates that are asked for in every picture.
+
+    Attributes:
+        w: (n, 2) centred and scaled.
+        terms: (n, terms) the polynomial's monomials there.
+    """
+
+    w: FloatArray
+    terms: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GridMap:
     """Grid coordinates to pixels: a homography and a polynomial that takes up the lens distortion.
 
@@ -38,6 +52,10 @@ class GridMap:
         """(..., 2) grid coordinates → (..., 2) px."""
         w = (uv - self.centre) / self.size
         return _through(self.H, w) + _monomials(w, self.degree) @ self.bend
+
+    def at(self, places: Places) -> FloatArray:
+        """(n, 2) px of places that were prepared for this board's counts."""
+        return _through(self.H, places.w) + places.terms @ self.bend
 
 
 def _through(H: FloatArray, w: FloatArray) -> FloatArray:
@@ -87,37 +105,66 @@ def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
     return np.asarray(residual * np.sqrt(2 * len(w) / max(2 * len(w) - unknowns, 1)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """What a board's counts alone make of `fit_grid`.
+
+    Attributes:
+        w: (M, 2) centred and scaled grid coordinates.
+        centre, size: what they are centred and scaled by.
+        degree: of the polynomial.
+        solver: (terms, M) from what the homography leaves to the polynomial's coefficients.
+        finer: (M, k) orthonormal, polynomials of the degree that residuals are taken against.
+        unknowns: of homography and finer polynomial.
+    """
+
+    w: FloatArray
+    centre: FloatArray
+    size: float
+    degree: int
+    solver: FloatArray
+    finer: FloatArray
+    unknowns: int
+
+
+@lru_cache(maxsize=64)
+def _frame(rows: int, columns: int) -> _Frame:
+    uv = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
+    centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    size = max(columns, rows) / 2
+    w = ((uv - centre) / size).reshape(-1, 2)
+    # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
+    finest = min(4, min(rows, columns) - 2)
+    if finest <= 1:
+        return _Frame(w, centre, size, 0, np.zeros((1, len(w))), np.zeros((len(w), 0)), 8)
+    degree, terms = min(3, finest), _monomials(w, finest)
+    finer = np.linalg.qr(terms)[0]
+    # Of a homography's 8 numbers, 6 are an affine map: in the polynomial.
+    unknowns = 2 * terms.shape[1] + 2
+    return _Frame(w, centre, size, degree, np.linalg.pinv(_monomials(w, degree)), finer, unknowns)
+
+
+def places(uv: FloatArray, columns: int, rows: int) -> Places:
+    """Prepare (..., 2) grid coordinates of boards of some size for `GridMap.at`, flattened."""
+    frame = _frame(rows, columns)
+    w = (uv.reshape(-1, 2) - frame.centre) / frame.size
+    return Places(w, _monomials(w, frame.degree))
+
+
 def fit_grid(grid: FloatArray) -> GridMap:
     """The smooth map through (rows, columns, 2) corners, px.
 
     The polynomial is cubic on boards with corners to spare, so that it can be carried beyond the corners;
     residuals are taken against one degree more, so that they show the corners' noise and not the lens.
     """
-    rows, columns = grid.shape[:2]
-    uv = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
-    centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
-    size = max(columns, rows) / 2
-    w = ((uv - centre) / size).reshape(-1, 2)
+    frame = _frame(*grid.shape[:2])
     pixels = grid.reshape(-1, 2)
-    H = _homography(w, pixels)
-    bent = pixels - _through(H, w)
-    # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
-    finest = min(4, min(rows, columns) - 2)
-    degree = min(3, finest)
-    bend: FloatArray = np.zeros((1, 2))
-    residual, unknowns = bent, 8
-    if finest > 1:
-        bend = np.asarray(np.linalg.lstsq(_monomials(w, degree), bent, rcond=None)[0], dtype=np.float64)
-        terms = _monomials(w, finest)
-        residual = bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0]
-        unknowns = (
-            2 * terms.shape[1] + 2
-        )  # of a homography's 8 numbers, 6 are an affine map: in the polynomial
-    else:
-        degree = 0
-    freedom = max(2 * len(pixels) - unknowns, 1)
-    sigma_px = float(np.sqrt(np.sum(residual**2) / freedom))
-    return GridMap(H, bend, degree, centre, size, residual.reshape(grid.shape), sigma_px)
+    H = _homography(frame.w, pixels)
+    bent = pixels - _through(H, frame.w)
+    residual = bent - frame.finer @ (frame.finer.T @ bent)
+    sigma_px = float(np.sqrt(np.sum(residual**2) / max(2 * len(pixels) - frame.unknowns, 1)))
+    bend = np.asarray(frame.solver @ bent)
+    return GridMap(H, bend, frame.degree, frame.centre, frame.size, residual.reshape(grid.shape), sigma_px)
 
 
 def smallest_edge_px(grid: FloatArray) -> float:
