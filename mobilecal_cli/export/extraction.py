@@ -27,7 +27,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -51,6 +51,7 @@ _CORNER_ARRAYS: dict[str, type] = {
     "sigma_px": np.float64,
     "pictures": np.int64,
     "seen": np.bool_,
+    "relative_cov": np.float64,
 }
 _EPOCH = (
     1980,
@@ -216,10 +217,10 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
 
 def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:
     def corners(side: str) -> Corners:
-        pixels, sigma_px, pictures, seen = (
+        pixels, sigma_px, pictures, seen, relative_cov = (
             arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS
         )
-        return Corners(pixels, float(sigma_px), int(pictures), seen)
+        return Corners(pixels, float(sigma_px), int(pictures), seen, relative_cov)
 
     values = {name: arrays[f"observations.{name}"][index] for name in _OBSERVATION_ARRAYS}
     scalars = {name: value.item() for name, value in values.items() if value.ndim == 0}

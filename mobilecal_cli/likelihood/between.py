@@ -45,7 +45,7 @@ def one_log(
         problem,
         pixels=problem.pixels[mine],
         seen=problem.seen[mine],
-        relative_sigma=problem.relative_sigma[mine],
+        whitening=problem.whitening[mine],
         joints=problem.joints[mine],
         joint_tracks=problem.joint_tracks[log : log + 1],
         moving=problem.moving[mine],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from mobilecal_cli.model import (
     HeadChain,
     IntArray,
     JointLink,
+    Observation,
     Parameters,
     StereoRig,
     Track,
@@ -28,6 +29,7 @@ from mobilecal_cli.model import (
 
 _SLOPE_S = 0.04  # the time over which a rate is taken
 _LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better than the camera model
+_LEAST_VARIANCE = 1e-6  # of a corner beside a usual one
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 
 
@@ -40,7 +42,8 @@ class Problem:
         points_k: (M, 3) corners on the board, m.
         pixels: (N, 2, M, 2) corners, left then right, px.
         seen: (N, 2, M) those that were seen; the others are no measurements.
-        relative_sigma: (N, 2) how much noisier than usual each camera's corners claim to be; rms 1.
+        whitening: (N, 2, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
+            the noise level: the claims of all stations' usual corners have rms 1.
         joints: (N, J) readings.
         joint_tracks: the head's joints over time, one tuple a log; empty where they are not known.
         moving: (N,) stations that are not at rest: there, a clock's offset matters.
@@ -59,7 +62,7 @@ class Problem:
     points_k: FloatArray
     pixels: FloatArray
     seen: BoolArray
-    relative_sigma: FloatArray
+    whitening: FloatArray
     joints: FloatArray
     joint_tracks: tuple[tuple[Track, ...], ...]
     moving: BoolArray
@@ -280,7 +283,7 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         points_k=extraction.board.grid() * square_m,
         pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
         seen=np.stack([np.stack([o.left.seen, o.right.seen]) for o in seen]),
-        relative_sigma=claims / np.sqrt(np.mean(claims**2)),
+        whitening=_whitening(seen, claims / np.sqrt(np.mean(claims**2))),
         joints=np.stack([o.joints for o in seen]),
         joint_tracks=extraction.joint_tracks,
         moving=moving,
@@ -293,6 +296,18 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         encoder_step_rad=step,
         layout=Layout(extras, len(logs)),
     )
+
+
+def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:
+    """Inverse Cholesky factors of the corners' covariances in units of the noise level, (N, 2, M, 2, 2)."""
+    cov = np.stack([np.stack([o.left.relative_cov, o.right.relative_cov]) for o in seen])
+    cov = cov * relative_sigma[..., None, None, None] ** 2
+    a = np.sqrt(np.maximum(cov[..., 0, 0], _LEAST_VARIANCE))
+    b = cov[..., 1, 0] / a
+    c = np.sqrt(np.maximum(cov[..., 1, 1] - b**2, _LEAST_VARIANCE))
+    W = np.zeros_like(cov)
+    W[..., 0, 0], W[..., 1, 0], W[..., 1, 1] = 1 / a, -b / (a * c), 1 / c
+    return W
 
 
 def moved(problem: Problem, state: State, shared: FloatArray, base: FloatArray, errors: FloatArray) -> State:

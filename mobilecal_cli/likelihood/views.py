@@ -26,7 +26,6 @@ class Views:
 
     Attributes:
         residual_px: (N, 2, M, 2) predicted minus seen.
-        sigma_px: (N, 2) of one coordinate.
         information: (N, Q, Q) of (delta, direct extras): J^T J of the whitened, believed residuals.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
@@ -36,7 +35,6 @@ class Views:
     """
 
     residual_px: FloatArray
-    sigma_px: FloatArray
     information: FloatArray
     gradient: FloatArray
     cost: FloatArray
@@ -52,9 +50,14 @@ def board_in_camera(problem: Problem, state: State) -> FloatArray:
     return T
 
 
-def sigmas_px(problem: Problem, noise: Noise) -> FloatArray:
-    """(N, 2) sigma of one corner coordinate of each picture."""
-    return noise.pixel_px * problem.relative_sigma
+def whitened(problem: Problem, values: FloatArray) -> FloatArray:
+    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, in units of the corners' relative sigmas."""
+    W = problem.whitening.reshape(*problem.whitening.shape, *[1] * (values.ndim - 4))
+    result = np.empty_like(values)
+    np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
+    np.multiply(W[:, :, :, 1, 1], values[:, :, :, 1], out=result[:, :, :, 1])
+    result[:, :, :, 1] += W[:, :, :, 1, 0] * values[:, :, :, 0]
+    return result
 
 
 def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -137,16 +140,14 @@ def linearize_views(problem: Problem, state: State, selection: Selection, noise:
     """Residuals and information of all stations' pictures."""
     T_c_k = board_in_camera(problem, state)
     residual, J = corner_residuals(problem, state, T_c_k)
-    sigma = sigmas_px(problem, noise)
     believed = selection.corners & selection.views[:, None, None]
-    root_weight = np.where(believed, 1 / sigma[:, :, None], 0.0)
+    root_weight = np.where(believed, 1 / noise.pixel_px, 0.0)
     count, width = problem.stations, J.shape[-1]
-    A = (J * root_weight[..., None, None]).reshape(count, -1, width)
-    r = (residual * root_weight[..., None]).reshape(count, -1)
+    A = (whitened(problem, J) * root_weight[..., None, None]).reshape(count, -1, width)
+    r = (whitened(problem, residual) * root_weight[..., None]).reshape(count, -1)
     At = np.swapaxes(A, 1, 2)
     return Views(
         residual,
-        sigma,
         At @ A,
         (At @ r[..., None])[..., 0],
         np.sum(r**2, axis=1),
@@ -159,8 +160,8 @@ def view_cost(problem: Problem, state: State, selection: Selection, noise: Noise
     T_c_k = board_in_camera(problem, state)
     residual = predicted_px(problem, state, T_c_k) - problem.pixels
     believed = selection.corners & selection.views[:, None, None]
-    weight = np.where(believed, sigmas_px(problem, noise)[:, :, None] ** -2, 0.0)
-    return float(np.sum(weight * np.sum(residual**2, axis=-1)))
+    squares = np.sum(whitened(problem, residual) ** 2, axis=-1)
+    return float(np.sum(np.where(believed, squares, 0.0))) / noise.pixel_px**2
 
 
 def predicted_px(problem: Problem, state: State, T_c_k: FloatArray) -> FloatArray:

@@ -65,3 +65,21 @@ def freeze_corners(value: object, seen: BoolArray) -> None:
     if not len(seen):
         object.__setattr__(value, "seen", np.ones(corners, dtype=np.bool_))
     freeze(value, np.bool_, seen=(corners,))
+
+
+def freeze_covariances(value: object, name: str, given: FloatArray, default: float) -> None:
+    """Freeze one (M, 2, 2) covariance a corner, after `freeze_corners`; where none is given, `default` times the unit.
+
+    Args:
+        value: the dataclass instance, inside its ``__post_init__``.
+        name: the attribute.
+        given: what it was given.
+        default: variance of one coordinate.
+
+    Raises:
+        ValueError: see `freeze`.
+    """
+    corners = len(value.pixels)  # type: ignore[attr-defined]
+    if not len(given):
+        object.__setattr__(value, name, np.broadcast_to(default * np.eye(2), (corners, 2, 2)))
+    freeze(value, **{name: (corners, 2, 2)})

@@ -7,7 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze, freeze_corners
+from mobilecal_cli.model.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+    freeze_corners,
+    freeze_covariances,
+)
 from mobilecal_cli.model.rig import Board, Rig
 from mobilecal_cli.model.signals import Rejection, Track
 
@@ -18,21 +25,29 @@ class Corners:
 
     Attributes:
         pixels: (M, 2) corner centres, px, (0, 0) the centre of the first pixel, in the board's numbering.
-        sigma_px: noise of one coordinate of `pixels`, px: measured scatter over the rest where there are
+        sigma_px: noise of one coordinate of a usual corner, px: measured scatter over the rest where there are
             several pictures (already divided by the square root of their number), otherwise what the
-            refinement claims.
+            corners' scatter about a smooth board shows.
         pictures: how many pictures were averaged.
         seen: (M,) the corners that were seen, all of them where nothing is said. The others' `pixels` are where the
             fitted board has them, and no measurement.
+        relative_cov: (M, 2, 2) each corner's covariance over the square of `sigma_px`; the unit where nothing is said.
     """
 
     pixels: FloatArray
     sigma_px: float
     pictures: int
     seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
+    relative_cov: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     def __post_init__(self) -> None:
         freeze_corners(self, self.seen)
+        freeze_covariances(self, "relative_cov", self.relative_cov, 1.0)
+
+    @property
+    def cov_px2(self) -> FloatArray:
+        """(M, 2, 2) covariance of each corner, px^2."""
+        return self.sigma_px**2 * self.relative_cov
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.marginals import Marginals
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
 from mobilecal_cli.likelihood.system import joint_sigmas
-from mobilecal_cli.likelihood.views import corner_residuals, linearize_views
+from mobilecal_cli.likelihood.views import corner_residuals, linearize_views, whitened
 from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.solvers.descent import Optimum
 
@@ -139,10 +139,10 @@ def gross_corners(
         (N, 2, M) sound corners, (N,) sound boards, and (N,) each station's corner noise, px.
     """
     T = T_c_k
-    sigma = problem.relative_sigma[:, :, None]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(problem, state, T)
-        size = np.linalg.norm(residual, axis=-1) / sigma
+        residual, J = whitened(problem, residual), whitened(problem, J)
+        size = np.linalg.norm(residual, axis=-1)
         scale = np.maximum(_median(size, problem.seen), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
         root = (problem.seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
@@ -154,7 +154,7 @@ def gross_corners(
         if np.abs(step).max() < 1e-10:
             break
     residual, _ = corner_residuals(problem, state, T)
-    size = np.linalg.norm(residual, axis=-1) / sigma
+    size = np.linalg.norm(whitened(problem, residual), axis=-1)
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
     own = _median(size, problem.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)

@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.vision.values import Look
 
 # Reach of a corner's window in units of the edge: up to the middle of a square, short of the next edge's blur;
 # less to the outside of the board, where printed boards often have squares of less than half the width.
@@ -40,19 +40,6 @@ _RIDGE = 1e-6 * np.eye(_UNKNOWNS)
 _NO_CONTRAST = 1e-3
 
 Single = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What pictures of one camera have in common, to begin the next fit with.
-
-    Attributes:
-        blur_px: sigma of the edges' blur, px.
-        noise_grey: sigma of a pixel, grey levels; None where it is not known yet.
-    """
-
-    blur_px: float = 0.9
-    noise_grey: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +135,7 @@ def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.
         x, y = corner[:, :1] + reach, corner[:, 1:] + reach
         in_x, in_y = (x >= 0) & (x < width), (y >= 0) & (y < height)
         inside = (in_y[:, :, None] & in_x[:, None, :]).reshape(len(middle), -1)
-        image = np.asarray(cv2.copyMakeBorder(image, *[side] * 4, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        image = np.pad(image, side, mode="edge")
         corner = np.clip(corner + side, 0, np.array(image.shape[::-1]) - side)
     view = sliding_window_view(image, (side, side))
     return view[corner[:, 1], corner[:, 0]].reshape(len(middle), -1), inside
@@ -254,7 +241,7 @@ class _Fit:
         wider = np.minimum(np.maximum(-unknowns[:, 2] * unit, -_STEP_BLUR_PX), _STEP_BLUR_PX)
         self.blur = np.minimum(np.maximum(self.blur + wider, _LEAST_BLUR_PX), _MOST_BLUR_PX)
         self.noise_grey = float(np.sqrt(_median(variance)))
-        return Round(step, cov, contrast, np.sqrt(variance))
+        return Round(step, cov, np.asarray(contrast, dtype=np.float64), np.asarray(np.sqrt(variance)))
 
 
 def _median(values: FloatArray) -> float:

@@ -67,7 +67,8 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
     outer_whole = outer_squares_whole(image, grid_map, columns, rows)
     grid = refine_widely(image, grid, edge, outer_whole)
-    grid = fit_corners(image, grid, outer_whole).pixels.reshape(grid.shape)
+    fit = fit_corners(image, grid, outer_whole)
+    grid = fit.pixels.reshape(grid.shape)
     grid_map = fit_grid(grid)
     worst = _worst_px(grid_map)
     polarity = check_polarity(image, grid_map, columns, rows)
@@ -80,7 +81,9 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         return blurred
     if worst > limit:
         return Miss("corners off the board's grid", f"worst corner {worst:.2f} px, limit {limit:.2f} px")
-    return Detection(canonical(grid, polarity.dark_at_origin), max(grid_map.sigma_px, _FLOOR_PX))
+    order = canonical(grid, polarity.dark_at_origin)
+    sigma_px = max(grid_map.sigma_px, _FLOOR_PX)
+    return Detection(fit.pixels[order], sigma_px, cov=fit.cov[order], look=fit.look)
 
 
 def _worst_px(grid_map: GridMap) -> float:

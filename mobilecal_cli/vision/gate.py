@@ -105,7 +105,7 @@ def _squares(image: GrayImage, grid_map: GridMap, where: Places) -> tuple[FloatA
     """Of each square: mean brightness, scatter inside it, whether it is wholly in the picture; (n,) each."""
     values, inside = sample(image, grid_map.at(where))
     nine = values.reshape(-1, 9)
-    return nine.mean(axis=1), nine.std(axis=1), inside.reshape(-1, 9).all(axis=1)
+    return nine.mean(axis=1), nine.std(axis=1), np.all(inside.reshape(-1, 9), axis=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +141,8 @@ def _frame(rows: int, columns: int) -> _Frame:
     finer = np.linalg.qr(terms)[0]
     # Of a homography's 8 numbers, 6 are an affine map: in the polynomial.
     unknowns = 2 * terms.shape[1] + 2
-    return _Frame(w, centre, size, degree, np.linalg.pinv(_monomials(w, degree)), finer, unknowns)
+    solver = np.asarray(np.linalg.pinv(_monomials(w, degree)), dtype=np.float64)
+    return _Frame(w, centre, size, degree, solver, finer, unknowns)
 
 
 def places(uv: FloatArray, columns: int, rows: int) -> Places:
@@ -199,8 +200,8 @@ def turned(values: FloatArray, columns: int, rows: int, quarter_turns: int) -> F
     return np.ascontiguousarray(np.rot90(grid, quarter_turns)).reshape(values.shape)
 
 
-def canonical(grid: FloatArray, dark_at_origin: bool) -> FloatArray:
-    """Corners in the order that square colours prescribe, as far as they can.
+def canonical(grid: FloatArray, dark_at_origin: bool) -> IntArray:
+    """The order of corners that square colours prescribe, as far as they can.
 
     The outer square diagonally next to corner 0 is dark, where a turn of the board can bring that about. What
     then is left open (see `turns`) is settled for the moment by turning x as far to the picture's right as can
@@ -211,17 +212,19 @@ def canonical(grid: FloatArray, dark_at_origin: bool) -> FloatArray:
         dark_at_origin: that square is dark in the order given.
 
     Returns:
-        (rows * columns, 2).
+        (rows * columns,) which of the given corners comes first, second, ...
     """
     rows, columns = grid.shape[:2]
+    order = np.arange(rows * columns).reshape(rows, columns)
     odd_square = columns == rows and columns % 2 == 1
     if not dark_at_origin and (columns + rows) % 2:
-        grid = np.rot90(grid, 2)
+        order = np.rot90(order, 2)
     elif not dark_at_origin and odd_square:
-        grid = np.rot90(grid, 1)
-    candidates = [np.rot90(grid, k) for k in turns(columns, rows)]
-    best = max(candidates, key=lambda g: float(_x_direction(g)))
-    return np.ascontiguousarray(best).reshape(-1, 2)
+        order = np.rot90(order, 1)
+    corners = grid.reshape(-1, 2)
+    candidates = [np.rot90(order, k) for k in turns(columns, rows)]
+    best = max(candidates, key=lambda numbers: _x_direction(corners[numbers]))
+    return np.ascontiguousarray(best, dtype=np.int64).ravel()
 
 
 def _x_direction(grid: FloatArray) -> float:

@@ -58,7 +58,8 @@ def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observa
     grid_m = square_m * board.grid()
     T_k_turned = absolute_orientation(renumber(grid_m), grid_m)
     left, right = (
-        replace(corners, pixels=renumber(corners.pixels)) for corners in (observation.left, observation.right)
+        replace(corners, pixels=renumber(corners.pixels), relative_cov=renumber(corners.relative_cov))
+        for corners in (observation.left, observation.right)
     )
     return replace(
         observation,

@@ -63,23 +63,27 @@ class _Shots:
     Attributes:
         pixels: (n, M, 2), all in one numbering.
         seen: (n, M) the corners that were seen.
+        cov: (n, M, 2, 2) what each one's fit claims, px^2.
     """
 
     pixels: FloatArray
     seen: BoolArray
+    cov: FloatArray
 
     @classmethod
     def of(cls, found: Sequence[Detection], board: Board) -> _Shots:
         """Each shot in the numbering nearest to the first shot's."""
-        aligned = [
-            min(_numberings(d.pixels, board), key=lambda p: float(np.sum((p - found[0].pixels) ** 2)))
-            for d in found
-        ]
-        return cls(np.stack(aligned), np.stack([d.seen for d in found]))
+        pixels, cov = [], []
+        for d in found:
+            options = [(_turned(d.pixels, board, k), k) for k in _turns(board)]
+            nearest, turn = min(options, key=lambda option: float(np.sum((option[0] - found[0].pixels) ** 2)))
+            pixels.append(nearest)
+            cov.append(_turned(d.cov, board, turn))
+        return cls(np.stack(pixels), np.stack([d.seen for d in found]), np.stack(cov))
 
     def select(self, kept: BoolArray) -> _Shots:
         """Some of the shots."""
-        return _Shots(self.pixels[kept], self.seen[kept])
+        return _Shots(self.pixels[kept], self.seen[kept], self.cov[kept])
 
     @property
     def drift_px(self) -> FloatArray:
@@ -94,6 +98,7 @@ class _Shots:
 
         The noise is the scatter over the shots, pooled over the corners, divided by sqrt(n); but no less than what
         the average's own roughness shows: errors of refinement that are the same in every shot do not average out.
+        What it is more than the fits claim, it is for all corners alike.
         """
         n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
         weight = (self.seen & seen)[..., None]
@@ -107,24 +112,39 @@ class _Shots:
             freedom = max(2 * (int(weight.sum()) - int(seen.sum())), 1)
             scatter = np.sqrt(np.sum(weight * (self.pixels - mean) ** 2) / freedom)
             sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
-        return Corners(mean, sigma_px, n, seen)
+        times = np.maximum(weight.sum(axis=0), 1)[..., None]
+        claimed = np.sum(self.cov * weight[..., None], axis=0) / times**2
+        usual = float(np.median(np.trace(claimed[seen], axis1=1, axis2=2))) / 2
+        cov = claimed + max(sigma_px**2 - usual, 0.0) * np.eye(2)
+        sigma_px = max(sigma_px, float(np.sqrt(usual)))
+        return Corners(mean, sigma_px, n, seen, np.where(seen[:, None, None], cov / sigma_px**2, np.eye(2)))
 
 
-def _numberings(pixels: FloatArray, board: Board) -> list[FloatArray]:
-    """(M, 2) corners in every numbering that they could have: one, where markers tell it."""
-    if board.markers is not None:
-        return [pixels]
-    return [turned(pixels, board.columns, board.rows, k) for k in turns(board.columns, board.rows)]
+def _turns(board: Board) -> tuple[int, ...]:
+    """Quarter turns that give the numberings which corners could have: one, where markers tell it."""
+    return (0,) if board.markers is not None else turns(board.columns, board.rows)
+
+
+def _turned(values: FloatArray, board: Board, quarter_turns: int) -> FloatArray:
+    return turned(values, board.columns, board.rows, quarter_turns) if quarter_turns else values
 
 
 def _best_fit(
     rig: StereoRig, left: Corners, right: Corners, board: Board
-) -> tuple[StereoPoints | Miss, FloatArray]:
+) -> tuple[StereoPoints | Miss, Corners]:
     """Corners that both see, triangulated, with the right picture numbered so that it fits the left one best."""
-    options = _numberings(right.pixels, board)
+    options = [
+        replace(
+            right,
+            pixels=_turned(right.pixels, board, k),
+            relative_cov=_turned(right.relative_cov, board, k),
+        )
+        for k in _turns(board)
+    ]
     both = left.seen & right.seen
     fits = [
-        triangulate(rig, left.pixels[both], option[both], left.sigma_px, right.sigma_px) for option in options
+        triangulate(rig, left.pixels[both], option.pixels[both], left.cov_px2[both], option.cov_px2[both])
+        for option in options
     ]
     best = min(
         range(len(fits)), key=lambda i: fit.rms_px if isinstance(fit := fits[i], StereoPoints) else np.inf
@@ -213,7 +233,7 @@ def observe(
             "board partly hidden or cut off by the border",
             f"{both.sum()} of {board.corners} corners are in both pictures, need {_LEAST_IN_BOTH}",
         )
-    points, pixels_right = _best_fit(rig, corners_left, corners_right, board)
+    points, corners_right = _best_fit(rig, corners_left, corners_right, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
     if points.rms_px > _MAX_EPIPOLAR_RMS_PX:
@@ -221,13 +241,12 @@ def observe(
             "left and right do not fit together",
             f"corners are {points.rms_px:.2f} px rms off the epipolar lines, limit {_MAX_EPIPOLAR_RMS_PX} px",
         )
-    corners_right = replace(corners_right, pixels=pixels_right)
     grid = board.grid()[both]
     pictures = (
         corners_left.pixels[both],
         corners_right.pixels[both],
-        corners_left.sigma_px,
-        corners_right.sigma_px,
+        corners_left.cov_px2[both],
+        corners_right.cov_px2[both],
     )
     rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)

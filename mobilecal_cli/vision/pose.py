@@ -6,7 +6,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import FloatArray, StereoRig
-from mobilecal_cli.vision.stereo import depths, reproject
+from mobilecal_cli.vision.stereo import Noise, depths, reproject, whitening
 from mobilecal_cli.vision.values import BoardPose, rms
 
 _STEPS = 50
@@ -86,8 +86,8 @@ def board_pose(
     points_k: FloatArray,
     pixels_left: FloatArray,
     pixels_right: FloatArray,
-    sigma_px_left: float,
-    sigma_px_right: float,
+    noise_left: Noise,
+    noise_right: Noise,
     start: FloatArray,
     free_scale: bool = False,
 ) -> BoardPose:
@@ -97,7 +97,7 @@ def board_pose(
         rig: the stereo pair.
         points_k: (M, 3) corners on the board, m.
         pixels_left, pixels_right: (M, 2) corners in each picture, px.
-        sigma_px_left, sigma_px_right: noise of one coordinate in each, px.
+        noise_left, noise_right: of each, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
         start: (4, 4) T_c_k to start from, in front of both cameras.
         free_scale: solve for one common factor on `points_k` too.
 
@@ -106,16 +106,22 @@ def board_pose(
         it is free.
     """
     measured = np.hstack([pixels_left, pixels_right])
-    weight = np.repeat([sigma_px_left, sigma_px_right], 2) ** -2.0
+    root = whitening(noise_left, noise_right, len(points_k))
+
+    def whitened(residual: FloatArray) -> FloatArray:
+        return np.asarray((root @ residual[..., None])[..., 0])
+
     unknowns = 7 if free_scale else 6
     T_c_k, scale, damping = start, 1.0, 1e-6
     residual, J = pose_residuals(rig, T_c_k, points_k, measured)
-    cost = float(np.sum(weight * residual**2))
+    cost = float(np.sum(whitened(residual) ** 2))
     for _ in range(_STEPS):
-        A = J[..., :unknowns].reshape(-1, unknowns) * np.tile(np.sqrt(weight), len(points_k))[:, None]
+        A = (root @ J[..., :unknowns]).reshape(-1, unknowns)
         normal = A.T @ A
-        gradient = A.T @ (np.sqrt(weight) * residual).ravel()
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+        gradient = A.T @ whitened(residual).ravel()
+        step = np.asarray(
+            np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64
+        )
         trial_T = se3.exp(step[:6]) @ T_c_k
         trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
         trial_points = trial_scale * points_k
@@ -123,7 +129,7 @@ def board_pose(
         trial_cost = np.inf
         if ahead:
             trial_residual, trial_J = pose_residuals(rig, trial_T, trial_points, measured)
-            trial_cost = float(np.sum(weight * trial_residual**2))
+            trial_cost = float(np.sum(whitened(trial_residual) ** 2))
         if trial_cost <= cost:
             T_c_k, scale, residual, J = trial_T, trial_scale, trial_residual, trial_J
             done = cost - trial_cost <= 1e-10 * cost or cost < 1e-20
@@ -134,7 +140,7 @@ def board_pose(
             break
         else:
             damping *= _FACTOR
-    A = J[..., :unknowns].reshape(-1, unknowns) * np.tile(np.sqrt(weight), len(points_k))[:, None]
-    covariance = np.linalg.inv(A.T @ A)
+    A = (root @ J[..., :unknowns]).reshape(-1, unknowns)
+    covariance = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
     scale_sigma = float(np.sqrt(covariance[6, 6])) * scale if free_scale else 0.0
     return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms(residual))

@@ -8,6 +8,9 @@ from mobilecal_cli import camera, se3
 from mobilecal_cli.model import FloatArray, StereoRig
 from mobilecal_cli.vision.values import Miss, StereoPoints, rms
 
+#: Sigma of one coordinate of all corners, px; or each corner's (M, 2, 2) covariance, px^2.
+Noise = float | FloatArray
+
 _STEPS = 12
 _MAX_RMS_PX = 20.0  # beyond it the two pixels are not of one point, and linearised noise means nothing
 
@@ -18,6 +21,15 @@ def reproject(rig: StereoRig, points_c: FloatArray) -> tuple[FloatArray, FloatAr
     left, J_left = camera.project_with_jacobian(rig.left, points_c)
     right, J_right = camera.project_with_jacobian(rig.right, points_c @ T_r_c[:3, :3].T + T_r_c[:3, 3])
     return np.concatenate([left, right], axis=-1), np.concatenate([J_left, J_right @ T_r_c[:3, :3]], axis=-2)
+
+
+def whitening(noise_left: Noise, noise_right: Noise, count: int) -> FloatArray:
+    """(M, 4, 4) W with W^T W the inverse covariance of each corner's four coordinates, as `reproject` orders them."""
+    W = np.zeros((count, 4, 4))
+    for at, noise in ((slice(0, 2), noise_left), (slice(2, 4), noise_right)):
+        cov = noise if isinstance(noise, np.ndarray) else noise**2 * np.eye(2)
+        W[:, at, at] = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(cov, (count, 2, 2))))
+    return W
 
 
 def depths(rig: StereoRig, points_c: FloatArray) -> FloatArray:
@@ -48,19 +60,19 @@ def triangulate(
     rig: StereoRig,
     pixels_left: FloatArray,
     pixels_right: FloatArray,
-    sigma_px_left: float,
-    sigma_px_right: float,
+    noise_left: Noise,
+    noise_right: Noise,
 ) -> StereoPoints | Miss:
     """The points that explain pairs of pixels best: least squares of the reprojection residuals.
 
     Starts from the midpoint of the rays and takes Gauss-Newton steps on the four residuals of each point,
-    weighted by the cameras' noise (Hartley and Sturm 1997 treat the same cost; here the cameras may have
+    weighted by the corners' noise (Hartley and Sturm 1997 treat the same cost; here the cameras may have
     distortion, and any geometry). The covariance of a point is (J^T W J)^-1.
 
     Args:
         rig: the stereo pair, raw or rectified.
         pixels_left, pixels_right: (M, 2) the same points in each picture, px.
-        sigma_px_left, sigma_px_right: noise of one coordinate in each, px.
+        noise_left, noise_right: of each, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
 
     Returns:
         The points, or a Miss where they lie behind a camera or the pairs do not fit at all.
@@ -76,14 +88,14 @@ def triangulate(
     points = _nearest_on_left_rays(rig, flat_left, flat_right)
     behind = Miss("left and right do not fit together", "corners lie behind a camera when triangulated")
     measured = np.hstack([pixels_left, pixels_right])
-    weight = np.repeat([sigma_px_left, sigma_px_right], 2) ** -2.0
+    root = whitening(noise_left, noise_right, len(points))
     for _ in range(_STEPS):
         if np.any(depths(rig, points) <= 0):
             return behind
         predicted, J = reproject(rig, points)
-        residual = measured - predicted
-        normal = np.swapaxes(J, 1, 2) @ (weight[:, None] * J)
-        step = np.linalg.solve(normal, np.swapaxes(J, 1, 2) @ (weight * residual)[..., None])[..., 0]
+        A, r = root @ J, root @ (measured - predicted)[..., None]
+        At = np.swapaxes(A, 1, 2)
+        step = np.linalg.solve(At @ A, At @ r)[..., 0]
         points = points + step
         if np.all(np.abs(step) <= 1e-14 * np.abs(points[:, 2:])):
             break
@@ -93,5 +105,6 @@ def triangulate(
     residual_px = rms(measured - predicted)
     if residual_px > _MAX_RMS_PX:
         return Miss("left and right do not fit together", f"rms {residual_px:.1f} px off the epipolar lines")
-    covariance = np.linalg.inv(np.swapaxes(J, 1, 2) @ (weight[:, None] * J)).astype(np.float64)
+    A = root @ J
+    covariance = np.linalg.inv(np.swapaxes(A, 1, 2) @ A).astype(np.float64)
     return StereoPoints(points, covariance, residual_px)

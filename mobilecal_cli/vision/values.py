@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.model import BoolArray, FloatArray
-from mobilecal_cli.model.arrays import freeze, freeze_corners
+from mobilecal_cli.model.arrays import freeze, freeze_corners, freeze_covariances
 
 Reason = Literal[
     "no board",
@@ -24,6 +24,19 @@ Reason = Literal[
 ]
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What pictures of one camera have in common, to begin the next fit with.
+
+    Attributes:
+        blur_px: sigma of the edges' blur, px.
+        noise_grey: sigma of a pixel, grey levels; None where it is not known yet.
+    """
+
+    blur_px: float = 0.9
+    noise_grey: float | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
     """The board in one picture.
@@ -33,14 +46,19 @@ class Detection:
             board's front; square colours fix the origin as far as they can (see `grid.turns`), markers wholly.
         sigma_px: noise of one coordinate, px, from how far the corners scatter about a smooth grid.
         seen: (M,) the corners that were seen, all of them where nothing is said; the others' pixels are 0.
+        cov: (M, 2, 2) what the fit of each corner claims, px^2; from `sigma_px` where nothing is said.
+        look: what the next picture's fit may begin with; None where no corner model was fitted.
     """
 
     pixels: FloatArray
     sigma_px: float
     seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
+    cov: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    look: Look | None = None
 
     def __post_init__(self) -> None:
         freeze_corners(self, self.seen)
+        freeze_covariances(self, "cov", self.cov, self.sigma_px**2)
 
 
 @dataclass(frozen=True, slots=True)

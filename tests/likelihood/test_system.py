@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import moved, problem_of
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import cost_of, leg_weights, linearize
-from mobilecal_cli.likelihood.views import board_in_camera, predicted_px, sigmas_px
+from mobilecal_cli.likelihood.views import board_in_camera, predicted_px
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
@@ -63,7 +63,8 @@ class Case:
         state = self.displaced(x)
         off = predicted_px(self.problem, state, board_in_camera(self.problem, state)) - self.problem.pixels
         believed = self.selection.corners & self.selection.views[:, None, None]
-        pixels = np.where(believed[..., None], off / sigmas_px(self.problem, NOISE)[:, :, None, None], 0.0)
+        whitened = np.einsum("ncmab,ncmb->ncma", self.problem.whitening, off) / NOISE.pixel_px
+        pixels = np.where(believed[..., None], whitened, 0.0)
         root = np.zeros_like(self.weight)
         on = self.selection.legs
         root[on] = np.linalg.cholesky(self.weight[on])
