@@ -6,6 +6,7 @@ Other rooms use what is named here.
 from mobilecal_cli.vision.board_size import SizeVote, identify_size
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
+from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import settle_numbering
 from mobilecal_cli.vision.observing import observe
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
@@ -14,6 +15,7 @@ from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
 
 __all__ = [
+    "BoardFollower",
     "BoardPose",
     "Detection",
     "Miss",

@@ -68,14 +68,16 @@ class FittedCorners:
         cov: (M, 2, 2) covariance as the fit's own residual tells, px^2.
         contrast_grey: (M,) half of the step from dark to light; its sign tells the colours.
         fitted: (M,) where the fit stands.
-        look: of this picture.
+        blur_px: sigma of the edges' blur, px.
+        noise_grey: sigma of a pixel, grey levels.
     """
 
     pixels: FloatArray
     cov: FloatArray
     contrast_grey: FloatArray
     fitted: BoolArray
-    look: Look
+    blur_px: float
+    noise_grey: float | None
 
     @property
     def sigma_px(self) -> FloatArray:
@@ -294,5 +296,6 @@ def fit_corners(
         np.where(fitted[:, None, None], last.cov, poor),
         last.contrast_grey,
         fitted,
-        Look(_median(fit.blur), fit.noise_grey),
+        _median(fit.blur),
+        fit.noise_grey,
     )

@@ -8,15 +8,18 @@ import numpy as np
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
-from mobilecal_cli.vision.grid import GridMap, canonical, fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smallest_edge_px
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.refinement import refine, refine_widely
-from mobilecal_cli.vision.values import Detection, Miss
+from mobilecal_cli.vision.spots import spot_strength
+from mobilecal_cli.vision.values import Detection, Look, Miss
 
 _LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
-_MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
+MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
 _SMALLEST_PICTURE = 64
-_FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
+FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
+#: Spots that are fainter than so much of a board's are none of another board in the same light.
+FAINTEST = 0.1
 _TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the board
 
 
@@ -51,26 +54,25 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     rows, columns = grid.shape[:2]
     grid = right_handed(grid)
     edge = smallest_edge_px(grid)
-    if edge < _MIN_EDGE_PX:
-        return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
-    limit = max(0.6, 0.12 * edge)
+    if edge < MIN_EDGE_PX:
+        return _too_small(edge)
+    limit = roughest_px(edge)
     for _ in range(2):
         grid = refine(image, grid.reshape(-1, 2), edge).reshape(grid.shape)
         grid_map = fit_grid(grid)
-        if _worst_px(grid_map) <= limit:
+        if grid_map.worst_px <= limit:
             break
         grid = (
             grid - grid_map.residual
         )  # a corner that was led astray starts again from where the others want it
     edge = smallest_edge_px(grid)
-    if edge < _MIN_EDGE_PX:
-        return Miss("squares too small", f"smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px")
+    if edge < MIN_EDGE_PX:
+        return _too_small(edge)
     outer_whole = outer_squares_whole(image, grid_map, columns, rows)
     grid = refine_widely(image, grid, edge, outer_whole)
     fit = fit_corners(image, grid, outer_whole)
     grid = fit.pixels.reshape(grid.shape)
     grid_map = fit_grid(grid)
-    worst = _worst_px(grid_map)
     polarity = check_polarity(image, grid_map, columns, rows)
     blurred = check_sharpness(image, grid_map, columns, rows)
     if isinstance(polarity, Miss):
@@ -79,15 +81,23 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         return blurred if blurred is not None and washed_out else polarity
     if blurred is not None:
         return blurred
-    if worst > limit:
-        return Miss("corners off the board's grid", f"worst corner {worst:.2f} px, limit {limit:.2f} px")
-    order = canonical(grid, polarity.dark_at_origin)
-    sigma_px = max(grid_map.sigma_px, _FLOOR_PX)
-    return Detection(fit.pixels[order], sigma_px, cov=fit.cov[order], look=fit.look)
+    if grid_map.worst_px > limit:
+        return Miss(
+            "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
+        )
+    order, dark_at_origin = canonical(grid, polarity.dark_at_origin)
+    contrast = float(np.median(np.abs(fit.contrast_grey)))
+    look = Look(fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole)
+    return Detection(fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], look=look)
 
 
-def _worst_px(grid_map: GridMap) -> float:
-    return float(np.linalg.norm(grid_map.residual, axis=-1).max())
+def _too_small(edge_px: float) -> Miss:
+    return Miss("squares too small", f"smallest square {edge_px:.1f} px, need {MIN_EDGE_PX:.0f} px")
+
+
+def roughest_px(edge_px: float) -> float:
+    """How far a corner may lie from where the others want it, px."""
+    return max(0.6, 0.12 * edge_px)
 
 
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
@@ -101,7 +111,7 @@ def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> G
     return painted
 
 
-def detect(image: GrayImage, columns: int, rows: int) -> Detection | Miss:
+def detect(image: GrayImage, columns: int, rows: int, thorough: bool = True) -> Detection | Miss:
     """Find a board of known size in one picture.
 
     The contour-based detector is asked first (half size first in large pictures), and its corners refined and
@@ -112,6 +122,7 @@ def detect(image: GrayImage, columns: int, rows: int) -> Detection | Miss:
     Args:
         image: (height, width) grey, 8 bits; may be read-only and have padded rows.
         columns, rows: inner corners.
+        thorough: also grow a grid; this takes ten times as long where there is no board.
 
     Returns:
         The corners, or why there are none.
@@ -120,19 +131,32 @@ def detect(image: GrayImage, columns: int, rows: int) -> Detection | Miss:
         return Miss("no board", f"the picture has only {image.shape[1]} x {image.shape[0]} px")
     grid = _fast(image, columns, rows)
     result = _judge(image, grid) if grid is not None else None
-    if not isinstance(result, Detection):
+    if not isinstance(result, Detection) and thorough:
         result = _thorough(image, columns, rows, result)
+    if result is None:
+        return Miss("no board", f"no grid of {columns} x {rows} corners at first sight")
     if isinstance(result, Detection):
-        painted = _without(image, result.pixels, columns, rows)
-        other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
-        if other is not None and isinstance(_judge(painted, other), Detection):
-            x, y = other.reshape(-1, 2).mean(axis=0)
+        other = _second(image, result, columns, rows)
+        if other is not None:
+            x, y = other.mean(axis=0)
             first_x, first_y = result.pixels.mean(axis=0)
             return Miss(
                 "second board in view",
                 f"boards of {columns} x {rows} at ({first_x:.0f}, {first_y:.0f}) and ({x:.0f}, {y:.0f}) px",
             )
     return result
+
+
+def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> FloatArray | None:
+    """Corners of a second board beside the one that was found, (M, 2) px; None where there is none."""
+    painted = _without(image, found.pixels, columns, rows)
+    corners = columns * rows
+    if spot_strength(painted, corners) < FAINTEST * spot_strength(image, corners):
+        return None
+    other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
+    if other is None or not isinstance(_judge(painted, other), Detection):
+        return None
+    return other.reshape(-1, 2)
 
 
 def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> Detection | Miss:
@@ -174,9 +198,9 @@ def _other_size(grid: FloatArray, open_sides: int, columns: int, rows: int) -> M
     wanted = sorted((columns, rows), reverse=True)
     edge = smallest_edge_px(grid)
     numbers = f"a grid of {seen[0]} x {seen[1]} corners is seen where {columns} x {rows} are wanted"
-    if edge < _MIN_EDGE_PX:
+    if edge < MIN_EDGE_PX:
         return Miss(
-            "squares too small", f"{numbers}; smallest square {edge:.1f} px, need {_MIN_EDGE_PX:.0f} px"
+            "squares too small", f"{numbers}; smallest square {edge:.1f} px, need {MIN_EDGE_PX:.0f} px"
         )
     if seen[0] >= wanted[0] and seen[1] >= wanted[1]:
         return Miss("board continues beyond the grid", numbers)

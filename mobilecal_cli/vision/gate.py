@@ -24,7 +24,7 @@ _WEAKEST = 0.15  # least contrast of a pair of neighbours, in units of the board
 _BEYOND = 0.35  # contrast that a pair beyond the outer squares needs to count as board
 _MIN_CONTRAST_GREY = 4.0
 _NOISE_FACTOR = 5.0
-_MAX_EDGE_WIDTH = 0.6  # of a square, 10 to 90 %
+MAX_EDGE_WIDTH = 0.6  # of a square, 10 to 90 %
 # Where borders are looked at, in squares, and what the contrasts' ratio there says of a blur's sigma.
 _NEAR, _FAR = 0.15, 0.38
 _SIGMAS = np.linspace(0.02, 1.0, 99)
@@ -227,6 +227,6 @@ def edge_width(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> 
 def check_sharpness(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> Miss | None:
     """A Miss where the borders between squares are wider than corners can stand."""
     width = edge_width(image, grid_map, columns, rows)
-    if width <= _MAX_EDGE_WIDTH:
+    if width <= MAX_EDGE_WIDTH:
         return None
-    return Miss("blurred", f"borders are {width:.2f} squares wide (10 to 90 %), limit {_MAX_EDGE_WIDTH}")
+    return Miss("blurred", f"borders are {width:.2f} squares wide (10 to 90 %), limit {MAX_EDGE_WIDTH}")

@@ -53,6 +53,11 @@ class GridMap:
         w = (uv - self.centre) / self.size
         return _through(self.H, w) + _monomials(w, self.degree) @ self.bend
 
+    @property
+    def worst_px(self) -> float:
+        """How far the worst corner lies from the smooth map, px."""
+        return float(np.sqrt(np.sum(self.residual**2, axis=-1).max()))
+
     def at(self, places: Places) -> FloatArray:
         """(n, 2) px of places that were prepared for this board's counts."""
         return _through(self.H, places.w) + places.terms @ self.bend
@@ -200,7 +205,7 @@ def turned(values: FloatArray, columns: int, rows: int, quarter_turns: int) -> F
     return np.ascontiguousarray(np.rot90(grid, quarter_turns)).reshape(values.shape)
 
 
-def canonical(grid: FloatArray, dark_at_origin: bool) -> IntArray:
+def canonical(grid: FloatArray, dark_at_origin: bool) -> tuple[IntArray, bool]:
     """The order of corners that square colours prescribe, as far as they can.
 
     The outer square diagonally next to corner 0 is dark, where a turn of the board can bring that about. What
@@ -212,19 +217,18 @@ def canonical(grid: FloatArray, dark_at_origin: bool) -> IntArray:
         dark_at_origin: that square is dark in the order given.
 
     Returns:
-        (rows * columns,) which of the given corners comes first, second, ...
+        (rows * columns,) which of the given corners comes first, second, ..., and whether then that square is dark.
     """
     rows, columns = grid.shape[:2]
     order = np.arange(rows * columns).reshape(rows, columns)
     odd_square = columns == rows and columns % 2 == 1
-    if not dark_at_origin and (columns + rows) % 2:
-        order = np.rot90(order, 2)
-    elif not dark_at_origin and odd_square:
-        order = np.rot90(order, 1)
+    settled = (columns + rows) % 2 == 1 or odd_square
+    if not dark_at_origin and settled:
+        order = np.rot90(order, 1 if odd_square else 2)
     corners = grid.reshape(-1, 2)
     candidates = [np.rot90(order, k) for k in turns(columns, rows)]
     best = max(candidates, key=lambda numbers: _x_direction(corners[numbers]))
-    return np.ascontiguousarray(best, dtype=np.int64).ravel()
+    return np.ascontiguousarray(best, dtype=np.int64).ravel(), dark_at_origin or settled
 
 
 def _x_direction(grid: FloatArray) -> float:

@@ -31,10 +31,14 @@ class Look:
     Attributes:
         blur_px: sigma of the edges' blur, px.
         noise_grey: sigma of a pixel, grey levels; None where it is not known yet.
+        contrast_grey: half of the step from dark to light; negative where the outer square next to corner 0 is dark.
+        outer_whole: the board's outer squares are about as wide as the others.
     """
 
     blur_px: float = 0.9
     noise_grey: float | None = None
+    contrast_grey: float = 0.0
+    outer_whole: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

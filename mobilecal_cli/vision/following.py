@@ -1,0 +1,139 @@
+"""The board in one picture after the other: expected where it was, or where it was going, and searched where lost."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.vision.boards import find_board
+from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners
+from mobilecal_cli.vision.detection import FAINTEST, FLOOR_PX, MIN_EDGE_PX, roughest_px
+from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
+from mobilecal_cli.vision.grid import fit_grid, smallest_edge_px
+from mobilecal_cli.vision.refinement import refine_once
+from mobilecal_cli.vision.spots import spot_strength
+from mobilecal_cli.vision.values import Detection, Look, Miss
+
+_LONGEST_GAP_NS = 500_000_000  # after that the board may be anywhere
+_MARGIN_PX = 3.0
+_WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
+_FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
+
+
+def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, rows: int) -> Detection | Miss:
+    """The board about where it is expected, numbered as it was.
+
+    Corners are refined, fitted, and pass if they are corners of the right colours nearly everywhere, the outermost
+    too (a grid that lies a square beside the board's ends on its margin, where there are none), and lie on a smooth
+    grid.
+
+    Args:
+        image: (height, width) grey.
+        expected: (M, 2) px.
+        look: of the last picture that showed it.
+        columns, rows: inner corners.
+    """
+    height, width = image.shape
+    low, high = expected.min(axis=0), expected.max(axis=0)
+    if low.min() < _MARGIN_PX or high[0] > width - 1 - _MARGIN_PX or high[1] > height - 1 - _MARGIN_PX:
+        return Miss("board partly hidden or cut off by the border", "it was leaving the picture")
+    grid = expected.reshape(rows, columns, 2)
+    edge = smallest_edge_px(grid)
+    if edge < MIN_EDGE_PX:
+        return Miss("squares too small", f"smallest square {edge:.1f} px, need {MIN_EDGE_PX:.0f} px")
+    grid = refine_once(image, expected, edge, look.outer_whole).reshape(grid.shape)
+    if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
+        return Miss("corners off the board's grid", "corners ran into one another")
+    fit = fit_corners(image, grid, look.outer_whole, look)
+    width_squares = 2.563 * fit.blur_px / edge
+    if width_squares > MAX_EDGE_WIDTH:
+        return Miss(
+            "blurred", f"borders are {width_squares:.2f} squares wide (10 to 90 %), limit {MAX_EDGE_WIDTH}"
+        )
+    if not _is_board(fit, look.contrast_grey, rows, columns):
+        return Miss(
+            "board polarity does not alternate",
+            "where it was expected, corners are hidden or of wrong colours",
+        )
+    grid_map, limit = fit_grid(fit.pixels.reshape(grid.shape)), roughest_px(edge)
+    if grid_map.worst_px > limit:
+        return Miss(
+            "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
+        )
+    contrast = float(np.median(np.abs(fit.contrast_grey))) * np.sign(look.contrast_grey)
+    seen = Look(fit.blur_px, fit.noise_grey, float(contrast), look.outer_whole)
+    return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, look=seen)
+
+
+def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:
+    j, i = np.indices((rows, columns))
+    strength = fit.contrast_grey.reshape(rows, columns) * np.where((i + j) % 2 == 0, 1, -1) / contrast_grey
+    good = fit.fitted.reshape(rows, columns) & (strength > _WEAKEST)
+    sides = good[0], good[-1], good[:, 0], good[:, -1], good
+    return all(bool(side.mean() >= _FEWEST) for side in sides)
+
+
+class BoardFollower:
+    """Looks at the pictures of one camera in order of time.
+
+    The board is expected where its corners were going in the last two pictures that showed it, at most half a second
+    ago. Where it is not there it is searched for; but once it is known how strong its corners look in this light, not
+    in pictures without as many spots of a tenth of that strength.
+
+    Args:
+        board: what to look for; boards with markers are searched for in every picture.
+        thorough: how the search is done, see `detect`.
+    """
+
+    def __init__(self, board: Board, thorough: bool) -> None:
+        self._board, self._thorough = board, thorough
+        self._seen: deque[tuple[int, Detection]] = deque(maxlen=2)
+        self._spots: float | None = None
+
+    def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
+        """The board in the next picture.
+
+        Args:
+            image: (height, width) grey.
+            time_ns: its stamp.
+        """
+        board = self._board
+        if board.markers is not None:
+            return find_board(image, board)
+        found: Detection | Miss | None = None
+        expected = self._expected(time_ns)
+        if expected is not None:
+            look = self._seen[-1][1].look
+            found = None if look is None else follow(image, expected, look, board.columns, board.rows)
+        if not isinstance(found, Detection):
+            found = self._search(image, found)
+        if isinstance(found, Detection):
+            self._seen.append((time_ns, found))
+        return found
+
+    def _expected(self, time_ns: int) -> FloatArray | None:
+        if not self._seen:
+            return None
+        last_ns, last = self._seen[-1]
+        if not 0 <= time_ns - last_ns <= _LONGEST_GAP_NS:
+            return None
+        if len(self._seen) < 2 or last_ns - self._seen[0][0] > _LONGEST_GAP_NS:
+            return last.pixels
+        before_ns, before = self._seen[0]
+        share = (time_ns - last_ns) / max(last_ns - before_ns, 1)
+        return np.asarray(last.pixels + share * (last.pixels - before.pixels))
+
+    def _search(self, image: GrayImage, lost: Miss | None) -> Detection | Miss:
+        count = self._board.corners
+        strength = None
+        if self._spots is not None:
+            strength = spot_strength(image, count)
+            if strength < FAINTEST * self._spots:
+                return lost or Miss("no board", f"fewer than {count} spots look like corners of the board")
+        found = find_board(image, self._board, self._thorough)
+        if isinstance(found, Detection):
+            strength = spot_strength(image, count) if strength is None else strength
+            self._spots = strength if self._spots is None else min(self._spots, strength)
+        return found
