@@ -262,6 +262,10 @@ class RigConfig(_Section):
     nominal: NominalConfig = NominalConfig()
     noise: NoiseConfig = NoiseConfig()
     gates: dict[Text, FiniteFloat] = Field({}, description="figure → limit, as --gate has them")
+    stations: Literal["auto", "all"] = Field(
+        "auto",
+        description="auto: rests, or the best of a moving log; all: every picture, those in motion, too",
+    )
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:

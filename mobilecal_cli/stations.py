@@ -177,11 +177,16 @@ def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[
     return [shots[i] for i in picked]
 
 
+def _fewer(shots: list[Shot]) -> list[Shot]:
+    """At most `SHOTS_PER_REST` of a rest's shots, spread over it."""
+    if len(shots) <= SHOTS_PER_REST:
+        return shots
+    return [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
+
+
 def _station(
     index: int, shots: list[Shot], joints: tuple[str, ...], signals: Signals, at_rest: bool
 ) -> Station:
-    if len(shots) > SHOTS_PER_REST:
-        shots = [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
     times = np.array([shot.time_ns for shot in shots])
     mean, scatter = [], []
     for name in joints:
@@ -194,7 +199,12 @@ def _station(
     return Station(index, at_rest, tuple(shots), time_ns, np.array(mean), np.array(scatter))
 
 
-def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozenset[str] = frozenset()) -> Plan:
+def plan_stations(
+    signals: Signals,
+    joints: tuple[str, ...],
+    prismatic: frozenset[str] = frozenset(),
+    everything: bool = False,
+) -> Plan:
     """Find the moments at which the board may be looked at.
 
     Rests are used where the log has at least six; otherwise single sharp pictures, at most 80, spread over
@@ -204,6 +214,7 @@ def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozense
         signals: one log's joints, wheels and picture stamps.
         joints: head joints in the order of `HeadChain.joints`.
         prismatic: those of them that slide.
+        everything: use all pairs of pictures instead: all of each rest, and each that was taken in motion.
 
     Raises:
         RecordingError: left and right pictures never together, or joints and wheels missing around all.
@@ -233,17 +244,20 @@ def plan_stations(signals: Signals, joints: tuple[str, ...], prismatic: frozense
     rests = _rests(shots, channels)
     moments = [(run, True) for run in rests]
     notes = []
-    if len(rests) < RESTS_ENOUGH:
+    if everything or len(rests) < RESTS_ENOUGH:
         resting = {shot for run in rests for shot in run}
         moving = [s for s in shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
-        picked = _keyframes(moving, channels, KEYFRAMES) if moving else []
+        picked = moving if everything else _keyframes(moving, channels, KEYFRAMES) if moving else []
         moments += [([shot], False) for shot in picked]
+        because = "all that there is was asked for" if everything else "too few"
         notes.append(
-            f"The robot rests {len(rests)} times with pictures, too few: {len(picked)} of {len(moving)} "
+            f"The robot rests {len(rests)} times with pictures, {because}: {len(picked)} of {len(moving)} "
             "pictures taken in motion are used as well. Clocks that are apart by a constant are put right (not by the "
             "methods linear, paper and lm)."
         )
     moments.sort(key=lambda moment: moment[0][0].time_ns)
+    if not everything:
+        moments = [(_fewer(run), at_rest) for run, at_rest in moments]
     stations = tuple(_station(i, run, joints, signals, at_rest) for i, (run, at_rest) in enumerate(moments))
     return Plan(
         stations, wheels, tuple(signals.joints[name] for name in joints), tuple(rejections), tuple(notes)

@@ -21,6 +21,7 @@ from mobilecal_cli.cli.options import (
     NoBar,
     Quiet,
     Settings,
+    StationsName,
     Verbose,
     flags_of,
 )
@@ -73,6 +74,17 @@ def calibrate(
     square_m: Annotated[
         float | None, typer.Option(help="Side of a square, m. [default: from the stereo pair]")
     ] = None,
+    stations: Annotated[
+        StationsName | None,
+        typer.Option(
+            help="auto: rests, or the best moments of a moving log; all: every picture. [default: auto]",
+            show_default=False,
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes that look at a long log's pictures. [default: one a core]"),
+    ] = None,
     setting: Settings = None,
     fix: Annotated[
         list[str] | None,
@@ -112,7 +124,7 @@ def calibrate(
     from mobilecal_cli.terminal import progress_bar
 
     with _told_to(junit, str(logs[0]), force):
-        flags = flags_of(setting, board, square_m)
+        flags = flags_of(setting, board, square_m, stations)
         asked = asked_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
             result = pipeline.calibrate(
@@ -127,6 +139,7 @@ def calibrate(
                 last=last,
                 force=force,
                 progress=progress,
+                jobs=jobs,
             )
         if junit is not None:
             pipeline.write_junit(junit, str(logs[0]), result.verdict.checks, force)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,8 +31,18 @@ JUnit = Annotated[
 ]
 
 
+class StationsName(StrEnum):
+    """Which moments are looked at."""
+
+    auto = "auto"
+    all = "all"
+
+
 def flags_of(
-    settings: list[str] | None, board: str | None = None, square_m: float | None = None
+    settings: list[str] | None,
+    board: str | None = None,
+    square_m: float | None = None,
+    stations: StationsName | None = None,
 ) -> dict[str, Any]:
     """The flags as dotted keys over rig.yaml.
 
@@ -48,4 +59,6 @@ def flags_of(
         flags |= {"board.columns": int(columns), "board.rows": int(rows)}
     if square_m is not None:
         flags["board.square_m"] = square_m
+    if stations is not None:
+        flags["stations"] = stations.value
     return flags

@@ -123,6 +123,7 @@ def calibrate(
     last: Path | None = None,
     force: bool = False,
     progress: Progress = silent,
+    jobs: int | None = None,
 ) -> Calibration:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
 
@@ -138,6 +139,7 @@ def calibrate(
         last: params.yaml of this robot's last calibration, to compare with; the nominal values by default.
         force: replace an output directory that is there.
         progress: told how far it is.
+        jobs: processes that look at the pictures of a long log, None for one a core.
 
     Raises:
         MobilecalError: see `errors`; nothing is written then.
@@ -147,7 +149,7 @@ def calibrate(
     config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates)
     earlier = None if last is None else read_params(last)
-    whole, snapshots = load(logs, config, config_path, flags or {}, progress)
+    whole, snapshots = load(logs, config, config_path, flags or {}, progress, jobs)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":

@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.pipeline.seeing import Looks, board_size, look
+from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size, look
 from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, read_signals, sha256_of
 from mobilecal_cli.stations import Plan, plan_stations
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
@@ -54,19 +54,25 @@ def sliding_joints(chain: HeadChain) -> frozenset[str]:
     )
 
 
-def _plan(recording: Recording, rig: Rig) -> tuple[Plan, tuple[str, ...]]:
+def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple[str, ...]]:
     signals = read_signals(recording, rig.sources, rig.chain.joints)
-    plan = plan_stations(signals, rig.chain.joints, sliding_joints(rig.chain))
+    plan = plan_stations(signals, rig.chain.joints, sliding_joints(rig.chain), everything)
     return plan, (*signals.notes, *plan.notes)
 
 
 def _see(
-    recording: Recording, config: RigConfig, flags: frozenset[str], board: Board | None, progress: Progress
+    recording: Recording,
+    config: RigConfig,
+    flags: frozenset[str],
+    board: Board | None,
+    jobs: int | None,
+    progress: Progress,
 ) -> Seen:
     progress("reading", 0, None)
     settled = settle_rig(config, read_prelude(recording), read_urdf(config), flags)
     rig = settled.rig
-    plan, notes = _plan(recording, rig)
+    everything = config.stations == "all"
+    plan, notes = _plan(recording, rig, everything)
     if board is None:
         progress("finding the board's size", 0, None)
         size = board_size(recording, rig.sources, plan.stations)
@@ -77,7 +83,8 @@ def _see(
                 "state its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    looks, snapshots = look(recording, rig.sources, rig.cameras, board, plan.stations, progress)
+    scene = Scene(rig.sources, rig.cameras, board)
+    looks, snapshots = look(recording, scene, plan.stations, not everything, jobs, progress)
     found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plan, board)
@@ -141,6 +148,7 @@ def extract(
     config: RigConfig,
     flags: frozenset[str] = frozenset(),
     progress: Progress = silent,
+    jobs: int | None = None,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """Read recordings of one robot and find the board in their pictures.
 
@@ -152,6 +160,7 @@ def extract(
         config: see `config.load_rig`.
         flags: dotted keys that came from flags.
         progress: told how far it is.
+        jobs: processes that look at the pictures of a long log, None for one a core.
 
     Raises:
         MobilecalError: see `errors`.
@@ -161,7 +170,7 @@ def extract(
     sources: list[LogSource] = []
     for parts in join_parts(logs):
         with open_recording(parts) as recording:
-            one = _see(recording, config, flags, board, progress)
+            one = _see(recording, config, flags, board, jobs, progress)
         board = one.board
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(

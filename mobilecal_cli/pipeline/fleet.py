@@ -134,9 +134,16 @@ def run_job(job: FleetJob) -> FleetRow:
         done = _recorded(record, key, job)
         if done is not None:
             return done
-        row = _row(job, calibrate(
-            job.logs, job.output / job.name, config_path=job.config, flags=job.flags, gates=job.gates, force=True
-        ))  # fmt: skip
+        calibration = calibrate(
+            job.logs,
+            job.output / job.name,
+            config_path=job.config,
+            flags=job.flags,
+            gates=job.gates,
+            force=True,
+            jobs=1,  # the fleet has a process on each core
+        )
+        row = _row(job, calibration)
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
     except Exception as error:  # a bug must not stop the other robots

@@ -25,6 +25,7 @@ def load(
     config_path: Path | None,
     flags: Mapping[str, Any],
     progress: Progress,
+    jobs: int | None = None,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """Extract recordings, or take an extraction.npz of an earlier run as it is.
 
@@ -34,6 +35,7 @@ def load(
         config_path: rig.yaml.
         flags: dotted key → value, over the file.
         progress: told how far it is.
+        jobs: see `extract`.
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
@@ -41,7 +43,7 @@ def load(
     """
     given = frozenset(key for key, value in flags.items() if value is not None)
     if not any(_is_extraction(path) for path in logs):
-        return extract(logs, config, given, progress)
+        return extract(logs, config, given, progress, jobs)
     if len(logs) > 1 or config_path is not None or given:
         raise ConfigError(
             f"{logs[0]}: an extraction carries its own settings and stands alone",

@@ -1,4 +1,4 @@
-"""Pictures into detections: decoded in order, looked at in parallel, never many in memory."""
+"""Pictures into detections: in segments, one after the other or side by side, never many pictures in memory."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import cv2
 
@@ -24,11 +25,15 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.readers import Recording, read_images
-from mobilecal_cli.vision import Detection, Miss, find_board, identify_size, snapshot_jpeg
+from mobilecal_cli.vision import BoardFollower, Detection, Miss, identify_size, snapshot_jpeg
 
 SNAPSHOTS = 60  # pictures kept for the report, so that memory does not grow with the log
 SIZE_PICTURES = 8
+#: Pairs that are looked at in one go: the board is followed from picture to picture inside. The segments are the same
+#: however many processes there are, and so are the corners.
+SEGMENT_PAIRS = 250
 _SIDES: tuple[Side, Side] = ("left", "right")
+_WAITING = 8  # pictures between the decoder and those who look
 
 
 @dataclass(slots=True)
@@ -50,6 +55,36 @@ class Looks:
         left, right = self.found["left"], self.found["right"]
         whole = [shot for shot in shots if shot.left_ns in left and shot.right_ns in right]
         return [left[shot.left_ns] for shot in whole], [right[shot.right_ns] for shot in whole]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Stations in a row whose pictures are looked at in one go.
+
+    Attributes:
+        stations: in order of time.
+        shown: indices, in this segment, of stations whose pictures the report shows.
+        thorough: how boards are searched for, see `vision.detect`.
+    """
+
+    stations: tuple[Station, ...]
+    shown: frozenset[int]
+    thorough: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What all segments of a log share.
+
+    Attributes:
+        sources: the image topics.
+        cameras: for the pictures' sizes.
+        board: what to look for.
+    """
+
+    sources: Sources
+    cameras: StereoRig
+    board: Board
 
 
 def stamps(shots: Iterable[Shot]) -> dict[Side, list[int]]:
@@ -90,61 +125,123 @@ def board_size(recording: Recording, sources: Sources, stations: Sequence[Statio
     return identify_size(first_pictures(recording, sources, stations)).size
 
 
-def look(
-    recording: Recording,
-    sources: Sources,
-    cameras: StereoRig,
-    board: Board,
-    stations: Sequence[Station],
-    progress: Progress,
-) -> tuple[list[Looks], list[Snapshot]]:
-    """Look at every shot of every station, in one pass over the recording.
+def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
+    """Cut a log's stations into segments, and choose those whose pictures are kept."""
+    stride = max(1, -(-len(stations) // SNAPSHOTS))
+    cuts, pairs = [0], 0
+    for i, station in enumerate(stations):
+        if pairs and pairs + len(station.shots) > SEGMENT_PAIRS:
+            cuts.append(i)
+            pairs = 0
+        pairs += len(station.shots)
+    cuts.append(len(stations))
+    return [
+        Segment(
+            tuple(stations[begin:end]),
+            frozenset(i - begin for i in range(begin, end) if i % stride == 0),
+            thorough,
+        )
+        for begin, end in pairwise(cuts)
+    ]
 
-    Args:
-        recording: one log.
-        sources: its image topics.
-        cameras: for the pictures' sizes.
-        board: its size.
-        stations: what to look at.
-        progress: told about every picture.
 
-    Returns:
-        One `Looks` a station, and JPEGs of some stations' first pictures.
+class _OneAfterTheOther:
+    """Follows the board in one camera's pictures on a thread of its own: OpenCV lets the others run meanwhile."""
+
+    def __init__(self, segment: Segment, board: Board) -> None:
+        self._follower = BoardFollower(board, segment.thorough)
+        self._thread = ThreadPoolExecutor(1)
+
+    def submit(self, picture: GrayImage, stamp_ns: int) -> Future[Detection | Miss]:
+        return self._thread.submit(self._follower.find, picture, stamp_ns)
+
+    def close(self) -> None:
+        self._thread.shutdown(cancel_futures=True)
+
+
+def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[int | list[Looks]]:
+    """Look at every shot of a segment's stations, in one pass over their part of the recording.
+
+    Yields:
+        1 for every picture that has been looked at, and at last one `Looks` a station.
     """
+    cv2.setNumThreads(1)  # one picture a thread is faster than many threads a picture
+    stations = segment.stations
     wanted = stamps(shot for station in stations for shot in station.shots)
     where: Mapping[Side, dict[int, int]] = {
         "left": {shot.left_ns: i for i, station in enumerate(stations) for shot in station.shots},
         "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
     }
     looks = [Looks() for _ in stations]
-    stride = max(1, -(-len(stations) // SNAPSHOTS))
-    total = sum(len(times) for times in wanted.values())
-    cv2.setNumThreads(1)  # one picture a thread is faster than many threads a picture
-    workers = os.cpu_count() or 1
     pending: deque[tuple[Side, int, Future[Detection | Miss]]] = deque()
-    done = 0
 
     def collect() -> None:
-        nonlocal done
         side, stamp, future = pending.popleft()
         looks[where[side][stamp]].found[side][stamp] = future.result()
-        done += 1
-        progress("looking for the board", done, total)
 
-    with ThreadPoolExecutor(workers) as pool:
-        for side, stamp, picture in read_images(recording, sources.image, wanted, sources.layout):
-            place = looks[where[side][stamp]]
+    followers = {side: _OneAfterTheOther(segment, scene.board) for side in _SIDES}
+    try:
+        for side, stamp, picture in read_images(recording, scene.sources.image, wanted, scene.sources.layout):
+            station = where[side][stamp]
+            place = looks[station]
             if isinstance(picture, Rejection):
                 place.rejections.append(picture)
                 continue
-            check_picture(picture, side, cameras)
-            if where[side][stamp] % stride == 0 and side not in place.pictures:
+            check_picture(picture, side, scene.cameras)
+            if station in segment.shown and side not in place.pictures:
                 place.pictures[side] = snapshot_jpeg(picture)
-            pending.append((side, stamp, pool.submit(find_board, picture, board)))
-            if len(pending) > 2 * workers:
+            pending.append((side, stamp, followers[side].submit(picture, stamp)))
+            if len(pending) > _WAITING:
                 collect()
+                yield 1
         while pending:
             collect()
+            yield 1
+    finally:
+        for follower in followers.values():
+            follower.close()
+    yield looks
+
+
+def look(
+    recording: Recording,
+    scene: Scene,
+    stations: Sequence[Station],
+    thorough: bool,
+    jobs: int | None,
+    progress: Progress,
+) -> tuple[list[Looks], list[Snapshot]]:
+    """Look at every shot of every station.
+
+    Args:
+        recording: one log.
+        scene: cameras and board.
+        stations: what to look at.
+        thorough: how boards are searched for, see `vision.detect`.
+        jobs: processes that look, None for one a core. A few segments are looked at in this process.
+        progress: told about every picture.
+
+    Returns:
+        One `Looks` a station, and JPEGs of some stations' first pictures.
+    """
+    from mobilecal_cli.pipeline.looking import in_processes  # pools are for long logs only
+
+    segments = segments_of(stations, thorough)
+    total = 2 * sum(len(station.shots) for station in stations)
+    done = 0
+    looks: list[Looks] = []
+    workers = min(jobs or os.cpu_count() or 1, len(segments) // 2)
+    steps = (
+        in_processes(recording, scene, segments, workers)
+        if workers > 1
+        else (step for segment in segments for step in look_at(recording, scene, segment))
+    )
+    for step in steps:
+        if isinstance(step, int):
+            done += step
+            progress("looking for the board", done, total)
+        else:
+            looks += step
     snapshots = [
         Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
         for station, seen in zip(stations, looks, strict=True)
