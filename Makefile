@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := demo_calibration
 
-.PHONY: demo test long pages check lint types layers logs docs slow bench clean
+.PHONY: demo test long pages check lint types layers logs docs slow bench studies clean
 
 $(VENV)/.run: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -31,9 +31,13 @@ pages: $(VENV)/.dev  ## every command of the tutorial and the how-to pages
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-bench: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew: hours
+bench: $(VENV)/.dev  ## docs/explanation/performance.md, measured anew: an hour
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench
+
+studies: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew: hours
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(BIN)/python -m tests.bench.studies
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

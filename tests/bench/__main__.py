@@ -1,7 +1,93 @@
-"""`make bench`: every study, one after the other."""
+"""`make bench`: makes its own data, prints every table of performance, and writes docs/explanation/performance.md."""
 
-from tests.bench import degenerate, established, fleet, memory, monte_carlo, moving, robust, samples, table1
+from __future__ import annotations
 
-for study in (table1, samples, fleet, memory, established, degenerate, moving, monte_carlo, robust):
-    print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
-    study.main()
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+
+from tests.bench import commands, corners, effect, established, growth, reading
+from tests.bench.recordings import simulated, transcoded
+from tests.bench.simulated import conditions
+
+_PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "performance.md"
+_STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
+_INTRODUCTION = """# Performance
+
+`make bench` measures what stands here and writes this page. Machines differ and are shared, so every figure that
+matters is a ratio of two things measured side by side in one run, the median of at least five rounds.
+
+"""
+
+
+class _Data:
+    """The recordings that several tables need, made when the first one asks."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._made: dict[str, Path] = {}
+
+    def _mono8(self) -> Path:
+        if "mono8" not in self._made:
+            self._made["mono8"] = simulated(self.folder, _STATIONS)
+        return self._made["mono8"]
+
+    def hidden(self, kind: str) -> Path:
+        """The moving log, the board hidden for a third of the time."""
+        name = f"hidden_{kind}.mcap"
+        if name not in self._made:
+            self._made[name] = transcoded(self._mono8(), self.folder / name, kind, hide=True)
+        return self._made[name]
+
+    def open(self) -> Path:
+        """The moving log as JPEGs, the board always in view."""
+        if "open" not in self._made:
+            self._made["open"] = transcoded(self._mono8(), self.folder / "open.mcap", "jpeg", hide=False)
+        return self._made["open"]
+
+
+def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
+    return {
+        "reading": (
+            "## Every frame of a moving log, on one core and on two\n\n"
+            "2,000 stereo pairs of 640 x 480, every one looked at (`--stations all`); for a third of the time somebody stands "
+            "before the board. Read + decode: all messages by the `mcap` package, pictures by OpenCV, on so many threads. Read "
+            "+ see: joints, wheels and all pictures, up to the corners of every board, on so many processes, their start "
+            "included.\n",
+            lambda: reading.main({kind: data.hidden(kind) for kind in ("jpeg", "mono8", "png")}),
+        ),
+        "commands": (
+            '## Whole commands\n\nBeside `python -c "import numpy, scipy.optimize, cv2, matplotlib.pyplot"`.\n',
+            lambda: commands.main(data.hidden("jpeg"), data.folder),
+        ),
+        "corners": ("## Corners\n", corners.main),
+        "effect": ("## What the corners do for the nine numbers\n", effect.main),
+        "growth": (
+            "## Cost against length\n\nA moving log of JPEGs that is played to and fro, ten stereo pairs a second.\n",
+            lambda: growth.main(data.open(), data.folder),
+        ),
+        "solvers": ("## The solver beside Ceres and GTSAM\n", established.table),
+    }
+
+
+def main() -> None:
+    """All sections, or those that are named; the page is written only when all were measured."""
+    with tempfile.TemporaryDirectory() as folder:
+        sections = _sections(_Data(Path(folder)))
+        wanted = sys.argv[1:] or list(sections)
+        text = f"{_INTRODUCTION}{conditions()}, OpenCV {cv2.__version__}\n"
+        print(text, flush=True)
+        for name in wanted:
+            head, measure = sections[name]
+            part = f"\n{head}\n{measure()}"
+            print(part, flush=True)
+            text += part
+    if len(wanted) == len(sections):
+        _PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
+from typing import Any
 
 import cv2
 import numpy as np
@@ -69,8 +71,10 @@ def seen(
     return points_c, opencv_pixels(rig.left, points_c), opencv_pixels(rig.right, se3.act(T_r_c, points_c))
 
 
-def _rays(camera: Camera, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Pixels to z = 1 coordinates by fixed-point iteration (none, plumb_bob): (..., 2)."""
+@cache
+def _rays(camera: Camera) -> np.ndarray:
+    """z = 1 coordinates of all pixels' centres and of those around them, by fixed-point iteration: (..., 2)."""
+    u, v = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
     target = np.stack([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
     if camera.distortion == "none":
         return target
@@ -93,24 +97,42 @@ def render(
     board: Board,
     square_m: float,
     *,
+    noise: float = 0.0,
+    blur_px: float = 0.0,
+    seed: int = 0,
+    **drawn: Any,
+) -> np.ndarray:
+    """A picture of the board, see `painted`: blurred, with noise, in whole grey levels."""
+    mixed = painted(camera, T_camera_k, board, square_m, **drawn)
+    if blur_px:
+        mixed = cv2.GaussianBlur(mixed, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
+    if noise:
+        mixed = mixed + np.random.default_rng(seed).normal(0, noise, mixed.shape)
+    image = np.clip(np.round(mixed), 0, 255).astype(np.uint8)
+    image.setflags(write=False)
+    return image
+
+
+def painted(
+    camera: Camera,
+    T_camera_k: np.ndarray,
+    board: Board,
+    square_m: float,
+    *,
     picture: np.ndarray | None = None,
     dark: float = 40.0,
     light: float = 200.0,
     outer: float = 1.0,
     background: float = 110.0,
-    noise: float = 0.0,
-    blur_px: float = 0.0,
-    seed: int = 0,
     supersample: int = 4,
 ) -> np.ndarray:
-    """A picture of the board, every pixel the mean of supersample^2 rays cut with the board's plane.
+    """The light on every pixel, grey levels: the mean of supersample^2 rays cut with the board's plane.
 
     The outer square diagonally next to corner 0 is dark. Outer squares are `outer` squares wide, and a light
     margin of one square surrounds them. With `picture` the board is painted over it.
     """
     # Rays through the centres of pixels; those between are interpolated (error below 0.001 px for these lenses).
-    u, v = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
-    rays = _rays(camera, u, v)
+    rays = _rays(camera)
     H = np.linalg.inv(np.column_stack([T_camera_k[:3, 0], T_camera_k[:3, 1], T_camera_k[:3, 3]]))
     reach = max(board.columns, board.rows) / 2 + outer + 2
     middle = square_m * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
@@ -136,11 +158,4 @@ def render(
         cover[v0:v1, u0:u1] += (margin & (h[..., 2] > 0)) / supersample**2
     # Light mixes in a pixel in proportion to the area: exact because paint is constant where cover is not 1.
     base = np.full(paint.shape, background) if picture is None else picture.astype(np.float64)
-    mixed = cover * np.where(cover > 1 - 1e-9, paint, light) + (1 - cover) * base
-    if blur_px:
-        mixed = cv2.GaussianBlur(mixed, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
-    if noise:
-        mixed = mixed + np.random.default_rng(seed).normal(0, noise, mixed.shape)
-    image = np.clip(np.round(mixed), 0, 255).astype(np.uint8)
-    image.setflags(write=False)
-    return image
+    return cover * np.where(cover > 1 - 1e-9, paint, light) + (1 - cover) * base

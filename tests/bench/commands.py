@@ -1,0 +1,59 @@
+"""Whole commands beside the imports that any such tool needs."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+from tests.bench.tables import table
+
+REPEATS = 7
+_IMPORTS = "import numpy, scipy.optimize, cv2, matplotlib.pyplot"
+_SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"
+
+
+def _spent(command: list[str]) -> tuple[float, float]:
+    """Seconds by the clock and of processor time that a command takes, its own children included."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, check=False, env=os.environ | {"MPLBACKEND": "Agg"})
+    wall = time.perf_counter() - start
+    if done.returncode not in (0, 6):
+        raise RuntimeError(done.stderr.decode())
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
+    """Table 2: the sample log, the moving log as it is taken by default, and looking for help."""
+    tool = [sys.executable, "-m", "mobilecal_cli"]
+    out = ["--output", str(folder / "out"), "--force", "--quiet"]
+    commands = {
+        "calibrate the paper's robot's sample log": [*tool, "calibrate", str(_SAMPLE), *out],
+        "calibrate the moving log, stations chosen": [*tool, "calibrate", str(moving), *out],
+        "mobilecal --help": [*tool, "--help"],
+    }
+    runs: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in commands}
+    _spent(commands["mobilecal --help"])  # byte code is written once
+    for _ in range(repeats):
+        for name, command in commands.items():
+            imports, own = _spent([sys.executable, "-c", _IMPORTS]), _spent(command)
+            runs[name].append((*imports, *own))
+    rows = [
+        [
+            name,
+            f"{median(r[0] for r in some):.2f}",
+            f"{median(r[2] for r in some):.2f}",
+            f"{median(r[2] / r[0] for r in some):.2f}",
+            f"{median(r[3] / r[1] for r in some):.2f}",
+        ]
+        for name, some in runs.items()
+    ]
+    return table(
+        ["command", "imports (s)", "command (s)", "ratio by the clock", "ratio of processor time"], rows
+    )

@@ -1,0 +1,329 @@
+"""Corners against truth, against the bound, and beside OpenCV's detectors and refinement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.model import Board
+from mobilecal_cli.vision import BoardFollower, Detection, detect
+from mobilecal_cli.vision.corner_model import fit_corners
+from mobilecal_cli.vision.refinement import refine_widely
+from tests.bench.pictures import BOARD, View, bound_px, empty, view
+from tests.bench.tables import table
+
+VIEWS = 200
+EMPTY = 60
+_EDGES = ((7.0, 9.0), (9.0, 12.0), (12.0, 20.0), (20.0, 99.0))
+_TONES = (
+    ("linear", 0), ("gamma 1/2.2", 0), ("saturated (x 1.6)", 0), ("crushed blacks", 0),
+    ("linear", 90), ("linear", 75), ("linear", 50),
+)  # fmt: skip
+_START_PX = 0.3
+_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "stereo"
+
+
+def sub_pix(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """cornerSubPix with a window that follows the smallest square, as good as it gets: (rows, columns, 2) px."""
+    edge = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
+    half = int(np.clip(0.5 * edge - 0.5, 2, 11))
+    until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+    start = corners.reshape(-1, 1, 2).astype(np.float32)
+    return np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), until), float).reshape(
+        corners.shape
+    )
+
+
+def ours(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """The product's refinement and fit from the same start."""
+    edge = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
+    start = refine_widely(image, refine_widely(image, corners, edge, True), edge, True)
+    return fit_corners(image, start, True).pixels.reshape(corners.shape)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Squared errors of one picture's corners, per coordinate, and the bound's, by how they were found."""
+
+    edge_px: float
+    squares: dict[str, np.ndarray]
+
+
+def errors_of(seen: View, image: np.ndarray, seed: int, noise_grey: float | None = None) -> Errors:
+    """Both refinements from one start, beside the bound."""
+    start = seen.truth + _START_PX * np.random.default_rng([seed, 9]).normal(size=seen.truth.shape)
+    squares = {
+        name: (how(image, start) - seen.truth) ** 2
+        for name, how in (("cornerSubPix", sub_pix), ("ours", ours))
+    }
+    return Errors(
+        seen.edge_px, squares | {"bound": np.repeat(bound_px(seen, noise_grey)[..., None] ** 2, 2, axis=-1)}
+    )
+
+
+def rms(found: Iterable[Errors], name: str) -> float:
+    """Root mean square over all corners and both coordinates, px."""
+    return float(np.sqrt(np.mean(np.concatenate([errors.squares[name].ravel() for errors in found]))))
+
+
+def _random(seed: int) -> Errors:
+    seen = view(seed)
+    return errors_of(seen, seen.taken(seed), seed)
+
+
+def _fixed(case: tuple[str, float, int]) -> Errors:
+    what, value, seed = case
+    seen = view(seed, value if what == "blur" else 0.8)
+    noise = value if what == "noise" else 2.0
+    return errors_of(seen, seen.taken(seed, noise_grey=noise), seed, noise)
+
+
+def _toned(case: tuple[str, int, int]) -> Errors:
+    tone, jpeg, seed = case
+    seen = view(seed)
+    return errors_of(seen, seen.taken(seed, tone=tone, jpeg=jpeg), seed)
+
+
+def _lines(found: dict[str, list[Errors]]) -> list[list[str]]:
+    return [
+        [name, str(len(some)), *(f"{rms(some, how):.4f}" for how in ("bound", "ours", "cornerSubPix"))]
+        for name, some in found.items()
+        if some
+    ]
+
+
+_HEAD = ["", "pictures", "bound (px)", "ours (px)", "cornerSubPix (px)"]
+
+
+def accuracy(views: int) -> str:
+    """Errors by size of squares, blur, noise, tone curve and JPEG quality."""
+    with ProcessPoolExecutor() as pool:
+        drawn = list(pool.map(_random, range(views), chunksize=5))
+        large = [e for e in drawn if e.edge_px >= _EDGES[0][0]]
+        by_size = {
+            f"squares of {a:.0f} to {b:.0f} px": [e for e in large if a <= e.edge_px < b] for a, b in _EDGES
+        }
+        few = range(max(views // 5, 20))
+        by_case: dict[str, list[Errors]] = {}
+        for what, values, unit in (
+            ("blur", (0.5, 0.8, 1.2, 2.0), "px"),
+            ("noise", (0.5, 1.0, 2.0, 4.0), "grey"),
+        ):
+            for value in values:
+                some = pool.map(_fixed, [(what, value, seed) for seed in few], chunksize=5)
+                by_case[f"{what} {value} {unit}"] = [e for e in some if e.edge_px >= _EDGES[0][0]]
+        for tone, jpeg in _TONES:
+            some = pool.map(_toned, [(tone, jpeg, seed) for seed in few], chunksize=5)
+            name = tone if not jpeg else f"JPEG, quality {jpeg}"
+            by_case[name] = [e for e in some if e.edge_px >= _EDGES[0][0]]
+    rows = _lines({"all, squares of 7 px and more": large} | by_size | by_case)
+    return table(_HEAD, rows)
+
+
+@dataclass(frozen=True)
+class _Found:
+    right: bool
+    wrong: bool
+    squares: np.ndarray
+    seconds: float
+
+
+Finder = Callable[[np.ndarray], np.ndarray | None]
+
+
+def _classic(image: np.ndarray, flags: int) -> np.ndarray | None:
+    found, corners = cv2.findChessboardCorners(image, (BOARD.columns, BOARD.rows), flags=flags)
+    return np.asarray(corners, float).reshape(BOARD.rows, BOARD.columns, 2) if found else None
+
+
+def _sectors(image: np.ndarray) -> np.ndarray | None:
+    found, corners = cv2.findChessboardCornersSB(image, (BOARD.columns, BOARD.rows), flags=0)
+    return np.asarray(corners, float).reshape(BOARD.rows, BOARD.columns, 2) if found else None
+
+
+def _refined(find: Finder) -> Finder:
+    def run(image: np.ndarray) -> np.ndarray | None:
+        corners = find(image)
+        return None if corners is None else sub_pix(image, corners)
+
+    return run
+
+
+def _product(image: np.ndarray) -> np.ndarray | None:
+    found = detect(image, BOARD.columns, BOARD.rows)
+    return found.pixels.reshape(BOARD.rows, BOARD.columns, 2) if isinstance(found, Detection) else None
+
+
+_USUAL = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+FINDERS: dict[str, Finder] = {
+    "ours": _product,
+    "findChessboardCorners, usual flags": lambda image: _classic(image, _USUAL),
+    "findChessboardCorners, usual flags, cornerSubPix": _refined(lambda image: _classic(image, _USUAL)),
+    "findChessboardCorners, no flags, cornerSubPix": _refined(lambda image: _classic(image, 0)),
+    "findChessboardCornersSB": _sectors,
+    "findChessboardCornersSB, cornerSubPix": _refined(_sectors),
+}
+
+
+def _judged(find: Finder, seen: View, image: np.ndarray) -> _Found:
+    start = time.process_time()
+    corners = find(image)
+    seconds = time.process_time() - start
+    if corners is None:
+        return _Found(False, False, np.zeros(0), seconds)
+    # Which corner comes first is a matter of convention: the nearest of the four ways counts.
+    ways = (corners, corners[::-1, ::-1], corners[:, ::-1], corners[::-1])
+    off = min((way - seen.truth for way in ways), key=lambda error: float(np.abs(error).max()))
+    right = bool(np.linalg.norm(off, axis=-1).max() <= max(2.0, 0.3 * seen.edge_px))
+    return _Found(right, not right, off**2 if right else np.zeros(0), seconds)
+
+
+def _looked(case: tuple[str, Finder], views: int) -> list[str]:
+    name, find = case
+    found = [_judged(find, seen, seen.taken(seed)) for seed, seen in ((s, view(s)) for s in range(views))]
+    right = [f for f in found if f.right]
+    without, false = [], 0
+    for seed in range(EMPTY):
+        image = empty(seed)
+        start = time.process_time()
+        false += find(image) is not None
+        without.append(time.process_time() - start)
+    error = np.sqrt(np.mean(np.concatenate([f.squares.ravel() for f in right])))
+    times = [1e3 * float(np.median([f.seconds for f in right])), 1e3 * float(np.median(without))]
+    return [
+        name,
+        f"{len(right)} of {views}",
+        str(sum(f.wrong for f in found) + false),
+        f"{error:.3f}",
+        *(f"{t:.1f}" for t in times),
+    ]
+
+
+def _followed(views: int) -> list[str]:
+    """The same pictures as frames of a film: the board is expected where it is to 1.5 px."""
+    squares, seconds = [], []
+    for seed in range(views):
+        seen = view(seed)
+        follower = BoardFollower(Board(BOARD.columns, BOARD.rows, BOARD.square_m), thorough=False)
+        if not isinstance(follower.find(seen.taken(seed), 0), Detection):
+            continue
+        image = np.roll(seen.taken(seed + 100_000), (1, 1), axis=(0, 1))
+        start = time.process_time()
+        found = follower.find(image, 50_000_000)
+        seconds.append(time.process_time() - start)
+        if isinstance(found, Detection):
+            off = found.pixels.reshape(seen.truth.shape) - 1
+            ways = (off, off[::-1, ::-1])
+            squares.append(min(((way - seen.truth) ** 2 for way in ways), key=np.sum).ravel())
+    error = np.sqrt(np.mean(np.concatenate(squares)))
+    return [
+        "ours, followed from the last picture",
+        f"{len(squares)} of {len(seconds)}",
+        "0",
+        f"{error:.3f}",
+        f"{1e3 * np.median(seconds):.1f}",
+        "",
+    ]
+
+
+def detectors(views: int) -> str:
+    """What is found, how well, and at what cost."""
+    cv2.setNumThreads(1)
+    rows = [_looked(case, views) for case in FINDERS.items()]
+    rows.insert(1, _followed(views))
+    head = ["", "found", "wrong", "error (px)", "ms a picture with a board", "ms without one"]
+    return table(head, rows)
+
+
+# Bouguet's stereo calibration over all his pairs, published with them.
+_K = (
+    np.array([[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]]),
+    np.array([[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]),
+)
+_D = (np.array([-0.288, 0.097, 0.001, -0.0003, 0]), np.array([-0.289, 0.107, 0.001, -0.0001, 0]))
+_OM, _T = np.array([0.00669, 0.00452, -0.00350]), np.array([-99.802, 1.124, 0.050])
+
+
+def _flat_px(corners: np.ndarray, side: int) -> np.ndarray:
+    """(M, 2) corners without the lens' distortion, px."""
+    points = corners.reshape(-1, 1, 2)
+    return cv2.undistortPoints(points, _K[side], _D[side], P=_K[side]).reshape(-1, 2)
+
+
+def _homography_px(flat: np.ndarray, columns: int, rows: int) -> float:
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
+    H = cv2.findHomography(grid, flat)[0]
+    off = cv2.perspectiveTransform(grid[:, None], H)[:, 0] - flat
+    return float(np.mean(off**2))
+
+
+def _epipolar_px(left: np.ndarray, right: np.ndarray) -> float:
+    """Mean square of Sampson's distance of pairs without distortion."""
+    R = cv2.Rodrigues(_OM)[0]
+    tx = np.array([[0, -_T[2], _T[1]], [_T[2], 0, -_T[0]], [-_T[1], _T[0], 0]])
+    F = np.linalg.inv(_K[1]).T @ tx @ R @ np.linalg.inv(_K[0])
+    a, b = (np.column_stack([p, np.ones(len(p))]) for p in (left, right))
+    lines_b, lines_a = a @ F.T, b @ F
+    against = np.sum(b * lines_b, axis=1) ** 2
+    return float(np.mean(against / (lines_a[:, :2] ** 2 + lines_b[:, :2] ** 2).sum(axis=1)))
+
+
+def real_pairs() -> str:
+    """Residuals on Bouguet's seven stereo pairs, and of MRPT's four (no calibration is published: homography only)."""
+    if not _DATA.is_dir():
+        return "The pictures of others that this table needs are not here.\n"
+    rows = []
+    for name, folder, calibrated in (
+        ("Bouguet's pairs", "opencv_samples", True),
+        ("MRPT's pairs", "mrpt_stereo_calib", False),
+    ):
+        squares: dict[str, list[float]] = {"ours": [], "cornerSubPix": []}
+        epipolar: dict[str, list[float]] = {"ours": [], "cornerSubPix": []}
+        for first in sorted((_DATA / folder).glob("*left*")):
+            pair = [
+                cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+                for path in (first, first.with_name(first.name.replace("left", "right")))
+            ]
+            found = [detect(image, 9, 6) for image in pair if image is not None]
+            if len(found) < 2 or not all(isinstance(d, Detection) for d in found):
+                continue
+            corners = [d.pixels.reshape(6, 9, 2) for d in found if isinstance(d, Detection)]
+            for how, some in (
+                ("ours", corners),
+                ("cornerSubPix", [sub_pix(i, c) for i, c in zip(pair, corners, strict=True)]),
+            ):
+                flat = [_flat_px(c, side) if calibrated else c.reshape(-1, 2) for side, c in enumerate(some)]
+                squares[how] += [_homography_px(f, 9, 6) for f in flat]
+                if calibrated:
+                    epipolar[how].append(_epipolar_px(*flat))
+        for how in ("ours", "cornerSubPix"):
+            across = f"{np.sqrt(np.mean(epipolar[how])):.4f}" if calibrated else ""
+            rows.append(
+                [f"{name}, {how}", str(len(squares[how])), f"{np.sqrt(np.mean(squares[how])):.4f}", across]
+            )
+    return table(["", "pictures", "homography residual (px)", "epipolar residual (px)"], rows)
+
+
+def main(views: int = VIEWS) -> str:
+    """All tables of corners."""
+    return "\n".join(
+        [
+            f"Root-mean-square error of one coordinate; {views} pictures drawn at random, those with squares of 7 px and more.\n",
+            accuracy(views),
+            f"Detectors on the same {views} pictures, small squares included, and on {EMPTY} without a board. The error is that of "
+            "the boards found; ms are processor time, medians.\n",
+            detectors(views),
+            "Real stereo pairs. The homography residual of MRPT's pictures holds their lenses' distortion.\n",
+            real_pairs(),
+        ]
+    )
+
+
+if __name__ == "__main__":
+    print(main())

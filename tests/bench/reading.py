@@ -1,0 +1,139 @@
+"""Every frame of a moving log: reading and seeing, beside reading and decoding alone; on one core and on two."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from statistics import median
+
+from tests.bench.tables import table
+
+REPEATS = 5
+_JPEG, _CORES = "jpeg", 2
+
+
+def decode_alone(path: Path, workers: int) -> float:
+    """Seconds to read all messages with the `mcap` package and decode the pictures, on so many threads."""
+    import cv2
+    import numpy as np
+    from mcap.reader import make_reader
+    from rosbags.typesys import Stores, get_typestore
+
+    cv2.setNumThreads(1)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    waiting: deque[Future[None]] = deque()
+
+    def picture(data: bytes, kind: str) -> None:
+        message = store.deserialize_cdr(data, kind)
+        if kind.endswith("CompressedImage"):
+            cv2.imdecode(message.data, cv2.IMREAD_GRAYSCALE)
+        else:
+            np.asarray(message.data).reshape(message.height, message.width)
+
+    start = time.perf_counter()
+    with path.open("rb") as stream, ThreadPoolExecutor(workers) as pool:
+        for schema, _, message in make_reader(stream).iter_messages():
+            if schema is not None and "Image" in schema.name:
+                waiting.append(pool.submit(picture, message.data, schema.name))
+            while len(waiting) > 8:
+                waiting.popleft().result()
+        for future in waiting:
+            future.result()
+    return time.perf_counter() - start
+
+
+def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
+    """Seconds to read the log and look for the board in every picture; to measure; and pictures that show it."""
+    from mobilecal_cli.config import load_rig
+    from mobilecal_cli.discovery import settle_rig
+    from mobilecal_cli.model import Board
+    from mobilecal_cli.pipeline.extract import Seen, _observe, _plan
+    from mobilecal_cli.pipeline.seeing import Scene, look
+    from mobilecal_cli.readers import open_recording, read_prelude
+    from mobilecal_cli.vision import Detection
+
+    board = Board(9, 6, 0.08)
+    start = time.perf_counter()
+    with open_recording([path]) as recording:
+        rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
+        plan, _ = _plan(recording, rig, everything=True)
+        looks, _ = look(
+            recording, Scene(rig.sources, rig.cameras, board), plan.stations, False, jobs, lambda *_: None
+        )
+    seconds = time.perf_counter() - start
+    found = sum(
+        isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()
+    )
+    start = time.perf_counter()
+    seen = Seen(rig, board, plan, looks, (), ())
+    for station, one in zip(plan.stations, looks, strict=True):
+        _observe(0, station, one, seen, board.square_m)
+    return seconds, time.perf_counter() - start, found
+
+
+def _once(what: str, path: Path, workers: int) -> dict[str, float]:
+    command = [sys.executable, "-m", "tests.bench.reading", what, str(path), str(workers)]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    result: dict[str, float] = json.loads(done.stdout)
+    return result
+
+
+def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
+    """Tables 1 and 7, of one log stored in several ways."""
+    rows, speed = [], []
+    for kind, path in logs.items():
+        runs = [
+            {
+                f"{what}{workers}": _once(what, path, workers)
+                for workers in (1, _CORES)
+                for what in ("decode", "see")
+            }
+            for _ in range(repeats)
+        ]
+        for workers in (1, _CORES):
+            see = [run[f"see{workers}"] for run in runs]
+            decode = [run[f"decode{workers}"]["seconds"] for run in runs]
+            ratio = median(s["seconds"] / d for s, d in zip(see, decode, strict=True))
+            rows.append(
+                [kind, str(workers), f"{median(decode):.2f}", f"{median(s['seconds'] for s in see):.2f}", f"{ratio:.2f}",
+                 f"{median(s['measuring'] for s in see):.2f}", f"{see[0]['found']:.0f}"]
+            )  # fmt: skip
+        speed.append(
+            [
+                kind,
+                *(
+                    f"{median(run[f'{what}1']['seconds'] / run[f'{what}{_CORES}']['seconds'] for run in runs):.2f}"
+                    for what in ("decode", "see")
+                ),
+            ]
+        )
+    head = [
+        "pictures",
+        "cores",
+        "read + decode (s)",
+        "read + see (s)",
+        "ratio",
+        "triangulate and pose, one core (s)",
+        "boards found",
+    ]
+    return (
+        table(head, rows)
+        + f"\nSpeed-up from 1 to {_CORES} cores, medians of the ratios of each round.\n\n"
+        + table(["pictures", "read + decode", "read + see"], speed)
+    )
+
+
+if __name__ == "__main__":
+    what, path, workers = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
+    if what == "decode":
+        print(json.dumps({"seconds": decode_alone(path, workers)}))
+    else:
+        seconds, measuring, found = read_and_see(path, workers)
+        print(json.dumps({"seconds": seconds, "measuring": measuring, "found": found}))
