@@ -142,3 +142,15 @@ def test_wheels_at_different_rates_are_joined():
     assert (track.time_ns - START) / S == pytest.approx([0.5, 1.0, 1.5])
     assert track.right_rad == pytest.approx([0.5, 1.0, 1.5])
     assert track.left_rad == pytest.approx([5.0, 5.5, 6.0])
+
+
+def test_everything_is_every_pair_at_rest_and_in_motion():
+    log = signals(lambda t: staircase(t, rests=8), lambda t: 3 * staircase(t), image_hz=20.0)
+    plan = plan_stations(log, ("pan",), everything=True)
+    shots = [shot for station in plan.stations for shot in station.shots]
+    assert len(shots) == len(log.image_ns["left"])
+    resting = [station for station in plan.stations if station.at_rest]
+    assert len(resting) == 8
+    assert max(len(station.shots) for station in resting) > SHOTS_PER_REST
+    assert all(len(station.shots) == 1 for station in plan.stations if not station.at_rest)
+    assert [s.left_ns for s in shots] == sorted(s.left_ns for s in shots)

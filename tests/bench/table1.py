@@ -1,4 +1,4 @@
-"""`make bench`: the paper's Table 1 on the sample log, and a Monte Carlo of the same robot, as Markdown."""
+"""`make studies`: the paper's Table 1 on the sample log, and a Monte Carlo of the same robot, as Markdown."""
 
 from __future__ import annotations
 

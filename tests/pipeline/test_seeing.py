@@ -1,0 +1,102 @@
+"""Segments, processes and threads: the same corners in the same order, whoever looks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import Shot, Station
+from mobilecal_cli.pipeline import looking, seeing
+from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.scenario import Scenario
+
+
+def station(index: int, shots: int) -> Station:
+    times = [1000 * index + i for i in range(shots)]
+    return Station(index, True, tuple(Shot(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
+
+
+def test_segments_hold_all_stations_in_order():
+    stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
+    segments = seeing.segments_of(stations, True)
+    assert [s.index for segment in segments for s in segment.stations] == list(range(20))
+    pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
+    assert max(pairs) <= seeing.SEGMENT_PAIRS
+    shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
+    assert shown == list(range(20))
+    many = seeing.segments_of([station(i, 1) for i in range(1000)], True)
+    assert sum(len(segment.shown) for segment in many) <= seeing.SNAPSHOTS
+
+
+def test_a_station_of_more_shots_than_a_segment_stands_alone():
+    segments = seeing.segments_of([station(0, 1), station(1, 600), station(2, 1)], True)
+    assert [len(segment.stations) for segment in segments] == [1, 1, 1]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "moving.mcap"
+    simulate(Scenario(motion="moving", stations=2, pictures="jpeg", seed=5), path)
+    return path
+
+
+def everything(log: Path, jobs: int):
+    extraction, snapshots = extract(
+        [log], load_rig(None, {"stations": "all", "board.columns": 9, "board.rows": 6}), jobs=jobs
+    )
+    return extraction, snapshots
+
+
+def same(a, b) -> bool:
+    return len(a.observations) == len(b.observations) and all(
+        np.array_equal(x.left.pixels, y.left.pixels)
+        and np.array_equal(x.right.relative_cov, y.right.relative_cov)
+        for x, y in zip(a.observations, b.observations, strict=True)
+    )
+
+
+def test_processes_see_what_one_sees(log, monkeypatch):
+    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    alone, shown = everything(log, 1)
+    assert len(alone.observations) > 40
+    assert not any(o.at_rest for o in alone.observations)
+    assert alone.counts["pictures"] == 2 * alone.counts["stations"]
+    together, shown_together = everything(log, 2)
+    assert same(alone, together)
+    assert [s.left_jpeg for s in shown] == [s.left_jpeg for s in shown_together]
+
+
+def test_where_processes_cannot_be_started_this_one_looks(log, monkeypatch):
+    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    alone, _ = everything(log, 1)
+
+    def refused(*_args, **_kwargs):
+        raise OSError("no processes here")
+
+    monkeypatch.setattr(looking, "ProcessPoolExecutor", refused)
+    assert same(alone, everything(log, 2)[0])
+
+
+def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
+    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    from mobilecal_cli.pipeline import extract as extracting
+
+    settle = extracting.settle_rig
+
+    def other_size(*args):
+        from dataclasses import replace
+
+        settled = settle(*args)
+        rig = settled.rig
+        left = replace(rig.cameras.left, width=641)
+        return replace(settled, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
+
+    monkeypatch.setattr(extracting, "settle_rig", other_size)
+    with pytest.raises(RecordingError, match="the left pictures are 640 x 480") as raised:
+        everything(log, 2)
+    assert raised.value.hint

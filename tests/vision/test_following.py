@@ -1,0 +1,129 @@
+"""The board followed from picture to picture: kept where it goes, let go where it hides, never a square beside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import Board
+from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
+from mobilecal_cli.vision.following import follow
+from mobilecal_cli.vision.spots import spot_strength
+from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
+
+BOARD = Board(9, 6, 0.05)
+CAMERA = stereo_rig("raw").left
+STEP_NS = 50_000_000
+
+
+def pose_at(time_s: float) -> np.ndarray:
+    """A board that goes to the right by about 10 px a picture, faster and faster, and turns."""
+    return pose(
+        -0.15 + 0.3 * time_s + 0.2 * time_s**2, 0.02, 1.0, (0.2, -0.2 + 0.3 * time_s, 0.1), BOARD, 0.05
+    )
+
+
+def frame(time_s: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    T = pose_at(time_s)
+    image = render(CAMERA, T, BOARD, 0.05, noise=2.0, blur_px=0.7, seed=seed)
+    return image, opencv_pixels(CAMERA, se3.act(T, 0.05 * BOARD.grid()))
+
+
+@pytest.fixture(scope="module")
+def film() -> list[tuple[np.ndarray, np.ndarray]]:
+    return [frame(0.05 * i, seed=i) for i in range(10)]
+
+
+def rms(off: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
+def test_a_moving_board_is_followed_as_well_as_it_is_found(film, monkeypatch):
+    follower = BoardFollower(BOARD, thorough=True)
+    searches = []
+    search = follower._search
+    monkeypatch.setattr(follower, "_search", lambda *args: searches.append(1) or search(*args))
+    followed, found = [], []
+    for i, (image, truth) in enumerate(film):
+        seen, cold = follower.find(image, i * STEP_NS), detect(image, 9, 6)
+        assert isinstance(seen, Detection)
+        assert isinstance(cold, Detection)
+        followed.append(seen.pixels - truth)
+        found.append(cold.pixels - truth)
+    assert len(searches) == 1
+    assert rms(np.array(followed)) < 0.02
+    assert rms(np.array(followed)) < 1.1 * rms(np.array(found))
+
+
+def test_the_claimed_covariances_are_the_errors(film):
+    follower = BoardFollower(BOARD, thorough=True)
+    squares = []
+    for i, (image, truth) in enumerate(film):
+        seen = follower.find(image, i * STEP_NS)
+        assert isinstance(seen, Detection)
+        off = seen.pixels - truth
+        squares += list(np.einsum("mi,mij,mj->m", off, np.linalg.inv(seen.cov), off) / 2)
+    # 1 if the model were all: rendered pixels hold their light to a sixteenth of an edge's share.
+    assert 0.7 < np.mean(squares) < 1.8
+
+
+@pytest.mark.parametrize(
+    "shift", [(1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 2), (-1, 0), (0, -2), (-1, -1)]
+)
+def test_a_grid_some_squares_beside_is_let_go(film, shift):
+    image, truth = film[0]
+    seen = detect(image, 9, 6)
+    assert isinstance(seen, Detection)
+    assert seen.look is not None
+    grid = truth.reshape(6, 9, 2)
+    right, down = grid[2, 5] - grid[2, 4], grid[3, 4] - grid[2, 4]
+    assert isinstance(follow(image, truth + 0.5, seen.look, 9, 6), Detection)
+    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, seen.look, 9, 6), Miss)
+
+
+def test_a_hidden_board_is_lost_and_found_again(film):
+    follower = BoardFollower(BOARD, thorough=False)
+    assert isinstance(follower.find(film[0][0], 0), Detection)
+    wall = np.clip(np.full((480, 640), 110.0) + np.random.default_rng(3).normal(0, 2, (480, 640)), 0, 255)
+    for i in range(1, 4):
+        assert isinstance(follower.find(wall.astype(np.uint8), i * STEP_NS), Miss)
+    again = follower.find(film[4][0], 4 * STEP_NS)
+    assert isinstance(again, Detection)
+    assert rms(again.pixels - film[4][1]) < 0.02
+
+
+def test_half_a_board_is_no_board(film):
+    follower = BoardFollower(BOARD, thorough=False)
+    assert isinstance(follower.find(film[0][0], 0), Detection)
+    covered = film[1][0].copy()
+    middle = int(film[1][1][:, 0].mean())
+    covered[:, middle:] = 110
+    assert isinstance(follower.find(covered, STEP_NS), Miss)
+
+
+def test_pictures_without_spots_are_not_searched(film, monkeypatch):
+    follower = BoardFollower(BOARD, thorough=True)
+    follower.find(film[0][0], 0)
+    monkeypatch.setattr("mobilecal_cli.vision.following.find_board", lambda *_: pytest.fail("searched"))
+    smooth = np.full((480, 640), 110, np.uint8)
+    missed = follower.find(smooth, STEP_NS)
+    assert isinstance(missed, Miss)
+
+
+def test_spots_of_a_board_are_stronger_than_those_of_noise(film):
+    noise = np.random.default_rng(4).normal(110, 4, (480, 640))
+    with_board = [spot_strength(image, 54) for image, _ in film]
+    without = spot_strength(np.clip(noise, 0, 255).astype(np.uint8), 54)
+    assert min(with_board) > 10 * without
+    assert spot_strength(np.full((480, 640), 90, np.uint8), 54) == 0.0
+
+
+def test_a_board_that_leaves_the_picture_is_said_to(film):
+    image, truth = film[0]
+    seen = detect(image, 9, 6)
+    assert isinstance(seen, Detection)
+    assert seen.look is not None
+    gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.look, 9, 6)
+    assert isinstance(gone, Miss)
+    assert gone.reason == "board partly hidden or cut off by the border"
