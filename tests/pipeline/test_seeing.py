@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,13 +86,12 @@ def test_where_processes_cannot_be_started_this_one_looks(log, monkeypatch):
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
-    from mobilecal_cli.pipeline import extract as extracting
-
+    extracting = sys.modules[
+        "mobilecal_cli.pipeline.extract"
+    ]  # the package's `extract` is the function in it
     settle = extracting.settle_rig
 
     def other_size(*args):
-        from dataclasses import replace
-
         settled = settle(*args)
         rig = settled.rig
         left = replace(rig.cameras.left, width=641)
