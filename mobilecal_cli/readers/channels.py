@@ -32,17 +32,29 @@ _MESSAGE_LIST = re.compile(r"[A-Za-z]\w*(?:/|::)\w+\s*(?:\w+\s*)?\[(?:<=)?(\d+)\
 #: Two lines of this precede each file in concatenated IDL definitions.
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
-#: Types whose fields the readers use by name; they are the same in every ROS 1, and in every ROS 2.
+#: Types whose fields the readers use by name; they are the same in every ROS 1, and in every ROS 2. Spelled out,
+#: because rosbags loads the types of five releases to tell them, for longer than all other imports here take.
 _RELIED_ON = {
-    "builtin_interfaces/msg/Time",
-    "sensor_msgs/msg/CameraInfo",
-    "sensor_msgs/msg/CompressedImage",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/RegionOfInterest",
-    "std_msgs/msg/Header",
-    "std_msgs/msg/String",
+    "builtin_interfaces/msg/Time": "sec:int32 nanosec:uint32",
+    "sensor_msgs/msg/CameraInfo": (
+        "header:std_msgs/msg/Header height:uint32 width:uint32 distortion_model:string d:float64[] k:float64[9] "
+        "r:float64[9] p:float64[12] binning_x:uint32 binning_y:uint32 roi:sensor_msgs/msg/RegionOfInterest"
+    ),
+    "sensor_msgs/msg/CompressedImage": "header:std_msgs/msg/Header format:string data:uint8[]",
+    "sensor_msgs/msg/Image": (
+        "header:std_msgs/msg/Header height:uint32 width:uint32 encoding:string is_bigendian:uint8 step:uint32 "
+        "data:uint8[]"
+    ),
+    "sensor_msgs/msg/JointState": (
+        "header:std_msgs/msg/Header name:string[] position:float64[] velocity:float64[] effort:float64[]"
+    ),
+    "sensor_msgs/msg/RegionOfInterest": (
+        "x_offset:uint32 y_offset:uint32 height:uint32 width:uint32 do_rectify:bool"
+    ),
+    "std_msgs/msg/Header": "stamp:builtin_interfaces/msg/Time frame_id:string",
+    "std_msgs/msg/String": "data:string",
 }
+_ROS1_HEADER = f"seq:uint32 {_RELIED_ON['std_msgs/msg/Header']}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +192,7 @@ def _embedded_types(
         raise
     except Exception:  # a damaged definition: the common types may still do
         return None
-    return store if _agrees(store, _default_types(encoding)) else None
+    return store if agrees(store, encoding) else None
 
 
 def _cost(definition: str) -> int:
@@ -238,13 +250,14 @@ def _endless(name: str) -> RecordingError:
     )
 
 
-def _agrees(store: Typestore, common: Typestore) -> bool:
+def agrees(store: Typestore, encoding: str) -> bool:
     """Whether the types that the readers rely on are as everywhere; else their definitions are damaged."""
-    for name in _RELIED_ON & store.fielddefs.keys():
-        ours, theirs = store.fielddefs[name][1], common.fielddefs[name][1]
-        if [(_caseless(field), kind) for field, kind in ours] != [
-            (_caseless(field), kind) for field, kind in theirs
-        ]:
+    for name in _RELIED_ON.keys() & store.fielddefs.keys():
+        common = _ROS1_HEADER if encoding == "ros1" and name == "std_msgs/msg/Header" else _RELIED_ON[name]
+        if (
+            " ".join(f"{_caseless(field)}:{_spelled(kind)}" for field, kind in store.fielddefs[name][1])
+            != common
+        ):
             return False
     return True
 
@@ -252,6 +265,18 @@ def _agrees(store: Typestore, common: Typestore) -> bool:
 def _caseless(field: str) -> str:
     """ROS 1 spells a camera's matrices D, K, R, P, ROS 2 d, k, r, p; all else is the same."""
     return field.lower() if len(field) == 1 else field
+
+
+def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples
+    """A field's type as message definitions spell it, such as float64[9] or string[]."""
+    kind, what = field_type
+    if kind == Nodetype.NAME:
+        return str(what)
+    of, bound = what
+    if kind == Nodetype.BASE:
+        return f"{of}<={bound}" if bound else str(of)
+    length = f"<={bound}" if bound and kind == Nodetype.SEQUENCE else bound or ""
+    return f"{_spelled(of)}[{length}]"
 
 
 @lru_cache(maxsize=2)

@@ -6,7 +6,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
@@ -238,6 +237,8 @@ def _short(name: str) -> str:
 
 def picture_coverage(extraction: Extraction, side: Side) -> str:
     """Where in the picture the board was, as outlines."""
+    import cv2
+
     camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
     seen = extraction.observations
     chosen = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int))
@@ -246,7 +247,8 @@ def picture_coverage(extraction: Extraction, side: Side) -> str:
         for i in chosen:
             corners = getattr(seen[i], side)
             measured = corners.pixels[corners.seen]
-            outline = measured[ConvexHull(measured).vertices]
+            hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
+            outline = measured[hull.ravel()]
             axes.fill(*outline.T, facecolor=BLUE, alpha=0.10)
             axes.plot(*np.concatenate([outline, outline[:1]]).T, color=BLUE, linewidth=0.9, alpha=0.8)
         corners = np.array([[0, 0], [camera.width, camera.height]]) - 0.5

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.optimize import minimize
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import FloatArray, Parameters, Refinement
@@ -72,6 +71,8 @@ def refine_powell(loops: Loops, start: Parameters) -> Refinement:
     Raises:
         SolveError: no minimum within scipy's limits.
     """
+    from scipy.optimize import minimize  # heavy, and for this method alone
+
     H, _, rms = _normal_equations(loops, start)
     scale = np.sqrt(np.diag(H))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
