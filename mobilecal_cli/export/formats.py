@@ -6,12 +6,12 @@ import json
 import shlex
 from collections.abc import Mapping
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.xml_text import attribute
 from mobilecal_cli.export.yaml_text import decimal, decimals, quoted
 from mobilecal_cli.model import NINE, CalibratedRobot, Camera, Side, StereoRig, WheelGeometry
 
@@ -59,7 +59,7 @@ def static_transform_launch(robot: CalibratedRobot) -> str:
             "<launch>",
             f"  <!-- {_CONVENTION} -->",
             '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
-            f"        args={quoteattr(f'{words} {frames}')}/>",
+            f"        args={attribute(f'{words} {frames}')}/>",
             "</launch>",
             "",
         ]
@@ -103,7 +103,7 @@ def xacro_properties(robot: CalibratedRobot) -> str:
             '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
             f"  <!-- {comment} -->",
             *(
-                f'  <xacro:property name="mobilecal_{name}" value={quoteattr(value)}/>'
+                f'  <xacro:property name="mobilecal_{name}" value={attribute(value)}/>'
                 for name, value in values.items()
             ),
             "</robot>",

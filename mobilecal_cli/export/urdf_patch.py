@@ -6,12 +6,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.parsers.expat import ParserCreate
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.xml_text import attribute
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import CalibratedRobot, FloatArray, Side
 
@@ -141,9 +141,9 @@ def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, byte
             f"its links: {', '.join(urdf.links) or 'none'}",
         )
     lines = (
-        f"<link name={quoteattr(robot.child_frame)}/>",
-        f'<joint name={quoteattr(f"{robot.child_frame}_joint")} type="fixed">',
-        f"  <parent link={quoteattr(robot.parent_frame)}/><child link={quoteattr(robot.child_frame)}/>",
+        f"<link name={attribute(robot.child_frame)}/>",
+        f'<joint name={attribute(f"{robot.child_frame}_joint")} type="fixed">',
+        f"  <parent link={attribute(robot.parent_frame)}/><child link={attribute(robot.child_frame)}/>",
         f"  {_origin(robot.T_parent_child)}",
         "</joint>",
     )
@@ -201,7 +201,7 @@ def _attributes(T: FloatArray) -> dict[str, str]:
 
 
 def _origin(T: FloatArray) -> str:
-    return f"<origin {' '.join(f'{name}={quoteattr(value)}' for name, value in _attributes(T).items())}/>"
+    return f"<origin {' '.join(f'{name}={attribute(value)}' for name, value in _attributes(T).items())}/>"
 
 
 def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> bytes:
