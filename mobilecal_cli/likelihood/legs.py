@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.kinematics import Arcs, Increments, LegMotion, integrate
+from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.problem import Problem, State
 from mobilecal_cli.likelihood.shared import Layout
@@ -57,12 +57,6 @@ def base_legs(problem: Problem, state: State) -> FloatArray:
 
 def _as_rows(motion: LegMotion) -> FloatArray:
     return np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1)
-
-
-def leg_residuals(problem: Problem, state: State) -> FloatArray:
-    """(L, 3) odometry minus base poses."""
-    motion = integrate(_steps(problem, state), state.parameters.wheels)
-    return _as_rows(motion) - base_legs(problem, state)
 
 
 def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project, project_with_jacobian
+from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
-from mobilecal_cli.likelihood.shared import INDEX, POSE_EXTRAS
+from mobilecal_cli.likelihood.shared import POSE_EXTRAS
 from mobilecal_cli.model import FloatArray
 
 
@@ -75,8 +75,12 @@ def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple
     for k, (camera, points) in enumerate(((rig.left, points_c), (rig.right, points_r))):
         at, J_p = project_with_jacobian(camera, points)
         residual[:, k] = at - problem.pixels[:, k]
-        J_c = J_p if k == 0 else J_p @ T_r_c[:3, :3]
-        J[:, k, :, :, :3] = np.cross(points_c[..., None, :], J_c)
+        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
+        x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
+        by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
+        J[:, k, :, :, 0] = y * by_z - z * by_y  # point x J_c
+        J[:, k, :, :, 1] = z * by_x - x * by_z
+        J[:, k, :, :, 2] = x * by_y - y * by_x
         J[:, k, :, :, 3:6] = J_c
         for column, name in enumerate(direct, 6):
             side = ("left", "right")[k]
@@ -152,20 +156,3 @@ def linearize_views(problem: Problem, state: State, selection: Selection, noise:
         np.sum(r**2, axis=1),
         *_pose_columns(problem, state, T_c_k, width),
     )
-
-
-def view_cost(problem: Problem, state: State, selection: Selection, noise: Noise) -> float:
-    """Sum of squares of all whitened pixel residuals."""
-    T_c_k = board_in_camera(problem, state)
-    residual = predicted_px(problem, state, T_c_k) - problem.pixels
-    believed = selection.corners & selection.views[:, None, None]
-    weight = np.where(believed, sigmas_px(problem, noise)[:, :, None] ** -2, 0.0)
-    return float(np.sum(weight * np.sum(residual**2, axis=-1)))
-
-
-def predicted_px(problem: Problem, state: State, T_c_k: FloatArray) -> FloatArray:
-    """(N, 2, M, 2) pixels of boards at T_c_k."""
-    rig = cameras_at(problem, state)
-    points_c = se3.act(T_c_k, (1 + state.extras[INDEX["square_scale"]]) * problem.points_k)
-    points_r = se3.act(se3.inverse(rig.T_c_r), points_c)
-    return np.stack([project(rig.left, points_c), project(rig.right, points_r)], axis=1)

@@ -20,11 +20,11 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose, integrate, integr
 from mobilecal_cli.likelihood.legs import leg_covariance
 from mobilecal_cli.likelihood.noise import Selection
 from mobilecal_cli.likelihood.problem import Problem, State, problem_of
-from mobilecal_cli.likelihood.system import cost_of, leg_weights
+from mobilecal_cli.likelihood.system import terms_at
 from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.descent import Ties, descend
+from mobilecal_cli.solvers.descent import Ties, descend, terms_before
 from mobilecal_cli.solvers.linear import linear_estimate
 from mobilecal_cli.solvers.loops import closed_loops
 from mobilecal_cli.solvers.placing import state_at
@@ -54,7 +54,7 @@ def by_mobilecal(problem: Problem, start: State) -> tuple[State, float]:
     nine = np.zeros(9)
     ties = Ties(start.parameters, np.zeros((0, 9)), np.zeros(0), np.ones(9), nine, nine)
     began = time.perf_counter()
-    optimum = descend(problem, start, Selection.everything(problem), TRUE_NOISE, ties)
+    optimum = descend(terms_before(problem, start, Selection.everything(problem), TRUE_NOISE), ties)
     return optimum.state, time.perf_counter() - began
 
 
@@ -192,8 +192,8 @@ def one(solver: str, path: Path) -> None:
     end, seconds = {"mobilecal": by_mobilecal, "ceres": by_ceres}[solver](problem, start)
     memory = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     everything = Selection.everything(problem)
-    weight = leg_weights(leg_covariance(problem, start.parameters.wheels, TRUE_NOISE), everything)
-    cost = cost_of(problem, end, everything, TRUE_NOISE, weight)
+    covariance = leg_covariance(problem, start.parameters.wheels, TRUE_NOISE)
+    cost = terms_at(problem, end, everything, TRUE_NOISE, covariance).cost
     print(json.dumps({"seconds": seconds, "mb": memory, "cost": cost, "nine": vector(end).tolist()}))
 
 
