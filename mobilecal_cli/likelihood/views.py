@@ -7,6 +7,7 @@ themselves have columns of their own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
 from mobilecal_cli.likelihood.shared import POSE_EXTRAS
 from mobilecal_cli.model import FloatArray
+
+_BLOCK = 500  # stations: 10 MB of derivatives for 54 corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +60,15 @@ def sigmas_px(problem: Problem, noise: Noise) -> FloatArray:
     return noise.pixel_px * problem.relative_sigma
 
 
-def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus seen pixels of boards at T_c_k, (N, 2, M, 2), and their derivatives.
+def blocks_of(stations: int) -> Iterator[slice]:
+    """The stations cut into blocks, so that the derivatives of their corners take a few MB however many there are."""
+    yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
+
+
+def corner_residuals(
+    problem: Problem, state: State, T_c_k: FloatArray, stations: slice = slice(None)
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus seen pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
 
     Returns:
         The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
@@ -74,7 +84,7 @@ def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple
     J = np.zeros((len(points_c), 2, points_c.shape[1], 2, 6 + len(direct)))
     for k, (camera, points) in enumerate(((rig.left, points_c), (rig.right, points_r))):
         at, J_p = project_with_jacobian(camera, points)
-        residual[:, k] = at - problem.pixels[:, k]
+        residual[:, k] = at - problem.pixels[stations, k]
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
         x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
         by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
@@ -140,19 +150,23 @@ def _pose_columns(
 def linearize_views(problem: Problem, state: State, selection: Selection, noise: Noise) -> Views:
     """Residuals and information of all stations' pictures."""
     T_c_k = board_in_camera(problem, state)
-    residual, J = corner_residuals(problem, state, T_c_k)
     sigma = sigmas_px(problem, noise)
     believed = selection.corners & selection.views[:, None, None]
     root_weight = np.where(believed, 1 / sigma[:, :, None], 0.0)
-    count, width = problem.stations, J.shape[-1]
-    A = (J * root_weight[..., None, None]).reshape(count, -1, width)
-    r = (residual * root_weight[..., None]).reshape(count, -1)
-    At = np.swapaxes(A, 1, 2)
+    parts = []
+    for block in blocks_of(problem.stations):
+        residual, J = corner_residuals(problem, state, T_c_k[block], block)
+        width = J.shape[-1]
+        A = (J * root_weight[block, ..., None, None]).reshape(len(J), -1, width)
+        r = (residual * root_weight[block, ..., None]).reshape(len(J), -1)
+        At = np.swapaxes(A, 1, 2)
+        parts.append((residual, At @ A, (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)))
+    residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Views(
-        residual,
+        residuals,
         sigma,
-        At @ A,
-        (At @ r[..., None])[..., 0],
-        np.sum(r**2, axis=1),
+        information,
+        gradient,
+        cost,
         *_pose_columns(problem, state, T_c_k, width),
     )
