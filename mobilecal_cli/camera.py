@@ -28,24 +28,26 @@ def _tilt(tau_x: float, tau_y: float) -> FloatArray:
 def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """plumb_bob, rational_polynomial: z = 1 coordinates (..., 2) → distorted, Jacobian (..., 2, 2)."""
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = np.pad(D, (0, 14 - len(D)))
-    x, y = points[..., 0], points[..., 1]
-    q = x * x + y * y
-    numerator = 1 + q * (k1 + q * (k2 + q * k3))
-    denominator = 1 + q * (k4 + q * (k5 + q * k6))
-    radial = numerator / denominator
-    # Derivative of the radial factor by q = r^2.
-    slope = (k1 + q * (2 * k2 + 3 * q * k3) - radial * (k4 + q * (2 * k5 + 3 * q * k6))) / denominator
-    prism = np.stack([q * (s1 + q * s2), q * (s3 + q * s4)], axis=-1)
-    prism_slope = np.stack([s1 + 2 * q * s2, s3 + 2 * q * s4], axis=-1)
-    cross = 2 * x * y
-    tangential = np.stack([p1 * cross + p2 * (q + 2 * x * x), p1 * (q + 2 * y * y) + p2 * cross], axis=-1)
-    distorted = radial[..., None] * points + tangential + prism
-    J = radial[..., None, None] * np.eye(2)
-    J = J + 2 * (slope[..., None] * points + prism_slope)[..., :, None] * points[..., None, :]
-    J[..., 0, 0] += 2 * p1 * y + 6 * p2 * x
-    J[..., 0, 1] += 2 * p1 * x + 2 * p2 * y
-    J[..., 1, 0] += 2 * p1 * x + 2 * p2 * y
-    J[..., 1, 1] += 6 * p1 * y + 2 * p2 * x
+    x, y = np.ascontiguousarray(np.moveaxis(points, -1, 0))
+    xx, yy, xy = x * x, y * y, x * y
+    q = xx + yy
+    # The radial factor and its derivative by q = r^2; the rational and prism terms are zero in most cameras.
+    radial, slope = 1 + q * (k1 + q * (k2 + q * k3)), k1 + q * (2 * k2 + 3 * k3 * q)
+    if k4 or k5 or k6:
+        denominator = 1 + q * (k4 + q * (k5 + q * k6))
+        radial = radial / denominator
+        slope = (slope - radial * (k4 + q * (2 * k5 + 3 * k6 * q))) / denominator
+    distorted = np.empty_like(points)
+    distorted[..., 0] = radial * x + 2 * p1 * xy + p2 * (q + 2 * xx)
+    distorted[..., 1] = radial * y + 2 * p2 * xy + p1 * (q + 2 * yy)
+    J = np.empty((*points.shape, 2))
+    J[..., 0, 0] = radial + 2 * slope * xx + 2 * p1 * y + 6 * p2 * x
+    J[..., 1, 1] = radial + 2 * slope * yy + 6 * p1 * y + 2 * p2 * x
+    J[..., 0, 1] = J[..., 1, 0] = 2 * slope * xy + 2 * p1 * x + 2 * p2 * y
+    if s1 or s2 or s3 or s4:
+        distorted += np.stack([q * (s1 + q * s2), q * (s3 + q * s4)], axis=-1)
+        prism_slope = np.stack([s1 + 2 * q * s2, s3 + 2 * q * s4], axis=-1)
+        J += 2 * prism_slope[..., :, None] * points[..., None, :]
     if tau_x == 0 and tau_y == 0:
         return distorted, J
     H = _tilt(tau_x, tau_y)
@@ -69,12 +71,16 @@ def _distorted(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArr
     J = np.zeros((*points.shape[:-1], 2, 3))
     if camera.distortion != "equidistant":
         flat = points[..., :2] / Z[..., None]
-        J[..., 0, 0] = J[..., 1, 1] = 1 / Z
-        J[..., :, 2] = -flat / Z[..., None]
         if camera.distortion == "none" or not np.any(camera.D):
+            J[..., 0, 0] = J[..., 1, 1] = 1 / Z
+            J[..., :, 2] = -flat / Z[..., None]
             return flat, J
         distorted, J_flat = _distort_polynomial(camera.D, flat)
-        return distorted, J_flat @ J
+        # d(X/Z, Y/Z) = (dX - x dZ, dY - y dZ) / Z
+        per_Z = J_flat / Z[..., None, None]
+        J[..., :2] = per_Z
+        J[..., 2] = -(per_Z[..., 0] * flat[..., :1] + per_Z[..., 1] * flat[..., 1:])
+        return distorted, J
     r = np.hypot(X, Y)
     square = r * r + Z * Z
     theta = np.arctan2(r, Z)
@@ -106,6 +112,8 @@ def project_with_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArra
     """
     distorted, J = _distorted(camera, points)
     A = camera.K[:2, :2]
+    if A[0, 1] == 0 == A[1, 0]:
+        return distorted * np.diag(A) + camera.K[:2, 2], np.diag(A)[:, None] * J
     return distorted @ A.T + camera.K[:2, 2], A @ J
 
 

@@ -2,6 +2,7 @@
 
 from mobilecal_cli.kinematics.head import head_jacobian, head_pose
 from mobilecal_cli.kinematics.wheels import (
+    Arcs,
     Increments,
     LegMotion,
     between_steps,
@@ -10,10 +11,10 @@ from mobilecal_cli.kinematics.wheels import (
     integrate,
     integrate_with_jacobian,
     join,
-    step_sensitivity,
 )
 
 __all__ = [
+    "Arcs",
     "Increments",
     "LegMotion",
     "between_steps",
@@ -24,5 +25,4 @@ __all__ = [
     "integrate",
     "integrate_with_jacobian",
     "join",
-    "step_sensitivity",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
 
 _ROUNDING_RAD = 1e-9
 _WHOLE_STEPS = 0.01
-_SMALL = 1e-4  # below it the series' error (x^4) is under one ulp
+_SMALL = 0.1  # rad; below it the series' error (h^10 / 11!) is under one ulp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,61 +132,115 @@ class LegMotion:
     t_m: FloatArray
 
 
+def _up_to(steps: Increments, amount: FloatArray) -> FloatArray:
+    """Sum of a quantity over the steps of the same leg up to each step, itself included, (n,) → (n,)."""
+    total = np.cumsum(amount)
+    first = np.searchsorted(steps.leg, np.arange(steps.legs))
+    earlier = np.concatenate([[0.0], total])[first]
+    return np.asarray(total - earlier[steps.leg])
+
+
+def _after(steps: Increments, amount: FloatArray) -> FloatArray:
+    """Sum of a quantity over the steps of the same leg after each step, (n,) → (n,)."""
+    total = np.cumsum(amount)
+    last = np.searchsorted(steps.leg, np.arange(steps.legs), side="right")
+    whole = np.concatenate([[0.0], total])[last]
+    return np.asarray(whole[steps.leg] - total)
+
+
 def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     """sin(h)/h, the chord of a unit arc that turns by 2h, and its derivative."""
-    small = np.abs(half_turn) < _SMALL
-    safe = np.where(small, 1.0, half_turn)
-    chord = np.where(small, 1 - half_turn**2 / 6, np.sin(safe) / safe)
-    slope = np.where(small, -half_turn / 3, (np.cos(safe) - chord) / safe)
+    h, q = half_turn, half_turn**2
+    chord = 1 - q / 6 * (1 - q / 20 * (1 - q / 42 * (1 - q / 72)))
+    slope = -h / 3 * (1 - q / 10 * (1 - q / 28 * (1 - q / 54 * (1 - q / 88))))
+    large = np.flatnonzero(np.abs(h) > _SMALL)  # samples come often: hardly any
+    chord[large] = np.sin(h[large]) / h[large]
+    slope[large] = (np.cos(h[large]) - chord[large]) / h[large]
     return chord, slope
 
 
-def _before(steps: Increments, amount: FloatArray) -> FloatArray:
-    """Sum of a quantity over the steps of the same leg before each step, (n,) → (n,)."""
-    total = np.cumsum(amount)
-    before = total - amount
-    first = np.searchsorted(steps.leg, np.arange(steps.legs))
-    start = np.append(before, total[-1] if len(total) else 0.0)[first]
-    return np.asarray(before - start[steps.leg])
+@dataclass(frozen=True, eq=False)
+class Arcs:
+    """The steps of all legs as circular arcs, and what they lead to (eqs. 10 and 14).
 
+    A step turns by ``psi = (rR phiR - rL phiL) / b`` and moves the base by the chord ``ds sin(h)/h``,
+    ``ds = (rR phiR + rL phiL) / 2``, in the direction ``theta + h``, with ``h = psi/2``: exact for constant rates
+    within a step.
 
-def _headings(steps: Increments, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Heading before each step, relative to its leg's start, and each leg's sum, of turns (n,)."""
-    return _before(steps, turn), steps.total(turn)
+    Attributes:
+        steps, wheels: the wheels' rotations and sizes.
+        ds, turn: (n,) length and turn of each step, m and rad.
+        direction: (2, n) of each chord, in the frame of its leg's start.
+        chord, slope: (n,) length of the chord over that of the arc, and its derivative by h.
+        psi_rad: (L,) heading change of each leg, not wrapped.
+    """
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Arcs:
-    """Each step as an arc, (n,), and each leg's heading change, (L,)."""
-
-    turn: FloatArray
+    steps: Increments
+    wheels: WheelGeometry
     ds: FloatArray
-    along: FloatArray
+    turn: FloatArray
+    direction: FloatArray
     chord: FloatArray
     slope: FloatArray
-    psi: FloatArray
+    psi_rad: FloatArray
 
-    def motion(self, steps: Increments) -> LegMotion:
-        run = self.ds * self.chord
-        x, y = steps.total(run * np.cos(self.along)), steps.total(run * np.sin(self.along))
-        return LegMotion(self.psi, np.stack([x, y], axis=1))
+    @classmethod
+    def along(cls, steps: Increments, wheels: WheelGeometry) -> Arcs:
+        """The arcs of wheels of some size."""
+        right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+        turn = (right - left) / wheels.separation_m
+        heading = _up_to(steps, turn) - turn / 2
+        direction = np.stack([np.cos(heading), np.sin(heading)])
+        return cls(steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2), steps.total(turn))
 
+    def motion(self) -> LegMotion:
+        """Where each leg leads."""
+        x, y = self.ds * self.chord * self.direction
+        return LegMotion(self.psi_rad, np.stack([self.steps.total(x), self.steps.total(y)], axis=1))
 
-def _arcs(steps: Increments, wheels: WheelGeometry) -> _Arcs:
-    right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
-    turn = (right - left) / wheels.separation_m
-    theta, psi = _headings(steps, turn)
-    chord, slope = _arc(turn / 2)
-    return _Arcs(turn, (right + left) / 2, theta + turn / 2, chord, slope, psi)
+    @cached_property
+    def _by_step(self) -> tuple[FloatArray, FloatArray]:
+        """(2, n) derivatives of the end (x, y) of each step's leg by the step's length and by its turn.
+
+        The length goes along the chord. The turn bends the step itself and swings all that follows it.
+        """
+        by_length = self.chord * self.direction
+        cos, sin = self.direction
+        x, y = (_after(self.steps, self.ds * row) for row in by_length)
+        bent, swung = self.ds * self.slope / 2, self.ds * self.chord / 2
+        return by_length, np.stack([bent * cos - swung * sin - y, bent * sin + swung * cos + x])
+
+    def by_wheels(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives by (rR, rL, b) of psi (L, 3), rad/m, and of (x, y), (L, 2, 3), m/m."""
+        steps, b = self.steps, self.wheels.separation_m
+        right, left = steps.right_rad, steps.left_rad
+        d_psi = np.stack([steps.total(right), -steps.total(left), -self.psi_rad], axis=1) / b
+        d_t = np.empty((steps.legs, 2, 3))
+        for k, (by_length, by_turn) in enumerate(zip(*self._by_step, strict=True)):
+            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / b))
+            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / b))
+            d_t[:, k, 2] = -steps.total(self.turn * by_turn) / b
+        return d_psi, d_t
+
+    def sensitivity(self, at: IntArray | slice = slice(None)) -> FloatArray:
+        """How the wheel rotations of some steps move the ends of their legs.
+
+        Returns:
+            (k, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
+            m/rad and rad/rad.
+        """
+        rR, rL, b = self.wheels.radius_right_m, self.wheels.radius_left_m, self.wheels.separation_m
+        by_length, by_turn = (by[:, at] for by in self._by_step)
+        out = np.empty((3, 2, by_turn.shape[1]))
+        out[:2, 0] = rR * (by_length / 2 + by_turn / b)
+        out[:2, 1] = rL * (by_length / 2 - by_turn / b)
+        out[2] = [[rR / b], [-rL / b]]
+        return np.moveaxis(out, -1, 0)
 
 
 def integrate(steps: Increments, wheels: WheelGeometry) -> LegMotion:
-    """Dead reckoning along circular arcs (eqs. 10 and 14; exact for constant rates within a step).
-
-    ``psi = (rR dphiR - rL dphiL) / b`` and each step moves the base by the chord
-    ``ds sin(h)/h`` in the direction ``theta + h``, with ``h = dpsi/2``.
-    """
-    return _arcs(steps, wheels).motion(steps)
+    """Dead reckoning along circular arcs."""
+    return Arcs.along(steps, wheels).motion()
 
 
 def integrate_with_jacobian(
@@ -196,44 +251,5 @@ def integrate_with_jacobian(
     Returns:
         The motion, d psi (L, 3) in rad/m and d t (L, 2, 3) in m/m.
     """
-    arcs, b = _arcs(steps, wheels), wheels.separation_m
-    direction = np.stack([np.cos(arcs.along), np.sin(arcs.along)])
-    normal = np.stack([-direction[1], direction[0]])
-
-    d_ds = (steps.right_rad / 2, steps.left_rad / 2, np.zeros_like(arcs.ds))
-    d_turn = (steps.right_rad / b, -steps.left_rad / b, -arcs.turn / b)
-    d_psi = np.empty((steps.legs, 3))
-    d_t = np.empty((steps.legs, 2, 3))
-    for k in range(3):
-        d_theta, d_psi[:, k] = _headings(steps, d_turn[k])
-        stretched = d_ds[k] * arcs.chord + arcs.ds * arcs.slope * d_turn[k] / 2
-        swung = arcs.ds * arcs.chord * (d_theta + d_turn[k] / 2)
-        d_step = stretched * direction + swung * normal
-        d_t[:, :, k] = np.stack([steps.total(row) for row in d_step], axis=1)
-    return arcs.motion(steps), d_psi, d_t
-
-
-def step_sensitivity(steps: Increments, wheels: WheelGeometry) -> FloatArray:
-    """How each step's wheel rotations move the end of its leg.
-
-    Returns:
-        (n, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
-        m/rad and rad/rad: the step's own chord, and the swing of all that follows it.
-    """
-    arcs = _arcs(steps, wheels)
-    direction = np.stack([np.cos(arcs.along), np.sin(arcs.along)], axis=-1)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-    walked = (arcs.ds * arcs.chord)[:, None] * direction
-    end = np.stack([steps.total(walked[:, 0]), steps.total(walked[:, 1])], axis=-1)
-    before = np.stack([_before(steps, walked[:, 0]), _before(steps, walked[:, 1])], axis=-1)
-    rest = end[steps.leg] - before - walked
-    swung = np.stack([-rest[:, 1], rest[:, 0]], axis=-1)
-    out = np.empty((len(arcs.ds), 3, 2))
-    sides = ((wheels.radius_right_m, 1.0), (wheels.radius_left_m, -1.0))
-    for column, (radius, sign) in enumerate(sides):
-        turn = sign * radius / wheels.separation_m
-        stretched = radius / 2 * arcs.chord + arcs.ds * arcs.slope * turn / 2
-        own = stretched[:, None] * direction + (arcs.ds * arcs.chord * turn / 2)[:, None] * normal
-        out[:, :2, column] = own + turn * swung
-        out[:, 2, column] = turn
-    return out
+    arcs = Arcs.along(steps, wheels)
+    return arcs.motion(), *arcs.by_wheels()

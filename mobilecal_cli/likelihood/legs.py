@@ -6,13 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.kinematics import (
-    Increments,
-    LegMotion,
-    integrate,
-    integrate_with_jacobian,
-    step_sensitivity,
-)
+from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.problem import Problem, State
 from mobilecal_cli.likelihood.shared import Layout
@@ -65,22 +59,16 @@ def _as_rows(motion: LegMotion) -> FloatArray:
     return np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1)
 
 
-def leg_residuals(problem: Problem, state: State) -> FloatArray:
-    """(L, 3) odometry minus base poses."""
-    motion = integrate(_steps(problem, state), state.parameters.wheels)
-    return _as_rows(motion) - base_legs(problem, state)
-
-
 def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
     """Residuals of all legs and their derivatives; by encoder errors only where encoders have steps."""
     i, j = problem.legs.T
-    steps, wheels = _steps(problem, state), state.parameters.wheels
-    motion, d_psi, d_t = integrate_with_jacobian(steps, wheels)
+    steps = _steps(problem, state)
+    arcs = Arcs.along(steps, state.parameters.wheels)
+    d_psi, d_t = arcs.by_wheels()
     between = base_legs(problem, state)
     count = len(between)
     first = np.searchsorted(steps.leg, np.arange(count))
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
-    sensitivity = step_sensitivity(steps, wheels)
     by_start, by_end = np.zeros((count, 3, 5)), np.zeros((count, 3, 5))
     # A start that is further on, or turned, sees the end less far on, or turned back.
     by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
@@ -90,8 +78,8 @@ def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
     by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
     by_end[:, 2, 2] = -1.0
     by_start[problem.first[i], :, :3] = 0.0
-    by_start[:, :, 3:] = -sensitivity[first]
-    by_end[:, :, 3:] = sensitivity[last]
+    by_start[:, :, 3:] = -arcs.sensitivity(first)
+    by_end[:, :, 3:] = arcs.sensitivity(last)
     by_time = np.zeros((count, 3))
     if "time_wheels" in problem.layout.extras:
         rates = problem.wheel_rates(state.extra("time_wheels"))
@@ -100,18 +88,19 @@ def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
     if not encoders:
         by_start[:, :, 3:] = by_end[:, :, 3:] = 0.0
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
-    return Legs(_as_rows(motion) - between, by_start, by_end, by_wheels, by_time)
+    return Legs(_as_rows(arcs.motion()) - between, by_start, by_end, by_wheels, by_time)
 
 
 def leg_covariance(problem: Problem, wheels: WheelGeometry, noise: Noise) -> FloatArray:
     """(L, 3, 3) covariance of odometry's (x, y, heading), propagated along the arcs: m^2, m rad, rad^2."""
     steps = problem.steps()
-    sensitivity = step_sensitivity(steps, wheels)
-    variance = noise.wheel_rad_per_sqrt_rad**2 * np.abs(np.stack([steps.right_rad, steps.left_rad], axis=1))
-    per_step = np.einsum("sak,sk,sbk->sab", sensitivity, variance, sensitivity)
+    sensitivity = Arcs.along(steps, wheels).sensitivity()
+    right, left = noise.wheel_rad_per_sqrt_rad**2 * np.abs([steps.right_rad, steps.left_rad])
     covariance = np.empty((len(problem.legs), 3, 3))
     for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        covariance[:, a, b] = covariance[:, b, a] = steps.total(per_step[:, a, b])
+        of_a, of_b = sensitivity[:, a], sensitivity[:, b]
+        per_step = right * of_a[:, 0] * of_b[:, 0] + left * of_a[:, 1] * of_b[:, 1]
+        covariance[:, a, b] = covariance[:, b, a] = steps.total(per_step)
     path_m = steps.total(
         np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
     )

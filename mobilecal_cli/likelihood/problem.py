@@ -12,6 +12,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_step_rad, head_pose, join
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES, INDEX, Layout
+from mobilecal_cli.likelihood.sides import joint_sides
 from mobilecal_cli.model import (
     BoolArray,
     Extraction,
@@ -30,7 +31,6 @@ from mobilecal_cli.model import (
 _SLOPE_S = 0.04  # the time over which a rate is taken
 _LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better than the camera model
 _LEAST_VARIANCE = 1e-6  # of a corner beside a usual one
-_MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,19 +236,6 @@ def no_extras() -> FloatArray:
     return np.zeros(len(EXTRA_NAMES))
 
 
-def _sides(extraction: Extraction) -> FloatArray:
-    """(N, J) the direction of each joint's last motion before each station."""
-    seen = extraction.observations
-    sides = np.zeros((len(seen), len(extraction.rig.chain.joints)))
-    for i, o in enumerate(seen):
-        tracks = extraction.joint_tracks[o.log] if extraction.joint_tracks else ()
-        for j, track in enumerate(tracks):
-            earlier = track.value[: np.searchsorted(track.time_ns, o.time_ns)]
-            away = np.flatnonzero(np.abs(earlier - o.joints[j]) > _MOVED_RAD)
-            sides[i, j] = np.sign(o.joints[j] - earlier[away[-1]]) if len(away) else 0.0
-    return sides
-
-
 def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
     """Gather the measurements of an extraction.
 
@@ -287,7 +274,7 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
         joints=np.stack([o.joints for o in seen]),
         joint_tracks=extraction.joint_tracks,
         moving=moving,
-        joint_sides=_sides(extraction),
+        joint_sides=joint_sides(extraction),
         log=log,
         board=board.astype(np.int64),
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),

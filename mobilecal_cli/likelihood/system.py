@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from mobilecal_cli.likelihood.legs import Legs, leg_residuals, linearize_legs
+from mobilecal_cli.likelihood.chain import banded, chain_covariance
+from mobilecal_cli.likelihood.legs import Legs, linearize_legs
 from mobilecal_cli.likelihood.noise import FREE_JOINT, LOST_BASE, Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
-from mobilecal_cli.likelihood.views import Views, linearize_views, view_cost
+from mobilecal_cli.likelihood.views import Views, linearize_views
 from mobilecal_cli.model import FloatArray, IntArray
 
 _B = 5  # base pose and encoder errors of one station
@@ -27,22 +28,39 @@ def joint_sigmas(problem: Problem, selection: Selection, noise: Noise) -> FloatA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Terms:
+    """The sum of squares at a state, term by term, with derivatives; nothing eliminated yet.
+
+    Attributes:
+        problem, state, selection, noise, leg_covariance: where.
+        views, legs: the parts.
+        leg_weight: (L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed.
+        cost: sum of squares of all whitened residuals.
+    """
+
+    problem: Problem
+    state: State
+    selection: Selection
+    noise: Noise
+    leg_covariance: FloatArray
+    views: Views
+    legs: Legs
+    leg_weight: FloatArray
+    cost: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class System:
     """Normal equations at a state: H d = -gradient, with stations eliminated.
 
     Attributes:
-        cost: sum of squares of all whitened residuals.
-        views, legs: the parts.
-        leg_weight: (L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed.
+        terms: what they are made of.
         S: (P, P) information of the shared numbers, all others eliminated.
         s: (P,) their gradient, the same way.
         gain: how much the cost would fall, to second order, if the stations alone took their best step.
     """
 
-    cost: float
-    views: Views
-    legs: Legs
-    leg_weight: FloatArray
+    terms: Terms
     S: FloatArray
     s: FloatArray
     gain: float
@@ -54,6 +72,26 @@ class System:
     _y: FloatArray
     _diagonal: FloatArray
     _off: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares of all whitened residuals."""
+        return self.terms.cost
+
+    @property
+    def views(self) -> Views:
+        """The pictures' part."""
+        return self.terms.views
+
+    @property
+    def legs(self) -> Legs:
+        """The wheels' part."""
+        return self.terms.legs
+
+    @property
+    def leg_weight(self) -> FloatArray:
+        """(L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed."""
+        return self.terms.leg_weight
 
     def back(self, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The stations' steps that go with a step of the shared numbers: (P,) → (N, 5), (N, J)."""
@@ -90,21 +128,7 @@ class System:
         Returns:
             (N, 5, 5) of each station, and (N, 5, 5) of each station with the one after it (the last is empty).
         """
-        count = len(self._diagonal)
-        gains = np.empty((count, _B, _B))
-        inverse = np.empty((count, _B, _B))
-        D = self._diagonal[0]
-        for i in range(count):
-            inverse[i] = np.linalg.inv(D)
-            gains[i] = inverse[i] @ self._off[i]
-            if i + 1 < count:
-                D = self._diagonal[i + 1] - self._off[i].T @ gains[i]
-        own, cross = np.empty_like(inverse), np.zeros_like(inverse)
-        own[-1] = inverse[-1]
-        for i in range(count - 2, -1, -1):
-            cross[i] = -gains[i] @ own[i + 1]
-            own[i] = inverse[i] - cross[i] @ gains[i].T
-        return own, cross
+        return chain_covariance(self._diagonal, self._off)
 
     def joint_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Joint errors for a known rest: covariance (N, J, J), slopes by base (N, J, 5) and shared (N, J, P)."""
@@ -116,41 +140,41 @@ class System:
         return -self._Y.reshape(-1, _B, self._Y.shape[1])
 
 
-def cost_of(
-    problem: Problem, state: State, selection: Selection, noise: Noise, leg_weight: FloatArray
-) -> float:
-    """Sum of squares of all whitened residuals."""
-    e = leg_residuals(problem, state)
-    total = view_cost(problem, state, selection, noise) + float(np.einsum("la,lab,lb->", e, leg_weight, e))
-    total += float(np.sum((state.joint_errors / joint_sigmas(problem, selection, noise)) ** 2))
-    if noise.encoder_rad:
-        total += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
-    return total
-
-
 def leg_weights(covariance: FloatArray, selection: Selection) -> FloatArray:
     """(L, 3, 3) inverse covariances; zero for legs that are not believed."""
     return np.asarray(np.linalg.inv(covariance) * selection.legs[:, None, None], dtype=np.float64)
 
 
-def linearize(
-    problem: Problem,
-    state: State,
-    selection: Selection,
-    noise: Noise,
-    leg_covariance: FloatArray,
-    damping: float = 0.0,
-) -> System:
-    """Build the normal equations and eliminate the stations.
-
-    Args:
-        problem, state, selection, noise: where.
-        leg_covariance: (L, 3, 3), see `legs.leg_covariance`.
-        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
-    """
+def terms_at(
+    problem: Problem, state: State, selection: Selection, noise: Noise, leg_covariance: FloatArray
+) -> Terms:
+    """Evaluate all residuals at a state; leg_covariance: (L, 3, 3), see `legs.leg_covariance`."""
     views = linearize_views(problem, state, selection, noise)
     legs = linearize_legs(problem, state, noise.encoder_rad > 0)
     weight = leg_weights(leg_covariance, selection)
+    cost = float(views.cost.sum()) + float(np.einsum("la,lab,lb->", legs.residual, weight, legs.residual))
+    cost += float(np.sum((state.joint_errors / joint_sigmas(problem, selection, noise)) ** 2))
+    if noise.encoder_rad:
+        cost += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
+    return Terms(problem, state, selection, noise, leg_covariance, views, legs, weight, cost)
+
+
+def linearize(
+    problem: Problem, state: State, selection: Selection, noise: Noise, leg_covariance: FloatArray
+) -> System:
+    """Build the normal equations at a state and eliminate the stations."""
+    return eliminated(terms_at(problem, state, selection, noise, leg_covariance))
+
+
+def eliminated(terms: Terms, damping: float = 0.0) -> System:
+    """Build the normal equations and eliminate the stations.
+
+    Args:
+        terms: where.
+        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+    """
+    problem, state, selection, noise = terms.problem, terms.state, terms.selection, terms.noise
+    views, legs, weight = terms.views, terms.legs, terms.leg_weight
     count, P = problem.stations, problem.layout.size
 
     # Joint errors, eliminated station by station.
@@ -202,20 +226,14 @@ def linearize(
     h -= np.einsum("njp,nj->p", solved, e)
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e))
 
-    factor = cholesky_banded(_banded(D, off), lower=True, check_finite=False)
+    factor = cholesky_banded(banded(D, off), lower=True, check_finite=False)
     C_flat = C.reshape(-1, P)
     right = np.concatenate([C_flat, b.reshape(-1, 1)], axis=1)
     Yy = cho_solve_banded((factor, True), right, check_finite=False)
     Y, y = Yy[:, :-1], Yy[:, -1]
     gain += float(b.ravel() @ y)
-    e_norm = float(np.sum((state.joint_errors / sigma) ** 2))
-    if noise.encoder_rad:
-        e_norm += float(np.sum((state.encoder_errors / noise.encoder_rad) ** 2))
     return System(
-        cost=float(views.cost.sum() + np.sum(legs.residual * We)) + e_norm,
-        views=views,
-        legs=legs,
-        leg_weight=weight,
+        terms=terms,
         S=H - C_flat.T @ Y,
         s=h - C_flat.T @ y,
         gain=gain,
@@ -246,15 +264,3 @@ def _weak_terms(
         b[:, 3:] += state.encoder_errors / noise.encoder_rad**2
         return
     D[:, encoders, encoders] = 1.0
-
-
-def _banded(D: FloatArray, off: FloatArray) -> FloatArray:
-    """Lower band of the block tridiagonal matrix: D (N, 5, 5), off[i] couples i (rows) to i + 1 (columns)."""
-    count = len(D)
-    band = np.zeros((2 * _B, count, _B))
-    for column in range(_B):
-        for row in range(column, _B):
-            band[row - column, :, column] = D[:, row, column]
-        for row in range(_B):
-            band[_B + row - column, :, column] = off[:, column, row]
-    return band.reshape(2 * _B, -1)

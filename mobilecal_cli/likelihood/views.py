@@ -7,17 +7,20 @@ themselves have columns of their own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project, project_with_jacobian
+from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
-from mobilecal_cli.likelihood.shared import INDEX, POSE_EXTRAS
+from mobilecal_cli.likelihood.shared import POSE_EXTRAS
 from mobilecal_cli.model import FloatArray
+
+_BLOCK = 500  # stations: 10 MB of derivatives for 54 corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +53,10 @@ def board_in_camera(problem: Problem, state: State) -> FloatArray:
     return T
 
 
-def whitened(problem: Problem, values: FloatArray) -> FloatArray:
+def whitened(problem: Problem, values: FloatArray, stations: slice = slice(None)) -> FloatArray:
     """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, in units of the corners' relative sigmas."""
-    W = problem.whitening.reshape(*problem.whitening.shape, *[1] * (values.ndim - 4))
+    W = problem.whitening[stations]
+    W = W.reshape(*W.shape, *[1] * (values.ndim - 4))
     result = np.empty_like(values)
     np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
     np.multiply(W[:, :, :, 1, 1], values[:, :, :, 1], out=result[:, :, :, 1])
@@ -60,8 +64,15 @@ def whitened(problem: Problem, values: FloatArray) -> FloatArray:
     return result
 
 
-def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus seen pixels of boards at T_c_k, (N, 2, M, 2), and their derivatives.
+def blocks_of(stations: int) -> Iterator[slice]:
+    """The stations cut into blocks, so that the derivatives of their corners take a few MB however many there are."""
+    yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
+
+
+def corner_residuals(
+    problem: Problem, state: State, T_c_k: FloatArray, stations: slice = slice(None)
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus seen pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
 
     Returns:
         The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
@@ -77,9 +88,13 @@ def corner_residuals(problem: Problem, state: State, T_c_k: FloatArray) -> tuple
     J = np.zeros((len(points_c), 2, points_c.shape[1], 2, 6 + len(direct)))
     for k, (camera, points) in enumerate(((rig.left, points_c), (rig.right, points_r))):
         at, J_p = project_with_jacobian(camera, points)
-        residual[:, k] = at - problem.pixels[:, k]
-        J_c = J_p if k == 0 else J_p @ T_r_c[:3, :3]
-        J[:, k, :, :, :3] = np.cross(points_c[..., None, :], J_c)
+        residual[:, k] = at - problem.pixels[stations, k]
+        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
+        x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
+        by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
+        J[:, k, :, :, 0] = y * by_z - z * by_y  # point x J_c
+        J[:, k, :, :, 1] = z * by_x - x * by_z
+        J[:, k, :, :, 2] = x * by_y - y * by_x
         J[:, k, :, :, 3:6] = J_c
         for column, name in enumerate(direct, 6):
             side = ("left", "right")[k]
@@ -139,34 +154,21 @@ def _pose_columns(
 def linearize_views(problem: Problem, state: State, selection: Selection, noise: Noise) -> Views:
     """Residuals and information of all stations' pictures."""
     T_c_k = board_in_camera(problem, state)
-    residual, J = corner_residuals(problem, state, T_c_k)
     believed = selection.corners & selection.views[:, None, None]
     root_weight = np.where(believed, 1 / noise.pixel_px, 0.0)
-    count, width = problem.stations, J.shape[-1]
-    A = (whitened(problem, J) * root_weight[..., None, None]).reshape(count, -1, width)
-    r = (whitened(problem, residual) * root_weight[..., None]).reshape(count, -1)
-    At = np.swapaxes(A, 1, 2)
+    parts = []
+    for block in blocks_of(problem.stations):
+        residual, J = corner_residuals(problem, state, T_c_k[block], block)
+        width = J.shape[-1]
+        A = (whitened(problem, J, block) * root_weight[block, ..., None, None]).reshape(len(J), -1, width)
+        r = (whitened(problem, residual, block) * root_weight[block, ..., None]).reshape(len(J), -1)
+        At = np.swapaxes(A, 1, 2)
+        parts.append((residual, At @ A, (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)))
+    residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Views(
-        residual,
-        At @ A,
-        (At @ r[..., None])[..., 0],
-        np.sum(r**2, axis=1),
+        residuals,
+        information,
+        gradient,
+        cost,
         *_pose_columns(problem, state, T_c_k, width),
     )
-
-
-def view_cost(problem: Problem, state: State, selection: Selection, noise: Noise) -> float:
-    """Sum of squares of all whitened pixel residuals."""
-    T_c_k = board_in_camera(problem, state)
-    residual = predicted_px(problem, state, T_c_k) - problem.pixels
-    believed = selection.corners & selection.views[:, None, None]
-    squares = np.sum(whitened(problem, residual) ** 2, axis=-1)
-    return float(np.sum(np.where(believed, squares, 0.0))) / noise.pixel_px**2
-
-
-def predicted_px(problem: Problem, state: State, T_c_k: FloatArray) -> FloatArray:
-    """(N, 2, M, 2) pixels of boards at T_c_k."""
-    rig = cameras_at(problem, state)
-    points_c = se3.act(T_c_k, (1 + state.extras[INDEX["square_scale"]]) * problem.points_k)
-    points_r = se3.act(se3.inverse(rig.T_c_r), points_c)
-    return np.stack([project(rig.left, points_c), project(rig.right, points_r)], axis=1)

@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.legs import leg_covariance
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State, moved
 from mobilecal_cli.likelihood.shared import INDEX
-from mobilecal_cli.likelihood.system import System, cost_of, leg_weights, linearize
+from mobilecal_cli.likelihood.system import System, Terms, eliminated, terms_at
 from mobilecal_cli.model import FloatArray, Parameters
 
 _MAX_STEPS = 120
@@ -130,21 +130,34 @@ class Optimum:
         return C
 
 
-def descend(problem: Problem, start: State, selection: Selection, noise: Noise, ties: Ties) -> Optimum:
+def terms_before(problem: Problem, state: State, selection: Selection, noise: Noise) -> Terms:
+    """The sum of squares at a start, the legs' covariance that of its wheels."""
+    covariance = leg_covariance(problem, state.parameters.wheels, noise)
+    return terms_at(problem, state, selection, noise, covariance)
+
+
+def descend(start: Terms, ties: Ties) -> Optimum:
     """Minimise the sum of squares of everything that is believed.
 
-    The legs' covariance is that of the wheels at the start; call again from the result to renew it.
+    The legs' covariance stays that of the start; call again from the result to renew it.
+
+    Args:
+        start: see `terms_before`; where something is held the descent starts beside it, on the held values.
+        ties: what binds the named shared numbers.
 
     Raises:
         SolveError: no minimum within 120 steps.
     """
+    problem, selection, noise, terms = start.problem, start.selection, start.noise, start
     basis = ties.free_basis(problem.layout.size)
-    count, joints = problem.joints.shape
-    state = moved(problem, start, ties.onto(problem, start), np.zeros((count, 5)), np.zeros((count, joints)))
-    covariance = leg_covariance(problem, state.parameters.wheels, noise)
-    weight = leg_weights(covariance, selection)
-    system = linearize(problem, state, selection, noise, covariance)
-    cost = system.cost + ties.prior_terms(problem, state)[2]
+    if len(ties.held):
+        still = np.zeros((problem.stations, 5)), np.zeros(problem.joints.shape)
+        terms = terms_before(
+            problem, moved(problem, start.state, ties.onto(problem, start.state), *still), selection, noise
+        )
+    state, covariance = terms.state, terms.leg_covariance
+    system = eliminated(terms)
+    cost = terms.cost + ties.prior_terms(problem, state)[2]
     damping, history, arrived = 0.0, [cost], False
     while len(history) <= _MAX_STEPS + 1:
         information, gradient, _ = ties.prior_terms(problem, state)
@@ -158,10 +171,11 @@ def descend(problem: Problem, start: State, selection: Selection, noise: Noise, 
             return Optimum(state, system, full, basis, covariance, cost, np.array(history))
         step = basis @ along
         trial = moved(problem, state, step, *system.back(step))
-        trial_cost = cost_of(problem, trial, selection, noise, weight) + ties.prior_terms(problem, trial)[2]
+        ahead = terms_at(problem, trial, selection, noise, covariance)
+        trial_cost = ahead.cost + ties.prior_terms(problem, trial)[2]
         if trial_cost <= cost * (1 + 1e-13) and trial.parameters.wheels.separation_m > 0:
             arrived = cost - trial_cost <= _CONVERGED * cost + 1e-14 and damping < 1e-3
-            state, cost = trial, trial_cost
+            terms, state, cost = ahead, trial, trial_cost
             history.append(cost)
             arrived |= len(history) > _MAX_STEPS and history[-2] - cost < _CREEPING * cost
             damping = damping / 10 if damping > 1e-9 and not arrived else 0.0
@@ -170,7 +184,7 @@ def descend(problem: Problem, start: State, selection: Selection, noise: Noise, 
             if damping > _LARGEST_DAMPING:
                 arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(cost)
-        system = linearize(problem, state, selection, noise, covariance, damping)
+        system = eliminated(terms, damping)
     raise SolveError(
         f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
         "see the residuals of --method linear",

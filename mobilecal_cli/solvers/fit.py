@@ -11,16 +11,15 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.influence import Influence, influences
-from mobilecal_cli.likelihood.legs import leg_covariance
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
 from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.problem import Problem, State, problem_of
 from mobilecal_cli.likelihood.shared import EXTRA_NAMES
-from mobilecal_cli.likelihood.system import linearize
+from mobilecal_cli.likelihood.system import eliminated
 from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.asked import Asked
-from mobilecal_cli.solvers.descent import Optimum, Ties, descend
+from mobilecal_cli.solvers.descent import Optimum, Ties, descend, terms_before
 from mobilecal_cli.solvers.linear import linear_estimate, linear_from
 from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.start import Known, motion_seen, pulled_start
@@ -200,12 +199,6 @@ class Fitter:
         wheels = np.array([at.radius_right_m, at.radius_left_m, at.separation_m])
         return directions(information, self.problem.layout, wheels, self.free(), len(self.problem.legs))
 
-    def _before_descent(self, state: State, selection: Selection, noise: Noise, ties: Ties) -> FloatArray:
-        """(P, P) information about the shared numbers at a state that is no optimum."""
-        covariance = leg_covariance(self.problem, state.parameters.wheels, noise)
-        system = linearize(self.problem, state, selection, noise, covariance)
-        return system.S + np.diag(ties.prior_terms(self.problem, state)[0])
-
     # -- the recipe -------------------------------------------------------------------------------
 
     def first_noise(self, own_px: FloatArray) -> Noise:
@@ -218,12 +211,13 @@ class Fitter:
         for _ in range(_OBSERVABILITY_ROUNDS):
             anchor = _anchor(self._extraction, self._asked, state.parameters)
             free = self.ties(anchor, np.zeros((0, problem.layout.named)))
-            information = self._before_descent(state, selection, noise, free)
+            start = terms_before(problem, state, selection, noise)
+            information = eliminated(start).S + np.diag(free.prior_terms(problem, state)[0])
             held = self.shown(information, state.parameters.wheels).hidden
             if len(held) or self._asked.fixed:
                 self._require_anchor(held)
             ties = self.ties(anchor, held)
-            optimum = descend(problem, state, selection, noise, ties)
+            optimum = descend(start, ties)
             state = optimum.state
             again = self.shown(optimum.information, state.parameters.wheels)
             if _same_space(again.hidden, held):
@@ -232,7 +226,8 @@ class Fitter:
 
     def refit(self, fit: Fit, selection: Selection) -> Fit:
         """Descend from a fit with another selection, holding what that fit holds."""
-        optimum = descend(self.problem, fit.optimum.state, selection, fit.noise, fit.ties)
+        start = terms_before(self.problem, fit.optimum.state, selection, fit.noise)
+        optimum = descend(start, fit.ties)
         return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
 
     def _fitted(

@@ -61,9 +61,10 @@ def _pairs(loops: Loops) -> tuple[IntArray, IntArray, IntArray]:
     for start in np.unique(loops.chain):
         legs = np.flatnonzero(loops.chain == start)
         stride = max(1, len(legs) // _PAIRS_PER_STATION)
-        begin, end = np.triu_indices(len(legs))
-        kept = (end == begin) | ((end - begin) % stride == 0)
-        spans.append(np.stack([legs[begin[kept]], legs[end[kept]] + 1], axis=1))
+        begin = np.arange(len(legs))[:, None]
+        end = begin + np.arange(0, len(legs), stride)
+        begin, end = np.broadcast_to(begin, end.shape)[end < len(legs)], end[end < len(legs)]
+        spans.append(np.stack([legs[begin], legs[end] + 1], axis=1))
     span = np.concatenate(spans)
     return loops.legs[span[:, 0], 0], loops.legs[span[:, 1] - 1, 1], span
 

@@ -18,8 +18,8 @@ def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: 
 
     Over legs that are not believed the base is placed by what the cameras see of the board.
     """
-    T_vi_vj = base_motion(integrate(loops.steps, parameters.wheels))
-    psi = integrate(loops.steps, parameters.wheels).psi_rad
+    motion = integrate(loops.steps, parameters.wheels)
+    T_vi_vj, psi = base_motion(motion), motion.psi_rad
     count = problem.stations
     T_w_v = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     heading = np.zeros(count)
@@ -29,10 +29,9 @@ def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: 
     into = {int(j): leg for leg, (_, j) in enumerate(problem.legs)}
     starts = [s for s in range(count) if s not in into or not selection.legs[into[s]]]
     for start, end in zip(starts, [*starts[1:], count], strict=True):
-        for s in range(start + 1, end):
-            i = problem.legs[into[s], 0]
-            T_w_v[s], heading[s] = T_w_v[i] @ T_vi_vj[into[s]], heading[i] + psi[into[s]]
         members = np.arange(start, end)
+        driven = [into[s] for s in range(start + 1, end)]
+        T_w_v[members], heading[members] = _dead_reckoning(motion.t_m[driven], psi[driven])
         seeing = members[selection.views[members]]
         board = problem.board[start]
         if start in into and known[board] and len(seeing):
@@ -58,6 +57,15 @@ def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: 
         np.zeros_like(problem.joints),
         np.zeros((count, 2)),
     )
+
+
+def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses (n + 1, 4, 4) in the first one's frame, and headings (n + 1,), along n legs one after the other."""
+    heading = np.concatenate([[0.0], np.cumsum(psi_rad)])
+    Rz = se3.rotation_z(heading)
+    t = np.zeros((len(heading), 3))
+    t[1:, :2] = np.cumsum((Rz[:-1, :2, :2] @ t_m[..., None])[..., 0], axis=0)
+    return se3.transform(Rz, t), heading
 
 
 def _median_pose(T: FloatArray) -> FloatArray:

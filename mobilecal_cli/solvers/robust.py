@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.marginals import Marginals
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Noise, Selection
 from mobilecal_cli.likelihood.problem import Problem, State
 from mobilecal_cli.likelihood.system import joint_sigmas
-from mobilecal_cli.likelihood.views import corner_residuals, linearize_views, whitened
+from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, linearize_views, whitened
 from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.solvers.descent import Optimum
 
@@ -125,6 +125,27 @@ def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
     return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
 
 
+def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) -> FloatArray:
+    """(n, 2, M) how far the corners of some stations are from the boards that fit each best, started at T (n, 4, 4)."""
+    seen = problem.seen[stations]
+    for _ in range(_LOCAL_STEPS):
+        residual, J = corner_residuals(problem, state, T, stations)
+        residual, J = whitened(problem, residual, stations), whitened(problem, J, stations)
+        size = np.linalg.norm(residual, axis=-1)
+        scale = np.maximum(_median(size, seen), 1e-9)
+        # Cauchy's weight, whose pull fades with distance.
+        root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
+        A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
+        r = (residual * root).reshape(len(T), -1)
+        At = np.swapaxes(A, 1, 2)
+        step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
+        T = se3.exp(step) @ T
+        if np.abs(step).max() < 1e-10:
+            break
+    residual, _ = corner_residuals(problem, state, T, stations)
+    return np.asarray(np.linalg.norm(whitened(problem, residual, stations), axis=-1))
+
+
 def gross_corners(
     problem: Problem, state: State, T_c_k: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
@@ -138,23 +159,9 @@ def gross_corners(
     Returns:
         (N, 2, M) sound corners, (N,) sound boards, and (N,) each station's corner noise, px.
     """
-    T = T_c_k
-    for _ in range(_LOCAL_STEPS):
-        residual, J = corner_residuals(problem, state, T)
-        residual, J = whitened(problem, residual), whitened(problem, J)
-        size = np.linalg.norm(residual, axis=-1)
-        scale = np.maximum(_median(size, problem.seen), 1e-9)
-        # Cauchy's weight, whose pull fades with distance.
-        root = (problem.seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
-        A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
-        r = (residual * root).reshape(len(T), -1)
-        At = np.swapaxes(A, 1, 2)
-        step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
-        T = se3.exp(step) @ T
-        if np.abs(step).max() < 1e-10:
-            break
-    residual, _ = corner_residuals(problem, state, T)
-    size = np.linalg.norm(whitened(problem, residual), axis=-1)
+    size = np.concatenate(
+        [_own_misfit(problem, state, T_c_k[block], block) for block in blocks_of(problem.stations)]
+    )
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
     own = _median(size, problem.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.kinematics import (
+    Arcs,
     Increments,
     between_steps,
     cut_at,
@@ -94,6 +96,35 @@ def test_jacobian_against_differences(seed):
         plus, minus = integrate(steps, WheelGeometry(*(at + h))), integrate(steps, WheelGeometry(*(at - h)))
         assert d_psi[:, k] == pytest.approx((plus.psi_rad - minus.psi_rad) / 2e-6, abs=1e-7)
         assert d_t[:, :, k] == pytest.approx((plus.t_m - minus.t_m) / 2e-6, abs=1e-7)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_sensitivity_against_differences(seed):
+    random = np.random.default_rng(seed)
+    n = 12
+    leg = np.sort(random.integers(0, 4, n))
+    steps = Increments(*random.uniform(-0.5, 0.6, (2, n)), leg, 5)
+    at = np.array([0, 5, n - 1])
+    sensitivity = Arcs.along(steps, WHEELS).sensitivity(at)
+    for row, step in zip(sensitivity, at, strict=True):
+        for side, name in enumerate(("right_rad", "left_rad")):
+            ends = []
+            for by in (1e-6, -1e-6):
+                rotated = getattr(steps, name) + by * (np.arange(n) == step)
+                motion = integrate(dataclasses.replace(steps, **{name: rotated}), WHEELS)
+                ends.append(np.append(motion.t_m[leg[step]], motion.psi_rad[leg[step]]))
+            assert row[:, side] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-7)
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3))
+@example(0.4, -0.4)
+def test_an_arc_in_pieces_is_the_same_arc(right, left):
+    """However little a piece turns: the series for small turns meets the sines."""
+    whole = integrate(one_leg((right, left)), WHEELS)
+    for pieces in (2, 3, 7, 50):
+        cut = integrate(one_leg(*[(right / pieces, left / pieces)] * pieces), WHEELS)
+        assert cut.t_m == pytest.approx(whole.t_m, abs=1e-14)
 
 
 def test_cut_at_interpolates_and_keeps_nanoseconds():

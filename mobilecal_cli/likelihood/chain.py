@@ -1,0 +1,62 @@
+"""Chains of stations, each coupled to the next alone: block tridiagonal matrices of N blocks of size B."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray
+
+
+def chain_covariance(D: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The inverse's blocks on and beside its diagonal, every other station eliminated, and again (cyclic reduction).
+
+    Given its neighbours a and b, a station o follows them by ``x_o = K_a x_a + K_b x_b`` with
+    ``K_a = -D_o^-1 off_a^T``, ``K_b = -D_o^-1 off_o``, and is spread by D_o^-1 around that.
+
+    Args:
+        D: (N, B, B) on the diagonal.
+        off: (N, B, B), off[i] couples i (rows) to i + 1 (columns); the last is not used.
+
+    Returns:
+        (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is zero).
+    """
+    count = len(D)
+    own, cross = np.empty_like(D), np.zeros_like(D)
+    if count == 1:
+        own[0] = np.linalg.inv(D[0])
+        return own, cross
+    inverse = np.asarray(np.linalg.inv(D[1::2]), dtype=np.float64)
+    odd = len(inverse)
+    K_a = -inverse @ np.swapaxes(off[0 : 2 * odd : 2], 1, 2)
+    K_b = -inverse @ off[1::2]
+    if count % 2 == 0:
+        K_b[-1] = 0.0  # the last station has no neighbour after it
+    kept = D[0::2].copy()
+    kept[:odd] += off[0 : 2 * odd : 2] @ K_a
+    after = len(kept) - 1
+    kept[1:] += np.swapaxes(off[1::2], 1, 2)[:after] @ K_b[:after]
+    coupled = np.zeros_like(kept)
+    coupled[:after] = off[0 : 2 * after : 2] @ K_b[:after]
+    own[0::2], beyond = chain_covariance(kept, coupled)
+
+    own_a, own_b, a_b = own[0 : 2 * odd : 2], np.zeros_like(K_b), beyond[:odd]
+    own_b[:after] = own[2::2]
+    Kt_a, Kt_b = np.swapaxes(K_a, 1, 2), np.swapaxes(K_b, 1, 2)
+    a_o = own_a @ Kt_a + a_b @ Kt_b
+    o_b = K_a @ a_b + K_b @ own_b
+    cross[0 : 2 * odd : 2] = a_o
+    cross[1::2] = o_b
+    own[1::2] = inverse + K_a @ a_o + K_b @ np.swapaxes(o_b, 1, 2)
+    return own, cross
+
+
+def banded(D: FloatArray, off: FloatArray) -> FloatArray:
+    """Lower band of the block tridiagonal matrix: D (N, B, B), off[i] couples i (rows) to i + 1 (columns)."""
+    count, size, _ = D.shape
+    band = np.zeros((2 * size, count, size))
+    for column in range(size):
+        for row in range(column, size):
+            band[row - column, :, column] = D[:, row, column]
+        for row in range(size):
+            band[size + row - column, :, column] = off[:, column, row]
+    return band.reshape(2 * size, -1)

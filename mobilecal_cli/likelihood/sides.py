@@ -1,0 +1,44 @@
+"""From which side each joint came to rest: what backlash depends on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mobilecal_cli.model import Extraction, FloatArray, IntArray, Track
+
+_MOVED_RAD = 0.002  # less is noise of a reading, not a motion
+
+
+def joint_sides(extraction: Extraction) -> FloatArray:
+    """(N, J) the direction of each joint's last motion before each station."""
+    seen = extraction.observations
+    log, joints = np.array([o.log for o in seen]), np.stack([o.joints for o in seen])
+    times_ns = np.array([o.time_ns for o in seen], dtype=np.int64)
+    sides = np.zeros(joints.shape)
+    for number, tracks in enumerate(extraction.joint_tracks):
+        mine = np.flatnonzero(log == number)
+        for j, track in enumerate(tracks):
+            sides[mine, j] = _last_motion(track, times_ns[mine], joints[mine, j])
+    return sides
+
+
+def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray) -> FloatArray:
+    """(n,) from which side a joint last came to its readings at some times: +1, -1, or 0 where it never moved."""
+    stops = np.searchsorted(track.time_ns, times_ns)
+    ends = np.unique(stops[stops > 0])
+    side = np.zeros(len(stops))
+    if not len(ends):
+        return side
+    # The track's least and greatest value between the stations: only one stretch is searched value by value.
+    starts = np.concatenate([[0], ends[:-1]])
+    least = np.minimum.reduceat(track.value[: ends[-1]], starts)
+    greatest = np.maximum.reduceat(track.value[: ends[-1]], starts)
+    counts = np.searchsorted(ends, stops, side="right")  # of the stretches before each station
+    for i, (before, reading) in enumerate(zip(counts.tolist(), readings.tolist(), strict=True)):
+        away = np.maximum(greatest[:before] - reading, reading - least[:before]) > _MOVED_RAD
+        if away.any():
+            stretch = before - 1 - int(np.argmax(away[::-1]))
+            values = track.value[starts[stretch] : ends[stretch]]
+            last = values[np.abs(values - reading) > _MOVED_RAD][-1]
+            side[i] = np.sign(reading - last)
+    return side

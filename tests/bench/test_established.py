@@ -1,0 +1,75 @@
+"""What the established solvers are given, against the product's own likelihood."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.likelihood.legs import leg_covariance
+from mobilecal_cli.likelihood.noise import Selection
+from mobilecal_cli.likelihood.problem import problem_of
+from mobilecal_cli.likelihood.system import terms_at
+from mobilecal_cli.model import Parameters
+from mobilecal_cli.simulate.ideal import ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.solvers.loops import closed_loops
+from mobilecal_cli.solvers.placing import state_at
+from tests.bench.established_terms import Terms
+from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Terms at a start, and all unknowns a little away from it."""
+    robot = paper_robot()
+    extraction = ideal_extraction(robot, route_of(5, 0), DISTURBED, 0)
+    problem = problem_of(extraction)
+    parameters = Parameters(robot.T_h_c, robot.wheels)
+    start = state_at(problem, parameters, closed_loops(extraction), Selection.everything(problem))
+    terms = Terms(problem, start)
+    random = np.random.default_rng(0)
+    first = terms.first()
+    near = replace(
+        first,
+        **{name: getattr(first, name) + 1e-3 * random.normal(size=len(getattr(first, name)))
+           for name in ("head_eye", "board", "wheels")},
+        bases=[first.bases[0], *(base + 1e-3 * random.normal(size=3) for base in first.bases[1:])],
+        errors=[1e-3 * random.normal(size=terms.joints) for _ in first.errors],
+    )  # fmt: skip
+    return terms, near
+
+
+def all_terms(terms, at):
+    """(function, number, blocks) of every term."""
+    for station, (base, error) in enumerate(zip(at.bases, at.errors, strict=True)):
+        yield terms.views, station, [at.head_eye, at.board, base, error]
+        yield terms.reading, station, [error]
+    for leg, (i, j) in enumerate(terms.problem.legs):
+        yield terms.leg, leg, [at.bases[i], at.bases[j], at.wheels]
+
+
+def test_the_sum_of_squares_is_the_products(case):
+    terms, at = case
+    total = sum(np.sum(term(False, number, *blocks)[0] ** 2) for term, number, blocks in all_terms(terms, at))
+    problem = terms.problem
+    covariance = leg_covariance(problem, terms.start.parameters.wheels, TRUE_NOISE)
+    everything = Selection.everything(problem)
+    assert terms_at(problem, terms.state(at), everything, TRUE_NOISE, covariance).cost == pytest.approx(
+        total, rel=1e-11
+    )
+
+
+def test_derivatives_against_differences(case):
+    terms, at = case
+    for term, number, blocks in all_terms(terms, at):
+        residual, derivatives = term(True, number, *blocks)
+        np.testing.assert_array_equal(residual, term(False, number, *blocks)[0])
+        for k, derivative in enumerate(derivatives):
+            for column in range(len(blocks[k])):
+                ends = []
+                for by in (1e-6, -1e-6):
+                    there = [block.copy() for block in blocks]
+                    there[k][column] += by
+                    ends.append(term(False, number, *there)[0])
+                slope = (ends[0] - ends[1]) / 2e-6
+                assert derivative[:, column] == pytest.approx(slope, abs=1e-6 * np.abs(derivative).max())

@@ -1,0 +1,54 @@
+"""The search for a joint's last motion, against looking at every value before every station."""
+
+import dataclasses
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mobilecal_cli.likelihood.sides import joint_sides
+from mobilecal_cli.model import Track
+from mobilecal_cli.simulate.ideal import ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+
+ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
+EXTRACTION = ideal_extraction(paper_robot(), ROUTE)
+
+
+def plain(extraction):
+    sides = []
+    for o in extraction.observations:
+        for j, track in enumerate(extraction.joint_tracks[o.log]):
+            earlier = track.value[track.time_ns < o.time_ns]
+            away = earlier[np.abs(earlier - o.joints[j]) > 0.002]
+            sides.append(np.sign(o.joints[j] - away[-1]) if len(away) else 0.0)
+    return np.array(sides).reshape(len(extraction.observations), -1)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+@settings(max_examples=60, deadline=None)
+def test_as_by_looking_at_every_value(seed, length):
+    """Tracks that begin late, end early, rest, and move by about the least motion that counts."""
+    random = np.random.default_rng(seed)
+    first, last = EXTRACTION.observations[0].time_ns, EXTRACTION.observations[-1].time_ns
+    tracks = []
+    for _ in EXTRACTION.rig.chain.joints:
+        at = np.unique(random.integers(first - 10**9, last + 10**9, length))
+        tracks.append(Track(at, np.cumsum(random.choice([0.0, 0.0015, -0.0015, 0.3], len(at)))))
+    observations = tuple(
+        dataclasses.replace(o, joints=random.choice(np.concatenate([t.value for t in tracks]), len(o.joints)))
+        for o in EXTRACTION.observations
+    )
+    changed = dataclasses.replace(EXTRACTION, observations=observations, joint_tracks=(tuple(tracks),))
+    np.testing.assert_array_equal(joint_sides(changed), plain(changed))
+
+
+def test_a_route_comes_from_both_sides():
+    sides = joint_sides(EXTRACTION)
+    np.testing.assert_array_equal(sides, plain(EXTRACTION))
+    assert {-1.0, 1.0} <= set(sides.ravel())
+
+
+def test_no_tracks_no_sides():
+    assert not joint_sides(dataclasses.replace(EXTRACTION, joint_tracks=())).any()
