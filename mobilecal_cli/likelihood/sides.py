@@ -35,7 +35,11 @@ def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray) -> Floa
     greatest = np.maximum.reduceat(track.value[: ends[-1]], starts)
     counts = np.searchsorted(ends, stops, side="right")  # of the stretches before each station
     for i, (before, reading) in enumerate(zip(counts.tolist(), readings.tolist(), strict=True)):
-        away = np.maximum(greatest[:before] - reading, reading - least[:before]) > _MOVED_RAD
+        away, looked = np.zeros(0, dtype=np.bool_), 0
+        while not away.any() and looked < before:  # mostly the stretch just before; else twice as far back
+            looked = min(2 * looked + 1, before)
+            near = slice(before - looked, before)
+            away = np.maximum(greatest[near] - reading, reading - least[near]) > _MOVED_RAD
         if away.any():
             stretch = before - 1 - int(np.argmax(away[::-1]))
             values = track.value[starts[stretch] : ends[stretch]]

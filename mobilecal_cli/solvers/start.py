@@ -28,6 +28,7 @@ _HEADINGS = 720
 _SEEN_RAD, _SEEN_M = 0.003, 0.003
 _DRAWN = 0.2
 _DRAWN_M = 0.1
+_BLOCK = 500  # stations compared with all others at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,9 @@ class MotionSeen:
 def motion_seen(loops: Loops) -> MotionSeen:
     """Look at the joints and the wheels alone."""
     vertical_h = loops.T_v_h[:, 2, :3]
-    tilted = float(np.arccos(np.clip(vertical_h @ vertical_h.T, -1, 1)).max())
+    blocks = (vertical_h[i : i + _BLOCK] for i in range(0, len(vertical_h), _BLOCK))
+    least_cosine = min(float((block @ vertical_h.T).min()) for block in blocks)
+    tilted = float(np.arccos(np.clip(least_cosine, -1, 1)))
     right, left = loops.steps.totals_rad.T
     return MotionSeen(
         tilted,
