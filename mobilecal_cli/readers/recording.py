@@ -193,10 +193,14 @@ class Recording:
                 for channel, time_ns, payload in part.near(topics, inside):
                     yield Message(time_ns, channel, payload)
 
+    def bytes_of(self, topics: Collection[str]) -> int:
+        """How much of the files `messages` reads for the topics."""
+        return sum(part.bytes_of(topics) for part in self.parts)
+
     def share(self, topics: Collection[str], extent: Extent) -> float:
         """How much of what `messages` reads for the topics an extent leaves, 0 to 1."""
         own = self._of_part(extent)
-        every = sum(part.bytes_of(topics) for part in self.parts)
+        every = self.bytes_of(topics)
         return sum(part.bytes_of(topics, own) for part in self.parts) / every if every else 1.0
 
     def _of_part(self, extent: Extent) -> Extent:

@@ -45,6 +45,7 @@ def read_signals(
     joints: Sequence[str],
     sides: Sequence[Side] = SIDES,
     extent: Extent = EVERYTHING,
+    clocks: Sequence[Clock] = (),
 ) -> Signals:
     """Read everything but the pictures' contents, in one pass.
 
@@ -60,6 +61,7 @@ def read_signals(
         joints: names of the head's joints.
         sides: whose pictures' stamps are wanted.
         extent: how much of the recording is read.
+        clocks: of topics that are not read here; told of where they differ from the others.
 
     Raises:
         RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
@@ -82,7 +84,7 @@ def read_signals(
     for side in SIDES:
         wheels[side] = reader.wheel_track(side, sources.wheels[side], notes)
         notes += gap_notes(f"{side} wheel", wheels[side])
-    notes = [*clock_notes(list(reader.clocks.values())), *reader.undecodable(), *notes]
+    notes = [*clock_notes([*reader.clocks.values(), *clocks]), *reader.undecodable(), *notes]
     return Signals(tracks, wheels, images, tuple(dict.fromkeys(notes)))
 
 
