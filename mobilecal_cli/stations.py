@@ -271,21 +271,26 @@ def with_stamps(
     """
     channels = _channels(signals, prismatic)
     taken: dict[Side, set[int]] = {"left": set(), "right": set()}
-    stations = []
+    placed: list[tuple[int, Shot]] = []
     for station in plan.stations:
         tolerance_s = PAIR_AT_REST_S if station.at_rest else PAIR_MOVING_S
-        shots = []
         for shot in station.shots:
             left, right = stamps["left"].get(shot.left_ns), stamps["right"].get(shot.right_ns)
             if left is None or right is None or left in taken["left"] or right in taken["right"]:
                 continue
-            own = Shot(left, right)
-            covered = all(channel.covers(np.array([own.time_ns]))[0] for channel in channels)
-            if covered and abs(left - right) <= tolerance_s * _NS:
+            if abs(left - right) <= tolerance_s * _NS:
                 taken["left"].add(left)
                 taken["right"].add(right)
-                shots.append(own)
-        shots.sort(key=lambda shot: shot.time_ns)
+                placed.append((station.index, Shot(left, right)))
+    times = np.array([shot.time_ns for _, shot in placed], dtype=np.int64)
+    covered = np.all([channel.covers(times) for channel in channels], axis=0)
+    own: dict[int, list[Shot]] = {}
+    for (index, shot), ok in zip(placed, covered, strict=True):
+        if ok:
+            own.setdefault(index, []).append(shot)
+    stations = []
+    for station in plan.stations:
+        shots = sorted(own.get(station.index, ()), key=lambda shot: shot.time_ns)
         if station.at_rest:
             shots = max(_rests(shots, channels), key=len, default=[])
         if shots:
