@@ -170,8 +170,11 @@ class SqliteStorage(Storage):
     def _sizes(self, connection: sqlite3.Connection) -> dict[int, int]:
         """Topic id → bytes of its messages; looked up once. Of large ones SQLite reads the length only."""
         if self._size_of is None:
-            rows = connection.execute("SELECT topic_id, SUM(LENGTH(data)) FROM messages GROUP BY topic_id")
-            self._size_of = {number: int(size or 0) for number, size in rows}
+            # Summed here: to group them, SQLite would carry whole messages along.
+            found: Counter[int] = Counter()
+            for number, size in connection.execute("SELECT topic_id, LENGTH(data) FROM messages"):
+                found[number] += size or 0
+            self._size_of = dict(found)
         return self._size_of
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
