@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from mobilecal_cli.model import (
     IntArray,
     Rejection,
     Shot,
+    Side,
     Signals,
     Station,
     Track,
@@ -262,3 +264,50 @@ def plan_stations(
     return Plan(
         stations, wheels, tuple(signals.joints[name] for name in joints), tuple(rejections), tuple(notes)
     )
+
+
+def with_stamps(
+    plan: Plan,
+    signals: Signals,
+    joints: tuple[str, ...],
+    prismatic: frozenset[str],
+    stamps: Mapping[Side, Mapping[int, int]],
+) -> Plan:
+    """A plan that was made with approximate stamps, with the pictures' own ones in their place.
+
+    Shots without both stamps, whose pictures turn out to be too far apart, or that lie outside their rest are dropped,
+    and stations that have no shots left.
+
+    Args:
+        plan: as `plan_stations` gave it.
+        signals, joints, prismatic: as they were given to it.
+        stamps: side → approximate stamp → own stamp, of the shots' pictures.
+    """
+    channels = _channels(signals, prismatic)
+    taken: dict[Side, set[int]] = {"left": set(), "right": set()}
+    placed: list[tuple[int, Shot]] = []
+    for station in plan.stations:
+        tolerance_s = PAIR_AT_REST_S if station.at_rest else PAIR_MOVING_S
+        for shot in station.shots:
+            left, right = stamps["left"].get(shot.left_ns), stamps["right"].get(shot.right_ns)
+            if left is None or right is None or left in taken["left"] or right in taken["right"]:
+                continue
+            if abs(left - right) <= tolerance_s * _NS:
+                taken["left"].add(left)
+                taken["right"].add(right)
+                placed.append((station.index, Shot(left, right)))
+    times = np.array([shot.time_ns for _, shot in placed], dtype=np.int64)
+    covered = np.all([channel.covers(times) for channel in channels], axis=0)
+    own: dict[int, list[Shot]] = {}
+    for (index, shot), ok in zip(placed, covered, strict=True):
+        if ok:
+            own.setdefault(index, []).append(shot)
+    stations = []
+    for station in plan.stations:
+        shots = sorted(own.get(station.index, ()), key=lambda shot: shot.time_ns)
+        if station.at_rest:
+            shots = max(_rests(shots, channels), key=len, default=[])
+        if shots:
+            stations.append(_station(0, shots, joints, signals, station.at_rest))
+    stations.sort(key=lambda station: station.time_ns)
+    return replace(plan, stations=tuple(replace(station, index=i) for i, station in enumerate(stations)))

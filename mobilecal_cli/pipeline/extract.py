@@ -27,10 +27,11 @@ from mobilecal_cli.model import (
     Station,
     WheelTrack,
 )
+from mobilecal_cli.pipeline.planning import plan_log
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size, look
-from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, read_signals, sha256_of
-from mobilecal_cli.stations import Plan, plan_stations
+from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
+from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
 from mobilecal_cli.vision import Detection, observe, settle_numbering
 
@@ -55,9 +56,7 @@ def sliding_joints(chain: HeadChain) -> frozenset[str]:
 
 
 def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple[str, ...]]:
-    signals = read_signals(recording, rig.sources, rig.chain.joints)
-    plan = plan_stations(signals, rig.chain.joints, sliding_joints(rig.chain), everything)
-    return plan, (*signals.notes, *plan.notes)
+    return plan_log(recording, rig, sliding_joints(rig.chain), everything)
 
 
 def _see(

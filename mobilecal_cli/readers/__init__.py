@@ -6,6 +6,7 @@ everything but the pictures' contents in one pass, `read_images` streams the pic
 
 from mobilecal_cli.readers.hashing import sha256_of
 from mobilecal_cli.readers.images import decode_image, pictures_near, read_images
+from mobilecal_cli.readers.indexed import Pictures, find_pictures, read_stamps
 from mobilecal_cli.readers.opening import join_parts, open_recording, recognised
 from mobilecal_cli.readers.prelude import read_prelude
 from mobilecal_cli.readers.recording import Message, Recording
@@ -15,14 +16,17 @@ from mobilecal_cli.readers.storage import Extent
 __all__ = [
     "Extent",
     "Message",
+    "Pictures",
     "Recording",
     "decode_image",
+    "find_pictures",
     "join_parts",
     "open_recording",
     "pictures_near",
     "read_images",
     "read_prelude",
     "read_signals",
+    "read_stamps",
     "recognised",
     "sha256_of",
 ]

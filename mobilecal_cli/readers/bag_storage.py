@@ -31,6 +31,11 @@ _TIME = struct.Struct("<II")
 _WINDOW, _LONGEST_HEAD = 2**22, 256
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
 _CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
+#: The header of nearly every message: these three fields in any order, in 38 bytes that hold each of them once.
+_MESSAGE_HEAD = re.compile(
+    rb"(?:\x04\x00\x00\x00op=\x02|\x09\x00\x00\x00conn=(.{4})|\x0d\x00\x00\x00time=(.{8})){3}", re.DOTALL
+)
+_MESSAGE_HEAD_SIZE = 38
 
 Fields = dict[bytes, bytes]
 
@@ -71,12 +76,17 @@ def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
     (header_size,) = _U32.unpack_from(data, at)
     header = at + _U32.size
     body = header + header_size + _U32.size
+    return _fields(data[header : header + header_size]), body, _end(data, body)
+
+
+def _end(data: memoryview, body: int) -> int:
+    """Where a record's data, which begins at `body`, ends: its size stands before it."""
     if body > len(data):
         raise EOFError("a record goes on beyond its end")
-    (size,) = _U32.unpack_from(data, header + header_size)
+    (size,) = _U32.unpack_from(data, body - _U32.size)
     if body + size > len(data):
         raise EOFError("a record goes on beyond its end")
-    return _fields(data[header : header + header_size]), body, body + size
+    return int(body + size)
 
 
 class BagStorage(BlockStorage):
@@ -172,6 +182,15 @@ class BagStorage(BlockStorage):
         view = memoryview(data)
         at = 0
         while at < len(view):
+            head = at + _U32.size
+            usual = _MESSAGE_HEAD.fullmatch(data, head, head + _MESSAGE_HEAD_SIZE)
+            if usual and _U32.unpack_from(data, at) == (_MESSAGE_HEAD_SIZE,):
+                number, time = usual.groups()
+                body = head + _MESSAGE_HEAD_SIZE + _U32.size
+                at = _end(view, body)
+                seconds, nanoseconds = _TIME.unpack(time)
+                yield _U32.unpack(number)[0], seconds * 10**9 + nanoseconds, view[body:at]
+                continue
             fields, body, end = _split(view, at)
             kind = fields[b"op"][0]
             if kind == _MESSAGE:

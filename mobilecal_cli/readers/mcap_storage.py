@@ -17,7 +17,7 @@ from mcap.summary import Summary
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, Payload, ros2_spelling
-from mobilecal_cli.readers.compression import decompress, message_payload
+from mobilecal_cli.readers.compression import ZSTD_MAGIC, decompress, message_payload
 from mobilecal_cli.readers.storage import LATEST_NS, SIZE_LIMIT, Block, BlockStorage
 from mobilecal_cli.readers.walk import Walk
 
@@ -26,6 +26,8 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
+#: As a plain number: comparing with an enumeration's member is slow, and is done for every message.
+_MESSAGE_RECORD = int(Opcode.MESSAGE)
 #: So much is searched at once for the next record behind damage.
 _WINDOW = 2**22
 #: Channels and schemas are at most 65,535 each.
@@ -143,23 +145,30 @@ class McapStorage(BlockStorage):
         """Channel id, log time and payload of every message; channels met on the way are registered."""
         view = memoryview(data)
         at = definitions = 0
-        while at < len(view):
-            opcode, length = _HEAD.unpack_from(view, at)
+        packable = self._packable()
+        while at < len(data):
+            opcode, length = _HEAD.unpack_from(data, at)
             at += _HEAD.size
-            if at + length > len(view):
+            end = at + length
+            if end > len(data):
                 raise EOFError("a record goes on beyond its end")
-            if opcode == Opcode.MESSAGE:
-                number, _, time_ns, _ = _MESSAGE.unpack_from(view, at)
-                payload: Payload = view[at + _MESSAGE.size : at + length]
-                if number in self.channels and self.channels[number].encoding == "cdr":
+            if opcode == _MESSAGE_RECORD:
+                number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
+                payload: Payload = view[at + _MESSAGE.size : end]
+                if number in packable and data.startswith(ZSTD_MAGIC, at + _MESSAGE.size):
                     payload = message_payload(payload)
                 yield number, time_ns, payload
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
                 definitions += 1
-                self.define(opcode, bytes(view[at : at + length]))
+                self.define(opcode, bytes(view[at:end]))
+                packable = self._packable()
             else:
                 raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
-            at += length
+            at = end
+
+    def _packable(self) -> set[int]:
+        """The channels whose messages rosbag2 may have compressed by themselves."""
+        return {number for number, channel in self.channels.items() if channel.encoding == "cdr"}
 
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
         """Channel id and log times of a chunk's messages, from the message indexes behind it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -193,10 +193,14 @@ class Recording:
                 for channel, time_ns, payload in part.near(topics, inside):
                     yield Message(time_ns, channel, payload)
 
+    def bytes_of(self, topics: Collection[str]) -> int:
+        """How much of the files `messages` reads for the topics."""
+        return sum(part.bytes_of(topics) for part in self.parts)
+
     def share(self, topics: Collection[str], extent: Extent) -> float:
         """How much of what `messages` reads for the topics an extent leaves, 0 to 1."""
         own = self._of_part(extent)
-        every = sum(part.bytes_of(topics) for part in self.parts)
+        every = self.bytes_of(topics)
         return sum(part.bytes_of(topics, own) for part in self.parts) / every if every else 1.0
 
     def _of_part(self, extent: Extent) -> Extent:
@@ -206,7 +210,11 @@ class Recording:
         return replace(extent, within_bytes=extent.within_bytes // len(self.parts))
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """The topics' messages in order of log time.
+        """The topics' messages in order of log time, see `raw`."""
+        return (Message(time_ns, channel, payload) for channel, time_ns, payload in self.raw(topics, extent))
+
+    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+        """Channel, log time and payload of the topics' messages in order of log time.
 
         Files that follow one another are read one after the other; files that overlap in time are merged.
 
@@ -226,14 +234,15 @@ class Recording:
                     channel.check()
         return self._stream(names, extent)
 
-    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
-        seen: Counter[str] = Counter()
+    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
+        seen = dict.fromkeys(topics, 0)
         own = self._of_part(extent)
         for group in _overlapping(self.parts):
             streams = [self._part(part, topics, own) for part in group]
-            for channel, time_ns, payload in heapq.merge(*streams, key=lambda raw: raw[1]):
-                seen[channel.topic] += 1
-                yield Message(time_ns, channel, payload)
+            merged = heapq.merge(*streams, key=lambda raw: raw[1]) if len(streams) > 1 else streams[0]
+            for message in merged:
+                seen[message[0].topic] += 1
+                yield message
         for topic in sorted(topics & self._stated.keys()) if extent is EVERYTHING else ():
             if seen[topic] < self._stated[topic]:
                 self.note(

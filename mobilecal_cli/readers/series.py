@@ -44,6 +44,13 @@ class Series:
         else:
             self.not_finite += 1
 
+    def extend(self, time_ns: IntArray, value: FloatArray) -> None:
+        """Take (n,) readings, like one after the other."""
+        finite = np.isfinite(value)
+        self.not_finite += len(value) - int(finite.sum())
+        self._time_ns.frombytes(time_ns[finite].tobytes())
+        self._value.frombytes(value[finite].tobytes())
+
     def ordered(self, notes: list[str]) -> tuple[IntArray, FloatArray]:
         """Times, strictly increasing, and values; what was dropped is noted.
 

@@ -23,8 +23,9 @@ from mobilecal_cli.model import (
     Track,
     WheelSource,
 )
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE
+from mobilecal_cli.readers.channels import NOT_ITS_TYPE, Channel, Payload
 from mobilecal_cli.readers.fields import FieldPath
+from mobilecal_cli.readers.joint_states import Columns, JointStates
 from mobilecal_cli.readers.odometry import Odometry
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.series import Series, TickCounter, gap_notes, order_notes, wheel_track
@@ -44,6 +45,7 @@ def read_signals(
     joints: Sequence[str],
     sides: Sequence[Side] = SIDES,
     extent: Extent = EVERYTHING,
+    clocks: Sequence[Clock] = (),
 ) -> Signals:
     """Read everything but the pictures' contents, in one pass.
 
@@ -59,6 +61,7 @@ def read_signals(
         joints: names of the head's joints.
         sides: whose pictures' stamps are wanted.
         extent: how much of the recording is read.
+        clocks: of topics that are not read here; told of where they differ from the others.
 
     Raises:
         RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
@@ -81,42 +84,8 @@ def read_signals(
     for side in SIDES:
         wheels[side] = reader.wheel_track(side, sources.wheels[side], notes)
         notes += gap_notes(f"{side} wheel", wheels[side])
-    notes = [*clock_notes(list(reader.clocks.values())), *reader.undecodable(), *notes]
+    notes = [*clock_notes([*reader.clocks.values(), *clocks]), *reader.undecodable(), *notes]
     return Signals(tracks, wheels, images, tuple(dict.fromkeys(notes)))
-
-
-class _Joints:
-    """Positions and velocities of named joints on one JointState topic."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.position: dict[str, Series] = {}
-        self.velocity: dict[str, Series] = {}
-        self.present: dict[str, None] = {}
-        self._names: list[str] = []
-        self._places: list[tuple[int, Series, Series]] = []
-
-    def want(self, name: str) -> None:
-        """Read this joint, too."""
-        self.position.setdefault(name, Series(f"joint {name} on {self.topic}"))
-        self.velocity.setdefault(name, Series(f"velocity of joint {name} on {self.topic}"))
-
-    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
-        """Read one JointState message; the order of names may differ from the last one's."""
-        if message.name != self._names:
-            self._names = list(message.name)
-            self.present.update(dict.fromkeys(self._names))
-            self._places = [
-                (self._names.index(name), self.position[name], self.velocity[name])
-                for name in self.position
-                if name in self._names
-            ]
-        positions, velocities = (getattr(message, name, ()) for name in ("position", "velocity"))
-        for place, position, velocity in self._places:
-            if place < len(positions):
-                position.add(time_ns, float(positions[place]))
-            if place < len(velocities):
-                velocity.add(time_ns, float(velocities[place]))
 
 
 def _scaled(series: Series, scale: float, time_ns: int, value: float) -> None:
@@ -183,7 +152,7 @@ class _Reader:
         self.clocks: dict[str, Clock] = {}
         self._takers: dict[str, list[Taker]] = {}
         self._stamps: dict[Side, array[int]] = {}
-        self._joints: dict[str, _Joints] = {}
+        self._joints: dict[str, JointStates] = {}
         self._joints_apart: dict[str, _Apart] = {}
         self._wheels_apart: dict[Side, _Apart] = {}
         self._odometry: Odometry | None = None
@@ -212,7 +181,7 @@ class _Reader:
     def joints(self, topic: str, names: Sequence[str]) -> None:
         """Collect joints of a topic."""
         self._of_type(topic, (JOINT_STATE,), "name a JointState topic in rig.yaml (wheels may use a field)")
-        group = self._joints.setdefault(topic, _Joints(topic))
+        group = self._joints.setdefault(topic, JointStates(topic))
         for name in names:
             group.want(name)
         self._subscribe(topic, group.take)
@@ -260,22 +229,40 @@ class _Reader:
 
     def run(self, extent: Extent) -> None:
         """The pass."""
-        for message in self.recording.messages(self._takers, extent):
-            try:
-                decoded = message.decode()
-                time_ns = self.clocks[message.topic].time_ns(decoded, message.log_time_ns)
-                for take in self._takers[message.topic]:
-                    take(decoded, time_ns)
-                if message.topic in self._pictured and codec_of(decoded) is None:
-                    self._pictured[message.topic].setdefault(time_ns, message.log_time_ns)
-            except (RecordingError, *NOT_ITS_TYPE):
-                self._broken[message.topic] = self._broken.get(message.topic, 0) + 1
+        # Where nobody but the joints wants a topic, its messages may be read many at once.
+        columns = {
+            topic: Columns(joints, self.clocks[topic], self._take)
+            for topic, joints in self._joints.items()
+            if self._takers[topic] == [joints.take]
+        }
+        for channel, log_ns, payload in self.recording.raw(self._takers, extent):
+            if channel.topic in columns:
+                columns[channel.topic].add(channel, log_ns, payload)
+            else:
+                self._take(channel, log_ns, payload)
+        for waiting in columns.values():
+            waiting.read()
+
+    def _take(self, channel: Channel, log_ns: int, payload: Payload) -> None:
+        """Hand on one message."""
+        topic = channel.topic
+        try:
+            decoded = channel.decode(payload)
+            time_ns = self.clocks[topic].time_ns(decoded, log_ns)
+            for take in self._takers[topic]:
+                take(decoded, time_ns)
+            if topic in self._pictured and codec_of(decoded) is None:
+                self._pictured[topic].setdefault(time_ns, log_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
+            self._broken[topic] = self._broken.get(topic, 0) + 1
 
     def undecodable(self) -> list[str]:
         """Notes on messages that do not fit their type."""
         return [
-            f"{topic}: {count} of {count + self.clocks[topic].messages} messages do not fit their type; left out"
-            for topic, count in self._broken.items()
+            f"{topic}: {self._broken[topic]} of {self._broken[topic] + clock.messages} messages do not fit their "
+            "type; left out"
+            for topic, clock in self.clocks.items()
+            if topic in self._broken
         ]
 
     def image_stamps(self, side: Side, topic: str, notes: list[str]) -> IntArray:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -23,6 +24,8 @@ MAGIC = b"SQLite format 3\x00"
 
 #: So many damaged or missing rows in turn end the search for further ones.
 MOST_FAILURES = 10_000
+#: So many log times are asked for at once; older versions of SQLite take no more than 999 values.
+_TIMES_AT_ONCE = 500
 #: Log time and row number: where a row stands in either order.
 _Key = tuple[int, int]
 
@@ -42,6 +45,7 @@ class SqliteStorage(Storage):
         super().__init__(path)
         self._copies: TemporaryDirectory[str] | None = None
         self._connection: sqlite3.Connection | None = None
+        self._size_of: dict[int, int] | None = None
         try:
             self._connection = self._connect(path)
             # Without it sqlite refuses a file that is shorter than its header says.
@@ -124,8 +128,8 @@ class SqliteStorage(Storage):
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.
 
-        Rows of other topics cost nothing but their place in the table, so all rows are read whatever the extent: the
-        index that would find them by their time may be damaged, and say nothing of it.
+        Rows of other topics cost nothing but their place in the table, so a bound in bytes is none here. Log times
+        are looked up in the index, where there is one; it may be damaged, and say nothing of it.
         """
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
@@ -135,13 +139,7 @@ class SqliteStorage(Storage):
         order = self._order(connection)
         last: _Key | None = None
         try:
-            places = ",".join("?" * len(wanted))
-            rows = connection.execute(
-                "SELECT id, topic_id, timestamp, data FROM messages "
-                f"WHERE topic_id IN ({places}) ORDER BY {order}",
-                wanted,
-            )
-            for row, number, time_ns, payload in rows:
+            for row, number, time_ns, payload in _rows(connection, "data", wanted, order, extent):
                 if isinstance(time_ns, int):  # a damaged row may hold anything
                     last = (time_ns, row)
                     seen[number] += 1
@@ -152,11 +150,32 @@ class SqliteStorage(Storage):
                     seen[number] += 1
                     yield self.channels[number], time_ns, self._payload(number, payload)
             self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
-        self.compare_counts(topics, seen)
+        if extent.at_ns is None:
+            self.compare_counts(topics, seen)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """How much of the file `raw` reads: all of it."""
-        return self.path.stat().st_size
+        """How much of the file `raw` reads: the messages; all of it where the table is damaged."""
+        connection = self._connection
+        wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
+        if connection is None or not wanted:
+            return 0
+        try:
+            if extent.at_ns is None:
+                return sum(self._sizes(connection).get(number, 0) for number in wanted)
+            rows = _rows(connection, "LENGTH(data)", wanted, self._order(connection), extent)
+            return sum(size or 0 for *_, size in rows)
+        except sqlite3.Error:
+            return self.path.stat().st_size
+
+    def _sizes(self, connection: sqlite3.Connection) -> dict[int, int]:
+        """Topic id → bytes of its messages; looked up once. Of large ones SQLite reads the length only."""
+        if self._size_of is None:
+            # Summed here: to group them, SQLite would carry whole messages along.
+            found: Counter[int] = Counter()
+            for number, size in connection.execute("SELECT topic_id, LENGTH(data) FROM messages"):
+                found[number] += size or 0
+            self._size_of = dict(found)
+        return self._size_of
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """For every time and topic the first message from then on."""
@@ -209,6 +228,26 @@ class SqliteStorage(Storage):
             if columns[:1] == ["timestamp"]:
                 return "timestamp, id"
         return "id"
+
+
+def _rows(
+    connection: sqlite3.Connection, what: str, wanted: Sequence[int], order: str, extent: Extent
+) -> Iterator[tuple[Any, ...]]:
+    """Row number, topic, time and something else of the rows of some topics, in order."""
+    select = (
+        f"SELECT id, topic_id, timestamp, {what} FROM messages WHERE topic_id IN ({_places(len(wanted))})"
+    )
+    if extent.at_ns is None or order == "id":
+        yield from connection.execute(f"{select} ORDER BY {order}", wanted)
+        return
+    for begin in range(0, len(extent.at_ns), _TIMES_AT_ONCE):
+        times = extent.at_ns[begin : begin + _TIMES_AT_ONCE].tolist()
+        at_times = f"{select} AND timestamp IN ({_places(len(times))}) ORDER BY {order}"
+        yield from connection.execute(at_times, [*wanted, *times])
+
+
+def _places(count: int) -> str:
+    return ",".join("?" * count)
 
 
 def _row_by_row(

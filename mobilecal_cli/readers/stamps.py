@@ -12,6 +12,8 @@ from mobilecal_cli.model import BoolArray, IntArray
 
 #: Stamps of two topics that stand this much differently to the log time come from different clocks.
 CLOCKS_DIFFER_S = 1.0
+#: So many lags of a topic are kept, enough for a median.
+_LAGS = 101
 
 
 def _header_stamp(message: Any) -> Any:  # noqa: ANN401
@@ -37,7 +39,7 @@ class Clock:
         topic: the topic.
         messages, unstamped: how many there were, and how many of them had no header or a zero stamp.
         has_header: the type has a header stamp.
-        lag_s: log time minus stamp, of each stamped message's first few (enough for a median).
+        lag_s: log time minus stamp of the first few stamped messages.
     """
 
     topic: str
@@ -54,9 +56,23 @@ class Clock:
         self.has_header = stamp is not None
         if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
             self.unstamped += 1
-        elif len(self.lag_s) < 101:
+        elif len(self.lag_s) < _LAGS:
             self.lag_s.append((log_time_ns - time_ns) * 1e-9)
         return time_ns
+
+    def count(self, time_ns: IntArray, unstamped: BoolArray, log_time_ns: IntArray) -> None:
+        """Count (n,) messages that have a header, like one after the other.
+
+        Args:
+            time_ns: their times, as `stamp_of` gives them.
+            unstamped: whose stamp is zero.
+            log_time_ns: their log times.
+        """
+        self.messages += len(time_ns)
+        self.unstamped += int(unstamped.sum())
+        self.has_header = True
+        for place in np.flatnonzero(~unstamped)[: _LAGS - len(self.lag_s)]:
+            self.lag_s.append((int(log_time_ns[place]) - int(time_ns[place])) * 1e-9)
 
     def notes(self) -> list[str]:
         """Whole sentences on missing and zero stamps."""

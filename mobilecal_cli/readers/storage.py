@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import heapq
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,6 +18,8 @@ from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, Payload
 
 RawMessage = tuple[Channel, int, Payload]
+#: A message that waits for its turn: log time, place in the order of reading, channel and payload.
+_Waiting = tuple[int, int, Channel, Payload]
 
 #: No chunk, message or decompressed payload may claim more than this: it is held in memory as a whole.
 SIZE_LIMIT = 2**29
@@ -210,20 +213,40 @@ class BlockStorage(Storage):
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is whole."""
         blocks = self._blocks_of(topics, extent)
-        waiting: list[tuple[int, int, int, Payload]] = []
+        waiting: list[_Waiting] = []
         order = count()
         seen: Counter[int] = Counter()
-        for block in blocks:
-            while waiting and waiting[0][0] < block.start_ns:
-                yield self._release(waiting, seen)
-            for number, time_ns, payload in self._messages_of(block):
-                channel = self.channels.get(number)
-                if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
-                    heapq.heappush(waiting, (time_ns, next(order), number, payload))
-        while waiting:
-            yield self._release(waiting, seen)
+        for place, block in enumerate(blocks, 1):
+            following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
+            found = self._wanted(block, topics, order, seen)
+            if len(waiting) <= len(found):
+                # Both are all but in order, which sorting is quick at; a sorted list is a heap, too.
+                waiting = sorted(waiting + found)
+                found.clear()  # or the block stays in memory while the next one is read
+                ready = bisect_left(waiting, following_ns, key=_log_time)
+                for time_ns, _, channel, payload in waiting[:ready]:
+                    yield channel, time_ns, payload
+                del waiting[:ready]
+                continue
+            while found:
+                heapq.heappush(waiting, found.pop())
+            while waiting and waiting[0][0] < following_ns:
+                time_ns, _, channel, payload = heapq.heappop(waiting)
+                yield channel, time_ns, payload
         if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, seen)
+
+    def _wanted(
+        self, block: Block, topics: Collection[str], order: Iterator[int], seen: Counter[int]
+    ) -> list[_Waiting]:
+        """The topics' messages in a block, counted, as they stand there."""
+        found: list[_Waiting] = []
+        for number, time_ns, payload in self._messages_of(block):
+            channel = self.channels.get(number)
+            if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
+                found.append((time_ns, next(order), channel, payload))
+        seen.update(channel.id for _, _, channel, _ in found)
+        return found
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """For every time and topic the first message from then on; the few blocks that hold them are read."""
@@ -256,11 +279,6 @@ class BlockStorage(Storage):
                 found.setdefault(number, []).append(some)
         return {number: np.concatenate(parts).astype(np.int64) for number, parts in found.items()}
 
-    def _release(self, waiting: list[tuple[int, int, int, Payload]], seen: Counter[int]) -> RawMessage:
-        time_ns, _, number, payload = heapq.heappop(waiting)
-        seen[number] += 1
-        return self.channels[number], time_ns, payload
-
     def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """The block's messages up to the first damage, which is noted."""
         found = 0
@@ -277,10 +295,10 @@ class BlockStorage(Storage):
         Raises:
             ValueError: more than there can be; or of any kind, for damaged bytes.
         """
-        for found, item in enumerate(self.parse(self.load(block))):
-            if found == _MOST_MESSAGES:
-                raise ValueError(f"more than {_MOST_MESSAGES} messages")
-            yield item
+        messages = self.parse(self.load(block))
+        yield from islice(messages, _MOST_MESSAGES)
+        if next(messages, None) is not None:
+            raise ValueError(f"more than {_MOST_MESSAGES} messages")
 
     def _note_block(self, block: Block, found: int, error: Exception) -> None:
         kept = f"its first {found} messages are used" if found else "its messages are left out"
@@ -311,6 +329,10 @@ class BlockStorage(Storage):
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
+
+
+def _log_time(waiting: _Waiting) -> int:
+    return waiting[0]
 
 
 def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:

@@ -1,0 +1,123 @@
+"""Pictures by the container's index: when they were logged, and the stamps of those few that are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import IMAGES, IntArray, Side
+from mobilecal_cli.readers.channels import NOT_ITS_TYPE
+from mobilecal_cli.readers.recording import Recording
+from mobilecal_cli.readers.stamps import Clock, stamp_of
+from mobilecal_cli.readers.storage import Extent
+from mobilecal_cli.readers.video import codec_of
+
+#: So many pictures of a topic are looked at, spread over it, for how far log time and stamps are apart.
+_LOOKS = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """What the index and a few pictures tell of all.
+
+    Attributes:
+        logged_ns: topic → (n,) increasing log times.
+        lag_ns: topic → log time minus stamp, the middle one of those pictures.
+        spread_ns: the most that the lags of one topic differ by.
+        clocks: what the stamps of those pictures are like.
+    """
+
+    logged_ns: Mapping[str, IntArray]
+    lag_ns: Mapping[str, int]
+    spread_ns: int
+    clocks: tuple[Clock, ...]
+
+    def stamps(self, topic: str) -> IntArray:
+        """(n,) approximate stamps of a topic's pictures: log times less the lag."""
+        return self.logged_ns[topic] - self.lag_ns[topic]
+
+
+def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pictures | None:
+    """When the pictures were logged and, about, taken, without reading them all.
+
+    Args:
+        recording: the open recording.
+        image_topics: image topic of each side.
+
+    Returns:
+        None where that cannot be told: no index, no such topic, stamps missing, pictures that cannot be decoded, or
+        video, of which every frame is needed.
+    """
+    types = {info.name: info.type for info in recording.topics}
+    topics = sorted(set(image_topics.values()))
+    if any(types.get(topic) not in IMAGES for topic in topics):
+        return None
+    times = recording.log_times()
+    if any(topic not in times for topic in topics):
+        return None
+    logged = {topic: np.unique(times[topic]) for topic in topics}
+    lags: dict[str, list[int]] = {}
+    clocks = []
+    for topic, logged_ns in logged.items():
+        clock = Clock(topic)
+        moments = logged_ns[np.linspace(0, len(logged_ns) - 1, _LOOKS).astype(int)]
+        try:
+            for message in recording.near([topic], np.unique(moments).tolist()):
+                decoded = message.decode()
+                if codec_of(decoded) is not None:
+                    return None
+                stamp_ns = clock.time_ns(decoded, message.log_time_ns)
+                lags.setdefault(topic, []).append(message.log_time_ns - stamp_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
+            return None
+        if not clock.messages or clock.unstamped:
+            return None
+        clocks.append(clock)
+    middle = {topic: sorted(found)[len(found) // 2] for topic, found in lags.items()}
+    spread = max(max(found) - min(found) for found in lags.values())
+    return Pictures(logged, middle, spread, tuple(clocks))
+
+
+def read_stamps(
+    recording: Recording, logged_ns: Mapping[str, IntArray]
+) -> tuple[dict[str, dict[int, int]], tuple[str, ...]] | None:
+    """The stamps of some pictures; only the blocks that hold them are read.
+
+    Args:
+        recording: the open recording; it keeps in mind where they are.
+        logged_ns: topic → (n,) log times of the pictures that are wanted. Of several with one log time the first is
+            taken.
+
+    Returns:
+        Topic → log time → stamp, ns, and notes on pictures that cannot be decoded, which have none. None where the
+        index lies, and pictures are not where it says.
+    """
+    wanted = {topic: set(times.tolist()) for topic, times in logged_ns.items()}
+    found: dict[str, dict[int, int]] = {topic: {} for topic in logged_ns}
+    broken = dict.fromkeys(logged_ns, 0)
+    extent = Extent(at_ns=np.unique(np.concatenate(list(logged_ns.values()))))
+    for message in recording.messages(wanted, extent):
+        topic, log_ns = message.topic, message.log_time_ns
+        if log_ns not in wanted[topic]:
+            continue
+        wanted[topic].remove(log_ns)
+        try:
+            stamp_ns = stamp_of(message.decode(), log_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
+            broken[topic] += 1
+            continue
+        found[topic][log_ns] = stamp_ns
+        recording.logged.setdefault(topic, {}).setdefault(stamp_ns, log_ns)
+        if not any(wanted.values()):
+            break
+    if any(wanted.values()):
+        return None
+    notes = tuple(
+        f"{topic}: {count} of the {len(logged_ns[topic])} pictures that were chosen do not fit their type; left out"
+        for topic, count in broken.items()
+        if count
+    )
+    return found, notes
