@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -33,7 +31,6 @@ SIZE_PICTURES = 8
 #: however many processes there are, and so are the corners.
 SEGMENT_PAIRS = 250
 _SIDES: tuple[Side, Side] = ("left", "right")
-_WAITING = 8  # pictures between the decoder and those who look
 
 
 @dataclass(slots=True)
@@ -145,27 +142,13 @@ def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
     ]
 
 
-class _OneAfterTheOther:
-    """Follows the board in one camera's pictures on a thread of its own: OpenCV lets the others run meanwhile."""
-
-    def __init__(self, segment: Segment, board: Board) -> None:
-        self._follower = BoardFollower(board, segment.thorough)
-        self._thread = ThreadPoolExecutor(1)
-
-    def submit(self, picture: GrayImage, stamp_ns: int) -> Future[Detection | Miss]:
-        return self._thread.submit(self._follower.find, picture, stamp_ns)
-
-    def close(self) -> None:
-        self._thread.shutdown(cancel_futures=True)
-
-
 def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[int | list[Looks]]:
     """Look at every shot of a segment's stations, in one pass over their part of the recording.
 
     Yields:
         1 for every picture that has been looked at, and at last one `Looks` a station.
     """
-    cv2.setNumThreads(1)  # one picture a thread is faster than many threads a picture
+    cv2.setNumThreads(1)  # a picture is too small to be shared out; long logs are shared among processes
     stations = segment.stations
     wanted = stamps(shot for station in stations for shot in station.shots)
     where: Mapping[Side, dict[int, int]] = {
@@ -173,33 +156,18 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
         "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
     }
     looks = [Looks() for _ in stations]
-    pending: deque[tuple[Side, int, Future[Detection | Miss]]] = deque()
-
-    def collect() -> None:
-        side, stamp, future = pending.popleft()
-        looks[where[side][stamp]].found[side][stamp] = future.result()
-
-    followers = {side: _OneAfterTheOther(segment, scene.board) for side in _SIDES}
-    try:
-        for side, stamp, picture in read_images(recording, scene.sources.image, wanted, scene.sources.layout):
-            station = where[side][stamp]
-            place = looks[station]
-            if isinstance(picture, Rejection):
-                place.rejections.append(picture)
-                continue
-            check_picture(picture, side, scene.cameras)
-            if station in segment.shown and side not in place.pictures:
-                place.pictures[side] = snapshot_jpeg(picture)
-            pending.append((side, stamp, followers[side].submit(picture, stamp)))
-            if len(pending) > _WAITING:
-                collect()
-                yield 1
-        while pending:
-            collect()
-            yield 1
-    finally:
-        for follower in followers.values():
-            follower.close()
+    followers = {side: BoardFollower(scene.board, segment.thorough) for side in _SIDES}
+    for side, stamp, picture in read_images(recording, scene.sources.image, wanted, scene.sources.layout):
+        station = where[side][stamp]
+        place = looks[station]
+        if isinstance(picture, Rejection):
+            place.rejections.append(picture)
+            continue
+        check_picture(picture, side, scene.cameras)
+        if station in segment.shown and side not in place.pictures:
+            place.pictures[side] = snapshot_jpeg(picture)
+        place.found[side][stamp] = followers[side].find(picture, stamp)
+        yield 1
     yield looks
 
 

@@ -8,8 +8,10 @@ from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.values import Detection, Miss
 
 
-def find_board(image: GrayImage, board: Board, thorough: bool = True) -> Detection | Miss:
+def find_board(
+    image: GrayImage, board: Board, thorough: bool = True, alone: bool = False
+) -> Detection | Miss:
     """The board in one picture: see `detect` and `detect_markers`."""
     if board.markers is not None:
         return detect_markers(image, board)
-    return detect(image, board.columns, board.rows, thorough)
+    return detect(image, board.columns, board.rows, thorough, alone)

@@ -111,7 +111,9 @@ def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> G
     return painted
 
 
-def detect(image: GrayImage, columns: int, rows: int, thorough: bool = True) -> Detection | Miss:
+def detect(
+    image: GrayImage, columns: int, rows: int, thorough: bool = True, alone: bool = False
+) -> Detection | Miss:
     """Find a board of known size in one picture.
 
     The contour-based detector is asked first (half size first in large pictures), and its corners refined and
@@ -123,6 +125,7 @@ def detect(image: GrayImage, columns: int, rows: int, thorough: bool = True) -> 
         image: (height, width) grey, 8 bits; may be read-only and have padded rows.
         columns, rows: inner corners.
         thorough: also grow a grid; this takes ten times as long where there is no board.
+        alone: there is no second board, as is known from elsewhere.
 
     Returns:
         The corners, or why there are none.
@@ -135,7 +138,7 @@ def detect(image: GrayImage, columns: int, rows: int, thorough: bool = True) -> 
         result = _thorough(image, columns, rows, result)
     if result is None:
         return Miss("no board", f"no grid of {columns} x {rows} corners at first sight")
-    if isinstance(result, Detection):
+    if isinstance(result, Detection) and not alone:
         other = _second(image, result, columns, rows)
         if other is not None:
             x, y = other.mean(axis=0)

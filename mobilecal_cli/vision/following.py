@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
+import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
@@ -18,6 +19,7 @@ from mobilecal_cli.vision.values import Detection, Look, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # after that the board may be anywhere
 _MARGIN_PX = 3.0
+_FLOW_WINDOW = (15, 15)
 _WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
 _FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
 
@@ -79,8 +81,10 @@ class BoardFollower:
     """Looks at the pictures of one camera in order of time.
 
     The board is expected where its corners were going in the last two pictures that showed it, at most half a second
-    ago. Where it is not there it is searched for; but once it is known how strong its corners look in this light, not
-    in pictures without as many spots of a tenth of that strength.
+    ago; where it is not there, to where the optical flow carried it. Else it is searched for; but once it is
+    known how strong its corners look in this light, not in pictures without as many spots of a tenth of that strength.
+
+    Whether there is a second board is looked at where the board is searched for first, and in thorough searches.
 
     Args:
         board: what to look for; boards with markers are searched for in every picture.
@@ -90,6 +94,7 @@ class BoardFollower:
     def __init__(self, board: Board, thorough: bool) -> None:
         self._board, self._thorough = board, thorough
         self._seen: deque[tuple[int, Detection]] = deque(maxlen=2)
+        self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
@@ -103,27 +108,32 @@ class BoardFollower:
         if board.markers is not None:
             return find_board(image, board)
         found: Detection | Miss | None = None
-        expected = self._expected(time_ns)
-        if expected is not None:
-            look = self._seen[-1][1].look
-            found = None if look is None else follow(image, expected, look, board.columns, board.rows)
+        look = self._seen[-1][1].look if self._seen else None
+        if look is not None and 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS:
+            found = follow(image, self._expected(time_ns), look, board.columns, board.rows)
+            if not isinstance(found, Detection) and self._last_image.shape == image.shape:
+                found = follow(image, self._carried(image), look, board.columns, board.rows)
         if not isinstance(found, Detection):
             found = self._search(image, found)
         if isinstance(found, Detection):
             self._seen.append((time_ns, found))
+            self._last_image = image
         return found
 
-    def _expected(self, time_ns: int) -> FloatArray | None:
-        if not self._seen:
-            return None
+    def _expected(self, time_ns: int) -> FloatArray:
+        """Where the corners are if they go on as they went."""
         last_ns, last = self._seen[-1]
-        if not 0 <= time_ns - last_ns <= _LONGEST_GAP_NS:
-            return None
         if len(self._seen) < 2 or last_ns - self._seen[0][0] > _LONGEST_GAP_NS:
             return last.pixels
         before_ns, before = self._seen[0]
         share = (time_ns - last_ns) / max(last_ns - before_ns, 1)
         return np.asarray(last.pixels + share * (last.pixels - before.pixels))
+
+    def _carried(self, image: GrayImage) -> FloatArray:
+        """Where the corners are as their surroundings moved since the last picture (Lucas and Kanade, in pyramids)."""
+        last = self._seen[-1][1].pixels.astype(np.float32).reshape(-1, 1, 2)
+        moved = cv2.calcOpticalFlowPyrLK(self._last_image, image, last, last.copy(), winSize=_FLOW_WINDOW)[0]
+        return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
 
     def _search(self, image: GrayImage, lost: Miss | None) -> Detection | Miss:
         count = self._board.corners
@@ -132,7 +142,9 @@ class BoardFollower:
             strength = spot_strength(image, count)
             if strength < FAINTEST * self._spots:
                 return lost or Miss("no board", f"fewer than {count} spots look like corners of the board")
-        found = find_board(image, self._board, self._thorough)
+        found = find_board(
+            image, self._board, self._thorough, alone=not self._thorough and self._spots is not None
+        )
         if isinstance(found, Detection):
             strength = spot_strength(image, count) if strength is None else strength
             self._spots = strength if self._spots is None else min(self._spots, strength)

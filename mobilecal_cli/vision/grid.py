@@ -74,16 +74,27 @@ def _monomials(w: FloatArray, degree: int) -> FloatArray:
     return np.stack([x**i * y ** (d - i) for d in range(degree + 1) for i in range(d + 1)], axis=-1)
 
 
-def _homography(w: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Direct linear transformation with normalised pixels (Hartley and Zisserman 2004, algorithm 4.2)."""
+def _products(w: FloatArray) -> FloatArray:
+    """(M, 9) outer products of (w, 1) with itself, flattened."""
+    one = np.column_stack([w, np.ones(len(w))])
+    return np.asarray((one[:, :, None] * one[:, None, :]).reshape(-1, 9))
+
+
+def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Direct linear transformation with normalised pixels (Hartley and Zisserman 2004, algorithm 4.2).
+
+    Its normal equations A^T A are put together from sums of `_products`, weighted by x, y and x^2 + y^2.
+    """
     mean, spread = pixels.mean(axis=0), pixels.std()
     p = (pixels - mean) / spread
-    one = np.column_stack([w, np.ones(len(w))])
-    zero = np.zeros_like(one)
-    rows = np.vstack(
-        [np.hstack([one, zero, -p[:, :1] * one]), np.hstack([zero, one, -p[:, 1:] * one])],
-    )
-    H = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
+    weights = np.stack([np.ones(len(p)), p[:, 0], p[:, 1], p[:, 0] ** 2 + p[:, 1] ** 2])
+    plain, by_x, by_y, by_both = (weights @ products).reshape(4, 3, 3)
+    normal = np.zeros((9, 9))
+    normal[:3, :3] = normal[3:6, 3:6] = plain
+    normal[:3, 6:] = normal[6:, :3] = -by_x
+    normal[3:6, 6:] = normal[6:, 3:6] = -by_y
+    normal[6:, 6:] = by_both
+    H = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
     back = np.array([[spread, 0, mean[0]], [0, spread, mean[1]], [0, 0, 1]])
     homography: FloatArray = back @ H
     return homography
@@ -100,7 +111,7 @@ def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
         (n, 2) residuals, px, scaled up by what the map's own unknowns take away: their mean square is the noise's.
     """
     w = (uv - uv.mean(axis=0)) / max(float(np.ptp(uv, axis=0).max()) / 2, 1e-9)
-    bent = pixels - _through(_homography(w, pixels), w)
+    bent = pixels - _through(_homography(_products(w), pixels), w)
     degree = 4 if len(w) >= 40 else 3 if len(w) >= 24 else 2 if len(w) >= 12 else 0
     residual, unknowns = bent, 8
     if degree:
@@ -116,6 +127,7 @@ class _Frame:
 
     Attributes:
         w: (M, 2) centred and scaled grid coordinates.
+        products: (M, 9) see `_products`.
         centre, size: what they are centred and scaled by.
         degree: of the polynomial.
         solver: (terms, M) from what the homography leaves to the polynomial's coefficients.
@@ -124,6 +136,7 @@ class _Frame:
     """
 
     w: FloatArray
+    products: FloatArray
     centre: FloatArray
     size: float
     degree: int
@@ -141,13 +154,13 @@ def _frame(rows: int, columns: int) -> _Frame:
     # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
     finest = min(4, min(rows, columns) - 2)
     if finest <= 1:
-        return _Frame(w, centre, size, 0, np.zeros((1, len(w))), np.zeros((len(w), 0)), 8)
+        return _Frame(w, _products(w), centre, size, 0, np.zeros((1, len(w))), np.zeros((len(w), 0)), 8)
     degree, terms = min(3, finest), _monomials(w, finest)
     finer = np.linalg.qr(terms)[0]
     # Of a homography's 8 numbers, 6 are an affine map: in the polynomial.
     unknowns = 2 * terms.shape[1] + 2
     solver = np.asarray(np.linalg.pinv(_monomials(w, degree)), dtype=np.float64)
-    return _Frame(w, centre, size, degree, solver, finer, unknowns)
+    return _Frame(w, _products(w), centre, size, degree, solver, finer, unknowns)
 
 
 def places(uv: FloatArray, columns: int, rows: int) -> Places:
@@ -165,7 +178,7 @@ def fit_grid(grid: FloatArray) -> GridMap:
     """
     frame = _frame(*grid.shape[:2])
     pixels = grid.reshape(-1, 2)
-    H = _homography(frame.w, pixels)
+    H = _homography(frame.products, pixels)
     bent = pixels - _through(H, frame.w)
     residual = bent - frame.finer @ (frame.finer.T @ bent)
     sigma_px = float(np.sqrt(np.sum(residual**2) / max(2 * len(pixels) - frame.unknowns, 1)))
