@@ -11,7 +11,9 @@ from mobilecal_cli.vision.detection import detect
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.values import Detection
 
-_PLENTY = 10_000
+# Corners that end the search for a grid to grow: with the first any will do, which is usually all of the board.
+_ENOUGH = (1, 10_000)
+_CLEAR = 3  # votes for one size, and none for another, that settle it
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,8 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
 
     In each picture a grid is grown from a few corners to the pattern's edge. It counts when the detector for
     boards of known size finds a board of that size too and lets it through its gate, which looks at whether the
-    pattern goes on. More than half of the counting pictures must agree.
+    pattern goes on. More than half of the counting pictures must agree; three that agree before any other is seen
+    are enough.
 
     Args:
         images: (height, width) grey pictures, some of which show the board.
@@ -44,12 +47,23 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
     pictures = 0
     for image in images:
         pictures += 1
-        grown = grow_any(image, _PLENTY)
-        if grown is None:
-            continue
-        rows, columns = sorted(grown.grid.shape[:2])
-        if isinstance(detect(image, columns, rows), Detection):
-            votes[columns, rows] += 1
+        size = _size_in(image)
+        if size is not None:
+            votes[size] += 1
+        if len(votes) == 1 and votes.total() == _CLEAR:
+            break
     leading = votes.most_common(1)
     size = leading[0][0] if leading and 2 * leading[0][1] > votes.total() else None
     return SizeVote(size, dict(votes), pictures)
+
+
+def _size_in(image: GrayImage) -> tuple[int, int] | None:
+    """(columns, rows) of the whole board in a picture, None where it shows none."""
+    for enough in _ENOUGH:
+        grown = grow_any(image, enough)
+        if grown is None:
+            return None
+        rows, columns = sorted(grown.grid.shape[:2])
+        if isinstance(detect(image, columns, rows), Detection):
+            return columns, rows
+    return None

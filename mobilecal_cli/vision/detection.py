@@ -20,6 +20,7 @@ _SMALLEST_PICTURE = 64
 FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 #: Spots that are fainter than so much of a board's are none of another board in the same light.
 FAINTEST = 0.1
+_PAINTED = 1.2  # squares beyond the corners
 _TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the board
 
 
@@ -101,11 +102,10 @@ def roughest_px(edge_px: float) -> float:
 
 
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
-    """The picture with a found board painted over, a square beyond its corners, in its mean brightness."""
+    """The picture with a found board painted over, its outer squares and some margin too, in its mean brightness."""
     grid_map = fit_grid(pixels.reshape(rows, columns, 2))
-    hull = grid_map(
-        np.array([[-0.7, -0.7], [columns - 0.3, -0.7], [columns - 0.3, rows - 0.3], [-0.7, rows - 0.3]])
-    )
+    low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
+    hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
     painted = np.array(image)
     cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
     return painted
