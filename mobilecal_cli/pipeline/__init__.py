@@ -1,17 +1,60 @@
-"""Joins the stages; what a notebook would call."""
+"""Joins the stages; what a notebook would call.
 
-from mobilecal_cli.export import check_file, write_file
-from mobilecal_cli.pipeline.calibrate import Calibration, calibrate, default_output, suggest
-from mobilecal_cli.pipeline.cluster import run_on
-from mobilecal_cli.pipeline.comparing import Comparison, Limits, compare
-from mobilecal_cli.pipeline.draft import draft, write_draft
-from mobilecal_cli.pipeline.evaluating import Evaluated, evaluate
-from mobilecal_cli.pipeline.exporting import Exported, export
-from mobilecal_cli.pipeline.extract import extract
-from mobilecal_cli.pipeline.fleet import batch, run_locally
-from mobilecal_cli.pipeline.inspecting import inspect
-from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
-from mobilecal_cli.pipeline.progress import Progress, silent
+Nothing is loaded before it is asked for: a command takes its own part of the pipeline only.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.pipeline.calibrating import Calibration, calibrate, default_output, suggest
+    from mobilecal_cli.pipeline.cluster import run_on
+    from mobilecal_cli.pipeline.comparing import Comparison, Limits, compare
+    from mobilecal_cli.pipeline.drafting import draft, write_draft
+    from mobilecal_cli.pipeline.evaluating import Evaluated, evaluate
+    from mobilecal_cli.pipeline.exporting import Exported, export
+    from mobilecal_cli.pipeline.extracting import extract
+    from mobilecal_cli.pipeline.fleet import batch, run_locally
+    from mobilecal_cli.pipeline.inspecting import inspect
+    from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
+    from mobilecal_cli.pipeline.progress import Progress, silent
+
+#: Name → module that it is in.
+_HOME = {
+    "Calibration": "calibrating",
+    "Comparison": "comparing",
+    "Evaluated": "evaluating",
+    "Exported": "exporting",
+    "Limits": "comparing",
+    "Progress": "progress",
+    "batch": "fleet",
+    "calibrate": "calibrating",
+    "compare": "comparing",
+    "default_output": "calibrating",
+    "draft": "drafting",
+    "evaluate": "evaluating",
+    "export": "exporting",
+    "extract": "extracting",
+    "inspect": "inspecting",
+    "run_locally": "fleet",
+    "run_on": "cluster",
+    "silent": "progress",
+    "suggest": "calibrating",
+    "write_draft": "drafting",
+    "write_junit": "junit",
+    "write_junit_error": "junit",
+}
+_FROM_EXPORT = ("check_file", "write_file")
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+    if name in _HOME:
+        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    if name in _FROM_EXPORT:
+        return getattr(import_module("mobilecal_cli.export"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "Calibration",

@@ -21,7 +21,7 @@ from mobilecal_cli import __version__, se3
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
 from mobilecal_cli.export import from_plain, to_plain, write_file
 from mobilecal_cli.model import FleetJob, FleetRow
-from mobilecal_cli.pipeline.calibrate import Calibration, calibrate
+from mobilecal_cli.pipeline.calibrating import Calibration, calibrate
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import recognised, sha256_of
 from mobilecal_cli.report import fleet_csv, fleet_html, reference_pose, reference_std

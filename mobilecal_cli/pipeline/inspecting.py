@@ -30,7 +30,7 @@ from mobilecal_cli.model import (
     TopicView,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.extract import board_of, sliding_joints
+from mobilecal_cli.pipeline.extracting import board_of, sliding_joints
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
 from mobilecal_cli.report import MIN_STATIONS

@@ -11,7 +11,7 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz
 from mobilecal_cli.model import Extraction, Snapshot
-from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.progress import Progress
 
 

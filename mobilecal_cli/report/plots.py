@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, style, svg
+from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, polygons, style, svg
 from mobilecal_cli.report.numbers import (
     QUANTITIES,
     nine_numbers,
@@ -244,17 +243,20 @@ def picture_coverage(extraction: Extraction, side: Side) -> str:
     chosen = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int))
     with style():
         drawing, (axes,) = figure(3.5, 3.0)
+        outlines = []
         for i in chosen:
             corners = getattr(seen[i], side)
             measured = corners.pixels[corners.seen]
             hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
-            outline = measured[hull.ravel()]
-            axes.fill(*outline.T, facecolor=BLUE, alpha=0.10)
-            axes.plot(*np.concatenate([outline, outline[:1]]).T, color=BLUE, linewidth=0.9, alpha=0.8)
-        corners = np.array([[0, 0], [camera.width, camera.height]]) - 0.5
-        frame = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-        for a, b in pairwise(frame):
-            axes.plot([corners[a[0], 0], corners[b[0], 0]], [corners[a[1], 1], corners[b[1], 1]], color=INK)
+            outlines.append(measured[hull.ravel()])
+        polygons(axes, outlines, [(BLUE, 0.10)] * len(outlines))
+        gap = np.full((1, 2), np.nan)  # one line for all, broken between two outlines
+        axes.plot(
+            *np.concatenate([np.concatenate([o, o[:1], gap]) for o in outlines]).T,
+            color=BLUE, linewidth=0.9, alpha=0.8,
+        )  # fmt: skip
+        frame = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) * [camera.width, camera.height] - 0.5
+        axes.plot(*frame.T, color=INK)
         axes.set_aspect("equal")
         axes.invert_yaxis()
         axes.set_title(f"{side} camera")

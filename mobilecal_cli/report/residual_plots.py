@@ -9,7 +9,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import NINE, Extraction, FloatArray, IntArray, Side, Solution
-from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, RED, figure, style, svg
+from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, RED, figure, polygons, style, svg
 
 _CELLS = (12, 9)
 _LEAST_IN_CELL = 3  # fewer corners in a cell make no mean
@@ -37,12 +37,11 @@ def picture_residuals(extraction: Extraction, side: Side) -> str:
             edge = size / _CELLS
             middle = (cell + 0.5) * edge
             most = float(spread.max())
-            for corner, level in zip(cell * edge, spread / most if most else spread, strict=True):
-                axes.fill(
-                    corner[0] + np.array([0, edge[0], edge[0], 0]),
-                    corner[1] + np.array([0, 0, edge[1], edge[1]]),
-                    facecolor=ORANGE, alpha=0.6 * float(level), linewidth=0,
-                )  # fmt: skip
+            square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+            levels = spread / most if most else spread
+            polygons(
+                axes, [(c + square) * edge for c in cell], [(ORANGE, 0.6 * float(level)) for level in levels]
+            )
             longest = float(np.linalg.norm(mean, axis=1).max())
             scale = 0.9 * edge.min() / longest if longest else 1.0
             arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.006}
@@ -92,12 +91,17 @@ def correlation_matrix(solution: Solution) -> str:
     correlation = found.covariance / np.outer(std, std)
     with style():
         drawing, (axes,) = figure(5.2, 4.4, header_in=0.1)
-        for (i, j), value in np.ndenumerate(correlation):
-            if np.isfinite(value):
-                colour = BLUE if value > 0 else ORANGE
-                x, y = j + np.array([-0.5, 0.5, 0.5, -0.5]), i + np.array([-0.5, -0.5, 0.5, 0.5])
-                axes.fill(x, y, facecolor=colour, alpha=0.75 * min(1.0, abs(float(value))), linewidth=0)
-                axes.text(j, i, f"{value:+.2f}" if i != j else "1", ha="center", va="center", fontsize=7)
+        square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+        known = [
+            ((i, j), float(value)) for (i, j), value in np.ndenumerate(correlation) if np.isfinite(value)
+        ]
+        polygons(
+            axes,
+            [np.add(square, (j, i)) for (i, j), _ in known],
+            [(BLUE if value > 0 else ORANGE, 0.75 * min(1.0, abs(value))) for _, value in known],
+        )
+        for (i, j), value in known:
+            axes.text(j, i, f"{value:+.2f}" if i != j else "1", ha="center", va="center", fontsize=7)
         axes.set_xticks(range(len(NINE)), NINE, fontsize=7, rotation=35, ha="right")
         axes.set_yticks(range(len(NINE)), NINE, fontsize=7)
         axes.set_xlim(-0.5, len(NINE) - 0.5)

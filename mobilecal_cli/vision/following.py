@@ -17,7 +17,7 @@ from mobilecal_cli.vision.refinement import refine_once
 from mobilecal_cli.vision.spots import spot_strength
 from mobilecal_cli.vision.values import Detection, Look, Miss
 
-_LONGEST_GAP_NS = 500_000_000  # after that the board may be anywhere
+_LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was going
 _MARGIN_PX = 3.0
 _FLOW_WINDOW = (15, 15)
 _WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
@@ -109,9 +109,10 @@ class BoardFollower:
             return find_board(image, board)
         found: Detection | Miss | None = None
         look = self._seen[-1][1].look if self._seen else None
-        if look is not None and 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS:
+        if look is not None:
             found = follow(image, self._expected(time_ns), look, board.columns, board.rows)
-            if not isinstance(found, Detection) and self._last_image.shape == image.shape:
+            soon = 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS
+            if not isinstance(found, Detection) and soon and self._last_image.shape == image.shape:
                 found = follow(image, self._carried(image), look, board.columns, board.rows)
         if not isinstance(found, Detection):
             found = self._search(image, found)
@@ -121,8 +122,10 @@ class BoardFollower:
         return found
 
     def _expected(self, time_ns: int) -> FloatArray:
-        """Where the corners are if they go on as they went."""
+        """Where the corners are if they go on as they went; where they were, if that is long ago: robots also rest."""
         last_ns, last = self._seen[-1]
+        if not 0 <= time_ns - last_ns <= _LONGEST_GAP_NS:
+            return last.pixels
         if len(self._seen) < 2 or last_ns - self._seen[0][0] > _LONGEST_GAP_NS:
             return last.pixels
         before_ns, before = self._seen[0]

@@ -53,7 +53,7 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.extract import Seen, _observe, _plan
+    from mobilecal_cli.pipeline.extracting import Seen, _observe, _plan
     from mobilecal_cli.pipeline.seeing import Scene, look
     from mobilecal_cli.readers import open_recording, read_prelude
     from mobilecal_cli.vision import Detection

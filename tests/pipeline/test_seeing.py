@@ -13,7 +13,7 @@ from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Shot, Station
 from mobilecal_cli.pipeline import looking, seeing
-from mobilecal_cli.pipeline.extract import extract
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 
@@ -87,7 +87,7 @@ def test_where_processes_cannot_be_started_this_one_looks(log, monkeypatch):
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
     extracting = sys.modules[
-        "mobilecal_cli.pipeline.extract"
+        "mobilecal_cli.pipeline.extracting"
     ]  # the package's `extract` is the function in it
     settle = extracting.settle_rig
 
