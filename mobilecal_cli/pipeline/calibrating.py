@@ -20,6 +20,7 @@ from mobilecal_cli.export import (
     write_outputs,
 )
 from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, Method, Provenance, Solution
+from mobilecal_cli.pipeline.drawing import Draughtsman
 from mobilecal_cli.pipeline.evaluating import held_out, read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
@@ -144,34 +145,36 @@ def calibrate(
     Raises:
         MobilecalError: see `errors`; nothing is written then.
     """
-    directory = output if output is not None else default_output(logs[0])
-    check_output(directory, force)
-    config = load_rig(config_path, flags)
-    limits = gates_of(gates, config.gates)
-    earlier = None if last is None else read_params(last)
-    whole, snapshots = load(logs, config, config_path, flags or {}, progress, jobs)
-    extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
-    require_stations(extraction)
-    if method != "ml":
-        require_observable(extraction)
-    progress("solving", 0, None)
-    solution = _solved(extraction, method, asked)
-    nominal = extraction.rig.nominal.wheels
-    trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
-    settings = settings_of(extraction) | ({} if hold_out is None else {"hold_out": hold_out})
-    provenance = Provenance(__version__, _created(), method, extraction.logs, settings)
-    params = params_yaml(solution, extraction, provenance)
-    change = _change(parameters_from_yaml(params), earlier, last, extraction)
-    gated = gate_checks(limits, figures_of(solution, extraction, trial))
-    verdict = judge(solution, extraction, (*change_checks(change), *gated))
-    progress("writing the report", 0, None)
-    files = {
-        "params.yaml": params.encode(),
-        "report.html": report_html(
-            solution, extraction, snapshots, provenance, verdict, trial, change
-        ).encode(),
-        "report.json": report_json(solution, extraction, provenance, verdict, trial, change).encode(),
-        "extraction.npz": extraction_to_npz(whole),
-    }
-    write_outputs(directory, files, force)
+    with Draughtsman(jobs) as draughtsman:
+        directory = output if output is not None else default_output(logs[0])
+        check_output(directory, force)
+        config = load_rig(config_path, flags)
+        limits = gates_of(gates, config.gates)
+        earlier = None if last is None else read_params(last)
+        whole, snapshots = load(logs, config, config_path, flags or {}, draughtsman.watching(progress), jobs)
+        extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
+        require_stations(extraction)
+        if method != "ml":
+            require_observable(extraction)
+        progress("solving", 0, None)
+        solution = _solved(extraction, method, asked)
+        nominal = extraction.rig.nominal.wheels
+        trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
+        settings = settings_of(extraction) | ({} if hold_out is None else {"hold_out": hold_out})
+        provenance = Provenance(__version__, _created(), method, extraction.logs, settings)
+        drawing = draughtsman.begin(solution, extraction)
+        params = params_yaml(solution, extraction, provenance)
+        change = _change(parameters_from_yaml(params), earlier, last, extraction)
+        gated = gate_checks(limits, figures_of(solution, extraction, trial))
+        verdict = judge(solution, extraction, (*change_checks(change), *gated))
+        progress("writing the report", 0, None)
+        files = {
+            "params.yaml": params.encode(),
+            "report.json": report_json(solution, extraction, provenance, verdict, trial, change).encode(),
+            "extraction.npz": extraction_to_npz(whole),
+            "report.html": report_html(
+                solution, extraction, snapshots, provenance, verdict, trial, change, drawing
+            ).encode(),
+        }
+        write_outputs(directory, files, force)
     return Calibration(solution, extraction, verdict, directory, trial)

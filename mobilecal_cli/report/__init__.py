@@ -4,6 +4,7 @@ from mobilecal_cli.report.changes import Change, change_checks, change_from_nomi
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
+from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
@@ -20,12 +21,14 @@ __all__ = [
     "MIN_STATIONS",
     "Change",
     "Check",
+    "Figures",
     "Verdict",
     "change_checks",
     "change_from_nominal",
     "change_since",
     "comparison_json",
     "comparison_text",
+    "draw_figures",
     "evaluated_figures",
     "evaluation_json",
     "evaluation_text",

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
-from mobilecal_cli.report import overlays, plots, residual_plots
+from mobilecal_cli.report import overlays
 from mobilecal_cli.report.changes import Change, change_rows
 from mobilecal_cli.report.data import coverage
+from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
     LEVEL_NAMES,
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _MOST_REJECTIONS = 200  # details of more than these are in report.json only
-_MOST_PATHS = 4  # logs that are drawn from above
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -57,6 +57,7 @@ def report_html(
     verdict: Verdict,
     trial: Evaluation | None = None,
     change: Change | None = None,
+    figures: Callable[[], Figures] | None = None,
 ) -> str:
     """The report as one HTML page: no scripts, no network, the same bytes for the same values.
 
@@ -68,65 +69,73 @@ def report_html(
         verdict: what `judge` says.
         trial: the calibration tried on what was held out, if anything was.
         change: against the last calibration or the drawing, if there is either.
+        figures: gives what `draw_figures` draws, if that is being done elsewhere; asked last.
     """
+    from markupsafe import Markup  # SVG made here; matplotlib has escaped every text in it
+
     rig = extraction.rig
-    return _template().render(
-        verdict=verdict,
-        checks=verdict.checks,
-        numbers=_table_one(solution, extraction),
-        refined=solution.refinement is not None,
-        method=solution.method,
-        head_frame=rig.chain.head_frame,
-        camera_frame=reference_frame(rig.cameras),
-        camera_side=rig.cameras.reference,
-        rectified=rig.cameras.rectified,
-        near_lock_deg=NEAR_LOCK_DEG,
-        lock_deg=se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
-        quaternion=se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
-        linear=solution.linear,
-        sigmas=[(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
-        noise=solution.uncertainty.noise if solution.uncertainty is not None else None,
-        level_names=LEVEL_NAMES,
-        outliers=solution.outliers,
-        predicted=predicted_rows(solution),
-        jackknife=jackknife_sentence(solution),
-        extras=extra_rows(solution, extraction),
-        evidence=evidence_rows(solution, extraction),
-        scale=scale_sentence(solution.scale) if solution.scale is not None else "",
-        logs_apart=log_rows(solution, extraction),
-        nine=NINE,
-        change=change,
-        changes=change_rows(change),
-        trial=trial,
-        trial_rows=evaluation_rows(trial) if trial is not None else (),
-        drift_rows=drift_rows(trial) if trial is not None else (),
-        suggestions=suggestion_sentences(solution, extraction),
-        error_mm=solution.point_rms_m * 1e3,
-        linear_error_mm=solution.linear.point_rms_m * 1e3,
-        predicted_mm=predicted_point_rms_m(extraction, solution) * 1e3,
-        reprojection_px=solution.reprojection_rms_px,
-        distance_m=board_distance_m(extraction),
-        stations=len(extraction.observations),
-        looked_at=stations_looked_at(extraction),
-        least_stations=MIN_STATIONS,
-        figures=dict(_figures(solution, extraction)),
-        paths=_paths(solution, extraction),
-        coverage=coverage(extraction),
-        leg_views=overlays.leg_views(solution, extraction, snapshots),
-        rejection_counts=rejection_counts(extraction),
-        rejections=[
+    template = _template()
+    page: dict[str, Any] = {
+        "verdict": verdict,
+        "checks": verdict.checks,
+        "numbers": _table_one(solution, extraction),
+        "refined": solution.refinement is not None,
+        "method": solution.method,
+        "head_frame": rig.chain.head_frame,
+        "camera_frame": reference_frame(rig.cameras),
+        "camera_side": rig.cameras.reference,
+        "rectified": rig.cameras.rectified,
+        "near_lock_deg": NEAR_LOCK_DEG,
+        "lock_deg": se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
+        "quaternion": se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
+        "linear": solution.linear,
+        "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
+        "noise": solution.uncertainty.noise if solution.uncertainty is not None else None,
+        "level_names": LEVEL_NAMES,
+        "outliers": solution.outliers,
+        "predicted": predicted_rows(solution),
+        "jackknife": jackknife_sentence(solution),
+        "extras": extra_rows(solution, extraction),
+        "evidence": evidence_rows(solution, extraction),
+        "scale": scale_sentence(solution.scale) if solution.scale is not None else "",
+        "logs_apart": log_rows(solution, extraction),
+        "nine": NINE,
+        "change": change,
+        "changes": change_rows(change),
+        "trial": trial,
+        "trial_rows": evaluation_rows(trial) if trial is not None else (),
+        "drift_rows": drift_rows(trial) if trial is not None else (),
+        "suggestions": suggestion_sentences(solution, extraction),
+        "error_mm": solution.point_rms_m * 1e3,
+        "linear_error_mm": solution.linear.point_rms_m * 1e3,
+        "predicted_mm": predicted_point_rms_m(extraction, solution) * 1e3,
+        "reprojection_px": solution.reprojection_rms_px,
+        "distance_m": board_distance_m(extraction),
+        "stations": len(extraction.observations),
+        "looked_at": stations_looked_at(extraction),
+        "least_stations": MIN_STATIONS,
+        "coverage": coverage(extraction),
+        "leg_views": overlays.leg_views(solution, extraction, snapshots),
+        "rejection_counts": rejection_counts(extraction),
+        "rejections": [
             (item.reason, item.detail, rejected_station(item, extraction), _moment(item.time_ns))
             for item in extraction.rejections[:_MOST_REJECTIONS]
         ],
-        rejections_hidden=max(0, len(extraction.rejections) - _MOST_REJECTIONS),
-        notes=extraction.notes,
-        motion=solution.motion,
-        counts=extraction.counts,
-        board=extraction.board,
-        sources=rig.sources,
-        settled_by=rig.settled_by,
-        settings=list(_flat(provenance.config)),
-        provenance=provenance,
+        "rejections_hidden": max(0, len(extraction.rejections) - _MOST_REJECTIONS),
+        "notes": extraction.notes,
+        "motion": solution.motion,
+        "counts": extraction.counts,
+        "board": extraction.board,
+        "sources": rig.sources,
+        "settled_by": rig.settled_by,
+        "settings": list(_flat(provenance.config)),
+        "provenance": provenance,
+    }
+    drawn = figures() if figures is not None else draw_figures(solution, extraction)
+    return template.render(
+        page,
+        figures={name: Markup(text) for name, text in drawn.named.items()},
+        paths=[(path, Markup(above), Markup(time)) for path, above, time in drawn.paths],
     )
 
 
@@ -150,42 +159,6 @@ def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any
             "std": "" if s is None else f"± {s:.{quantity.digits}f}",
         }
         for quantity, before, after, s in zip(QUANTITIES, linear, final, std, strict=True)
-    ]
-
-
-def _figures(solution: Solution, extraction: Extraction) -> Iterator[tuple[str, Any]]:
-    from markupsafe import Markup
-
-    drawn: dict[str, Callable[[], str]] = {
-        "wheels": lambda: plots.wheel_convergence(solution, extraction),
-        "nine": lambda: plots.all_convergence(solution, extraction),
-        "refinement": lambda: plots.refinement_convergence(solution),
-        "legs": lambda: plots.leg_residuals(solution, extraction),
-        "stations": lambda: plots.station_residuals(extraction),
-        "head": lambda: plots.head_angles(extraction),
-        "left": lambda: plots.picture_coverage(extraction, "left"),
-        "right": lambda: plots.picture_coverage(extraction, "right"),
-        "residual_left": lambda: residual_plots.picture_residuals(extraction, "left"),
-        "residual_right": lambda: residual_plots.picture_residuals(extraction, "right"),
-        "correlation": lambda: residual_plots.correlation_matrix(solution),
-    }
-    for name, draw in drawn.items():
-        # Markup: SVG made here; matplotlib has escaped every text in it.
-        yield name, Markup(draw()) if extraction.observations else Markup("")
-
-
-def _paths(solution: Solution, extraction: Extraction) -> list[tuple[str, Any, Any]]:
-    """Path, the way seen from above, and the residuals over time of each log."""
-    from markupsafe import Markup
-
-    logs = sorted({o.log for o in extraction.observations})[:_MOST_PATHS]
-    return [
-        (
-            extraction.logs[log].path,
-            Markup(plots.seen_from_above(solution, extraction, log)),
-            Markup(residual_plots.over_time(solution, extraction, log)),
-        )
-        for log in logs
     ]
 
 

@@ -1,0 +1,80 @@
+"""The report's figures, drawn by a second process that gets ready while the pictures are looked at."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from multiprocessing import get_context
+from types import TracebackType
+from typing import Self
+
+from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.pipeline.progress import Progress
+from mobilecal_cli.report import Figures, draw_figures
+
+_BEGINS_WITH = "looking for the board"  # by then the input is sound, and a few seconds are left
+
+
+def _get_ready() -> None:
+    """Load the plotting library: half of the time that the figures take."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401
+
+
+class Draughtsman:
+    """Draws on another core, if there is one; here, if not, or if that process fails.
+
+    Args:
+        jobs: processes that may be used, None for one a core.
+    """
+
+    def __init__(self, jobs: int | None) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._alone = (jobs or os.cpu_count() or 1) < 2
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def watching(self, progress: Progress) -> Progress:
+        """The same progress, at whose first picture the process is started."""
+
+        def told(stage: str, done: int, total: int | None) -> None:
+            progress(stage, done, total)
+            if stage == _BEGINS_WITH and self._pool is None and not self._alone:
+                self._start()
+
+        return told
+
+    def _start(self) -> None:
+        try:
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _get_ready)
+            self._pool.submit(int)  # a pool starts its process with the first task
+        except (OSError, NotImplementedError):
+            self._alone = True
+
+    def begin(self, solution: Solution, extraction: Extraction) -> Callable[[], Figures]:
+        """Begin with the figures of a report; what comes back waits until they are there."""
+        pool = self._pool
+        try:
+            future = None if pool is None else pool.submit(draw_figures, solution, extraction)
+        except (BrokenProcessPool, OSError):
+            future = None
+
+        def figures() -> Figures:
+            with suppress(BrokenProcessPool, OSError):
+                if future is not None:
+                    return future.result()
+            return draw_figures(solution, extraction)
+
+        return figures
