@@ -13,6 +13,7 @@ from mobilecal_cli.model import BoolArray, Camera, FloatArray
 
 _NEWTON_STEPS = 60
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
+_EXACT = 5e-16
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model takes its series
 
 
@@ -27,7 +28,7 @@ def _tilt(tau_x: float, tau_y: float) -> FloatArray:
 
 def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """plumb_bob, rational_polynomial: z = 1 coordinates (..., 2) → distorted, Jacobian (..., 2, 2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = np.pad(D, (0, 14 - len(D)))
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = (*D, *[0.0] * (14 - len(D)))
     x, y = np.ascontiguousarray(np.moveaxis(points, -1, 0))
     xx, yy, xy = x * x, y * y, x * y
     q = xx + yy
@@ -59,7 +60,7 @@ def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, 
 
 def _theta_distorted(D: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Equidistant model: angle to the axis, rad → radius in the z = 1 image, and its derivative."""
-    k1, k2, k3, k4 = np.pad(D, (0, 4 - len(D)))
+    k1, k2, k3, k4 = (*D, *[0.0] * (4 - len(D)))
     q = theta * theta
     radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
     return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))
@@ -141,7 +142,10 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
     points = target.copy()
     value, J = _distort_polynomial(D, points)
     error = np.linalg.norm(value - target, axis=-1)
+    exact = _EXACT * (1 + np.linalg.norm(target, axis=-1))
     for _ in range(_NEWTON_STEPS):
+        if np.all(error <= exact):  # what is left is rounding, which no step makes smaller
+            break
         determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
         residual = target - value
         step = (

@@ -97,7 +97,7 @@ def triangulate(
         At = np.swapaxes(A, 1, 2)
         step = np.linalg.solve(At @ A, At @ r)[..., 0]
         points = points + step
-        if np.all(np.abs(step) <= 1e-14 * np.abs(points[:, 2:])):
+        if np.all(np.abs(step) <= 1e-12 * np.abs(points[:, 2:])):
             break
     if np.any(depths(rig, points) <= 0):
         return behind
