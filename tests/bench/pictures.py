@@ -16,6 +16,9 @@ from tests.vision.scenes import opencv_pixels, painted, stereo_rig
 BOARD = Board(9, 6, 0.05)
 CAMERA = stereo_rig("raw").left
 _MARGIN_PX = 3.0
+_SUPERSAMPLE = (
+    10  # with 4, an edge's share of a pixel is a sixteenth off: as much as two grey levels of noise
+)
 _NEARER_SQUARES = 1.3  # the board's print reaches so far beyond its corners
 
 
@@ -107,7 +110,9 @@ def view(seed: int, blur_px: float | None = None) -> View:
     T = _pose(random)
     side = BOARD.square_m or 0.0
     light, dark = random.uniform(130, 225), random.uniform(15, 60)
-    picture = painted(CAMERA, T, BOARD, side, picture=clutter(random), dark=dark, light=light)
+    picture = painted(
+        CAMERA, T, BOARD, side, picture=clutter(random), dark=dark, light=light, supersample=_SUPERSAMPLE
+    )
     lens = random.uniform(0.5, 1.2) if blur_px is None else blur_px
     noise = random.uniform(1, 4)
     blurred = cv2.GaussianBlur(picture, (0, 0), lens, borderType=cv2.BORDER_REPLICATE)
