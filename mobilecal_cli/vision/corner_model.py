@@ -247,12 +247,12 @@ class _Fit:
 
 
 def _median(values: FloatArray) -> float:
-    """The upper median; `np.median` takes longer than a whole sort of so few."""
+    """The upper median; of so few values `np.median` takes eight times as long."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _inverse_2x2(matrices: FloatArray) -> FloatArray:
-    """(M, 2, 2) inverses; NumPy's take ten times as long for matrices as small as these."""
+    """(M, 2, 2) inverses, without a call of LAPACK for each."""
     a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
     determinant = a * d - b * c
     inverse = np.empty_like(matrices)
@@ -276,6 +276,11 @@ def fit_corners(
         Corner index = row * columns + column. A corner whose fit does not settle, leaves its place or lies on
         too few pixels keeps its start and is marked so.
     """
+    with np.errstate(all="ignore"):  # of a grid that is none anything may come; `fitted` says so
+        return _fitted(image, grid, outer_whole, look)
+
+
+def _fitted(image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | None) -> FittedCorners:
     fit = _Fit(image, grid, outer_whole, look or Look())
     for done in range(1, _MOST_ROUNDS + 1):
         last = fit.round()
