@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -139,7 +140,7 @@ def calibrate(
                 last=last,
                 force=force,
                 progress=progress,
-                jobs=jobs,
+                jobs=jobs or os.cpu_count() or 1,
             )
         if junit is not None:
             pipeline.write_junit(junit, str(logs[0]), result.verdict.checks, force)

@@ -124,7 +124,7 @@ def calibrate(
     last: Path | None = None,
     force: bool = False,
     progress: Progress = silent,
-    jobs: int | None = None,
+    jobs: int = 1,
 ) -> Calibration:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
 
@@ -140,7 +140,8 @@ def calibrate(
         last: params.yaml of this robot's last calibration, to compare with; the nominal values by default.
         force: replace an output directory that is there.
         progress: told how far it is.
-        jobs: processes that look at the pictures of a long log, None for one a core.
+        jobs: processes that may look at a long log's pictures and draw; more than one needs a main module that can be
+            imported without doing anything, as for `multiprocessing`.
 
     Raises:
         MobilecalError: see `errors`; nothing is written then.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -30,12 +29,12 @@ class Draughtsman:
     """Draws on another core, if there is one; here, if not, or if that process fails.
 
     Args:
-        jobs: processes that may be used, None for one a core.
+        jobs: processes that may be used.
     """
 
-    def __init__(self, jobs: int | None) -> None:
+    def __init__(self, jobs: int) -> None:
         self._pool: ProcessPoolExecutor | None = None
-        self._alone = (jobs or os.cpu_count() or 1) < 2
+        self._alone = jobs < 2
 
     def __enter__(self) -> Self:
         return self

@@ -64,7 +64,7 @@ def _see(
     config: RigConfig,
     flags: frozenset[str],
     board: Board | None,
-    jobs: int | None,
+    jobs: int,
     progress: Progress,
 ) -> Seen:
     progress("reading", 0, None)
@@ -147,7 +147,7 @@ def extract(
     config: RigConfig,
     flags: frozenset[str] = frozenset(),
     progress: Progress = silent,
-    jobs: int | None = None,
+    jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """Read recordings of one robot and find the board in their pictures.
 
@@ -159,7 +159,8 @@ def extract(
         config: see `config.load_rig`.
         flags: dotted keys that came from flags.
         progress: told how far it is.
-        jobs: processes that look at the pictures of a long log, None for one a core.
+        jobs: processes that may look at a long log's pictures and draw; more than one needs a main module that can be
+            imported without doing anything, as for `multiprocessing`.
 
     Raises:
         MobilecalError: see `errors`.

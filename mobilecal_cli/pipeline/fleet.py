@@ -141,7 +141,6 @@ def run_job(job: FleetJob) -> FleetRow:
             flags=job.flags,
             gates=job.gates,
             force=True,
-            jobs=1,  # the fleet has a process on each core
         )
         row = _row(job, calibration)
     except MobilecalError as error:

@@ -25,7 +25,7 @@ def load(
     config_path: Path | None,
     flags: Mapping[str, Any],
     progress: Progress,
-    jobs: int | None = None,
+    jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """Extract recordings, or take an extraction.npz of an earlier run as it is.
 

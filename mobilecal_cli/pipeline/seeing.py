@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -176,7 +175,7 @@ def look(
     scene: Scene,
     stations: Sequence[Station],
     thorough: bool,
-    jobs: int | None,
+    jobs: int,
     progress: Progress,
 ) -> tuple[list[Looks], list[Snapshot]]:
     """Look at every shot of every station.
@@ -186,7 +185,7 @@ def look(
         scene: cameras and board.
         stations: what to look at.
         thorough: how boards are searched for, see `vision.detect`.
-        jobs: processes that look, None for one a core. A few segments are looked at in this process.
+        jobs: processes that may look. A few segments are looked at in this one.
         progress: told about every picture.
 
     Returns:
@@ -198,7 +197,7 @@ def look(
     total = 2 * sum(len(station.shots) for station in stations)
     done = 0
     looks: list[Looks] = []
-    workers = min(jobs or os.cpu_count() or 1, len(segments) // 2)
+    workers = min(jobs, len(segments) // 2)
     steps = (
         in_processes(recording, scene, segments, workers)
         if workers > 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import subprocess
 import sys
 import time
@@ -34,7 +35,9 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
         if not began or began[-1][0] != stage:
             began.append((stage, time.perf_counter()))
 
-    pipeline.calibrate([log], out, flags={"stations": stations}, force=True, progress=progress)
+    pipeline.calibrate(
+        [log], out, flags={"stations": stations}, force=True, progress=progress, jobs=os.cpu_count() or 1
+    )
     began.append(("", time.perf_counter()))
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):
