@@ -84,7 +84,9 @@ def calibrate(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes that look at a long log's pictures and draw. [default: one a core]"),
+        typer.Option(
+            min=1, help="Processes that look at a long log's pictures and draw. [default: one a core]"
+        ),
     ] = None,
     setting: Settings = None,
     fix: Annotated[

@@ -26,6 +26,7 @@ from mobilecal_cli.vision import BoardFollower, Detection, Miss, identify_size, 
 
 SNAPSHOTS = 60  # pictures kept for the report, so that memory does not grow with the log
 SIZE_PICTURES = 8
+SIZE_VOTES = 3  # so many pictures that agree on the board's size are enough
 #: Pairs that are looked at in one go: the board is followed from picture to picture inside. The segments are the same
 #: however many processes there are, and so are the corners.
 SEGMENT_PAIRS = 250
@@ -118,7 +119,7 @@ def first_pictures(
 
 def board_size(recording: Recording, sources: Sources, stations: Sequence[Station]) -> tuple[int, int] | None:
     """The board's inner corners as a few pictures show them, None where they show none."""
-    return identify_size(first_pictures(recording, sources, stations)).size
+    return identify_size(first_pictures(recording, sources, stations), SIZE_VOTES).size
 
 
 def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:

@@ -13,7 +13,6 @@ from mobilecal_cli.vision.values import Detection
 
 # Corners that end the search for a grid to grow: with the first any will do, which is usually all of the board.
 _ENOUGH = (1, 10_000)
-_CLEAR = 3  # votes for one size, and none for another, that settle it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +31,16 @@ class SizeVote:
     pictures: int
 
 
-def identify_size(images: Iterable[GrayImage]) -> SizeVote:
+def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> SizeVote:
     """The board's size from a handful of pictures.
 
     In each picture a grid is grown from a few corners to the pattern's edge. It counts when the detector for
     boards of known size finds a board of that size too and lets it through its gate, which looks at whether the
-    pattern goes on. More than half of the counting pictures must agree; three that agree before any other is seen
-    are enough.
+    pattern goes on. More than half of the counting pictures must agree.
 
     Args:
         images: (height, width) grey pictures, some of which show the board.
+        enough: so many that agree, with none against them, settle it; None: all pictures are looked at.
     """
     votes: Counter[tuple[int, int]] = Counter()
     pictures = 0
@@ -50,7 +49,7 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
         size = _size_in(image)
         if size is not None:
             votes[size] += 1
-        if len(votes) == 1 and votes.total() == _CLEAR:
+        if len(votes) == 1 and votes.total() == enough:
             break
     leading = votes.most_common(1)
     size = leading[0][0] if leading and 2 * leading[0][1] > votes.total() else None
