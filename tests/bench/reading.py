@@ -16,6 +16,7 @@ from tests.bench.tables import table
 
 REPEATS = 5
 _JPEG, _CORES = "jpeg", 2
+_MEASURED = 100  # stations
 
 
 def decode_alone(path: Path, workers: int) -> float:
@@ -49,7 +50,7 @@ def decode_alone(path: Path, workers: int) -> float:
 
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
-    """Seconds to read the log and look for the board in every picture; to measure; and pictures that show it."""
+    """Seconds to read the log and look for the board in every picture; ms a station to measure; boards found."""
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
@@ -72,9 +73,9 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     )
     start = time.perf_counter()
     seen = Seen(rig, board, plan, looks, (), ())
-    for station, one in zip(plan.stations, looks, strict=True):
+    for station, one in zip(plan.stations[:_MEASURED], looks, strict=False):
         _observe(0, station, one, seen, board.square_m)
-    return seconds, time.perf_counter() - start, found
+    return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found
 
 
 def _once(what: str, path: Path, workers: int) -> dict[str, float]:
@@ -120,7 +121,7 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
         "read + decode (s)",
         "read + see (s)",
         "ratio",
-        "triangulate and pose, one core (s)",
+        "triangulate and pose (ms a station, one core)",
         "boards found",
     ]
     return (
