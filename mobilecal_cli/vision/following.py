@@ -96,6 +96,7 @@ class BoardFollower:
         self._seen: deque[tuple[int, Detection]] = deque(maxlen=2)
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
+        self._lost = False
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
         """The board in the next picture.
@@ -108,6 +109,8 @@ class BoardFollower:
         if board.markers is not None:
             return find_board(image, board)
         found: Detection | Miss | None = None
+        if self._lost and self._spots is not None and not self._spotted(image):
+            return self._nothing()
         look = self._seen[-1][1].look if self._seen else None
         if look is not None:
             found = follow(image, self._expected(time_ns), look, board.columns, board.rows)
@@ -116,6 +119,7 @@ class BoardFollower:
                 found = follow(image, self._carried(image), look, board.columns, board.rows)
         if not isinstance(found, Detection):
             found = self._search(image, found)
+        self._lost = not isinstance(found, Detection)
         if isinstance(found, Detection):
             self._seen.append((time_ns, found))
             self._last_image = image
@@ -138,17 +142,20 @@ class BoardFollower:
         moved = cv2.calcOpticalFlowPyrLK(self._last_image, image, last, last.copy(), winSize=_FLOW_WINDOW)[0]
         return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
 
+    def _spotted(self, image: GrayImage) -> bool:
+        """Whether as many spots as the board has corners are as strong as its corners may be."""
+        return self._spots is not None and spot_strength(image, self._board.corners) >= FAINTEST * self._spots
+
+    def _nothing(self) -> Miss:
+        return Miss("no board", f"fewer than {self._board.corners} spots look like corners of the board")
+
     def _search(self, image: GrayImage, lost: Miss | None) -> Detection | Miss:
-        count = self._board.corners
-        strength = None
-        if self._spots is not None:
-            strength = spot_strength(image, count)
-            if strength < FAINTEST * self._spots:
-                return lost or Miss("no board", f"fewer than {count} spots look like corners of the board")
+        if self._spots is not None and not self._lost and not self._spotted(image):
+            return lost or self._nothing()
         found = find_board(
             image, self._board, self._thorough, alone=not self._thorough and self._spots is not None
         )
         if isinstance(found, Detection):
-            strength = spot_strength(image, count) if strength is None else strength
+            strength = spot_strength(image, self._board.corners)
             self._spots = strength if self._spots is None else min(self._spots, strength)
         return found
