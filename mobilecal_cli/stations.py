@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,7 +172,8 @@ def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[
     speed = np.linalg.norm(rates, axis=1)
     # The slower half of every two seconds: sharp pictures, without leaving out a part of the log.
     bins = (times - times[0]) // (2 * _NS)
-    slow = np.array([s <= np.median(speed[bins == b]) for s, b in zip(speed, bins, strict=True)])
+    parts = np.split(speed, np.flatnonzero(np.diff(bins)) + 1)  # shots are in order of time
+    slow = np.concatenate([part <= np.median(part) for part in parts])
     spans = np.ptp(values, axis=0)
     features = values[slow] / np.where(spans > 0, spans, 1.0)
     picked = np.flatnonzero(slow)[_spread(features, count)]
@@ -186,18 +187,32 @@ def _fewer(shots: list[Shot]) -> list[Shot]:
     return [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
 
 
-def _station(
-    index: int, shots: list[Shot], joints: tuple[str, ...], signals: Signals, at_rest: bool
-) -> Station:
+def _stations(
+    moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
+) -> tuple[Station, ...]:
+    """The stations of some shots each, and whether they are at rest, in order of time."""
+    tracks = [signals.joints[name] for name in joints]
+    starts = np.array([shots[0].time_ns for shots, _ in moments], dtype=np.int64)
+    at_start, still = np.stack([track.at(starts) for track in tracks], axis=1), np.zeros(len(tracks))
+    return tuple(
+        Station(i, at_rest, tuple(shots), shots[0].time_ns, at_start[i], still)
+        if len(shots) == 1
+        else _rest(i, shots, tracks, at_rest)
+        for i, (shots, at_rest) in enumerate(moments)
+    )
+
+
+def _rest(index: int, shots: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
+    """A station of several shots: the mean of what is read from the first to the last."""
     times = np.array([shot.time_ns for shot in shots])
     mean, scatter = [], []
-    for name in joints:
-        track = signals.joints[name]
-        within = track.value[(track.time_ns >= times[0]) & (track.time_ns <= times[-1])]
+    for track in tracks:
+        begin = int(np.searchsorted(track.time_ns, times[0]))
+        within = track.value[begin : int(np.searchsorted(track.time_ns, times[-1], side="right"))]
         readings = within if len(within) >= 3 else track.at(times)
         mean.append(float(readings.mean()))
-        scatter.append(float(readings.std(ddof=1)) if len(readings) > 1 else 0.0)
-    time_ns = int(times[0] + np.mean(times - times[0]))
+        scatter.append(float(readings.std(ddof=1)))
+    time_ns = int(times[0]) + round(float(np.mean(times - times[0])))
     return Station(index, at_rest, tuple(shots), time_ns, np.array(mean), np.array(scatter))
 
 
@@ -260,9 +275,12 @@ def plan_stations(
     moments.sort(key=lambda moment: moment[0][0].time_ns)
     if not everything:
         moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-    stations = tuple(_station(i, run, joints, signals, at_rest) for i, (run, at_rest) in enumerate(moments))
     return Plan(
-        stations, wheels, tuple(signals.joints[name] for name in joints), tuple(rejections), tuple(notes)
+        _stations(moments, joints, signals),
+        wheels,
+        tuple(signals.joints[name] for name in joints),
+        tuple(rejections),
+        tuple(notes),
     )
 
 
@@ -302,12 +320,12 @@ def with_stamps(
     for (index, shot), ok in zip(placed, covered, strict=True):
         if ok:
             own.setdefault(index, []).append(shot)
-    stations = []
+    moments = []
     for station in plan.stations:
         shots = sorted(own.get(station.index, ()), key=lambda shot: shot.time_ns)
         if station.at_rest:
             shots = max(_rests(shots, channels), key=len, default=[])
         if shots:
-            stations.append(_station(0, shots, joints, signals, station.at_rest))
-    stations.sort(key=lambda station: station.time_ns)
-    return replace(plan, stations=tuple(replace(station, index=i) for i, station in enumerate(stations)))
+            moments.append((shots, station.at_rest))
+    moments.sort(key=lambda moment: moment[0][0].time_ns)
+    return replace(plan, stations=_stations(moments, joints, signals) if moments else ())

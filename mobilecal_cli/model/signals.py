@@ -28,12 +28,18 @@ class Track:
         freeze(self, value=(n,))
 
     def at(self, times_ns: IntArray) -> FloatArray:
-        """Values at some times, by linear interpolation; (n,) → (n,)."""
-        start = self.time_ns[0]
+        """Values at some times, by linear interpolation; (n,) → (n,).
+
+        Takes no longer on a long track: only the readings about those times are looked at.
+        """
+        if not len(times_ns):
+            return np.zeros(0)
+        begin = max(int(np.searchsorted(self.time_ns, times_ns.min())) - 1, 0)
+        end = int(np.searchsorted(self.time_ns, times_ns.max())) + 1
+        stamps, start = self.time_ns[begin:end], self.time_ns[begin]
         # Offsets from the start are small enough for float64 to hold every nanosecond.
-        offsets = (times_ns - start).astype(np.float64)
-        samples = (self.time_ns - start).astype(np.float64)
-        return np.asarray(np.interp(offsets, samples, self.value), dtype=np.float64)
+        offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
+        return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

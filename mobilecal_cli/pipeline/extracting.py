@@ -27,9 +27,10 @@ from mobilecal_cli.model import (
     Station,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.planning import plan_log
+from mobilecal_cli.pipeline.looking import Crew, look
+from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_log
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size, look
+from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
 from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
@@ -61,16 +62,18 @@ def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple
 
 def _see(
     recording: Recording,
+    crew: Crew,
     config: RigConfig,
     flags: frozenset[str],
     board: Board | None,
-    jobs: int,
     progress: Progress,
 ) -> Seen:
     progress("reading", 0, None)
     settled = settle_rig(config, read_prelude(recording), read_urdf(config), flags)
     rig = settled.rig
     everything = config.stations == "all"
+    if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
+        crew.call()
     plan, notes = _plan(recording, rig, everything)
     if board is None:
         progress("finding the board's size", 0, None)
@@ -83,7 +86,7 @@ def _see(
             )
         board = Board(*size, config.board.square_m)
     scene = Scene(rig.sources, rig.cameras, board)
-    looks, snapshots = look(recording, scene, plan.stations, not everything, jobs, progress)
+    looks, snapshots = look(crew, scene, plan.stations, not everything, progress)
     found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plan, board)
@@ -169,8 +172,8 @@ def extract(
     seen: list[Seen] = []
     sources: list[LogSource] = []
     for parts in join_parts(logs):
-        with open_recording(parts) as recording:
-            one = _see(recording, config, flags, board, jobs, progress)
+        with open_recording(parts) as recording, Crew(recording, jobs) as crew:
+            one = _see(recording, crew, config, flags, board, progress)
         board = one.board
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(

@@ -8,11 +8,15 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import get_context
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
-from mobilecal_cli.pipeline.seeing import Looks, Scene, Segment, look_at
+from mobilecal_cli.model import Snapshot, Station
+from mobilecal_cli.pipeline.progress import Progress
+from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
 
 #: So many segments of a process wait or are being looked at, so that results do not pile up.
@@ -24,22 +28,20 @@ Logged = dict[str, dict[int, int]]
 
 
 class _Here:
-    """What a process of the pool keeps from one segment to the next."""
+    """What a process of the crew keeps from one segment to the next."""
 
     resources = ExitStack()
     recording: Recording
-    scene: Scene
 
 
-def _begin(files: Sequence[Path], scene: Scene) -> None:
+def _begin(files: Sequence[Path]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command tells that it was interrupted
     _Here.recording = _Here.resources.enter_context(open_recording(files))
-    _Here.scene = scene
 
 
-def _look(segment: Segment, logged: Logged) -> tuple[list[Looks], tuple[str, ...]]:
+def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], tuple[str, ...]]:
     _Here.recording.logged = logged
-    *_, looks = look_at(_Here.recording, _Here.scene, segment)
+    *_, looks = look_at(_Here.recording, scene, segment)
     assert isinstance(looks, list)
     return looks, _Here.recording.damage
 
@@ -72,43 +74,105 @@ def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
     return logged
 
 
-def in_processes(
-    recording: Recording, scene: Scene, segments: Sequence[Segment], workers: int
-) -> Iterator[int | list[Looks]]:
-    """`look_at` for all segments, in their order, by several processes.
+class Crew:
+    """Processes that look at a long log's pictures.
 
-    Where processes cannot be started, or one dies, the segments that are left are looked at here.
+    Where they cannot be started, or one dies, the segments that are left are looked at in this one.
 
-    Yields:
-        How many pictures have been looked at since the last word, and one list a segment.
+    Args:
+        recording: one log, open.
+        jobs: so many processes may look.
     """
-    done = 0
-    try:
-        for looks, damage in _from_pool(recording, scene, segments, workers):
-            for note in damage:
-                recording.note(note)
-            yield sum(len(found) for one in looks for found in one.found.values())
-            yield looks
-            done += 1
-    except (BrokenProcessPool, OSError, NotImplementedError):
+
+    def __init__(self, recording: Recording, jobs: int) -> None:
+        self._recording, self._jobs = recording, jobs
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def call(self) -> None:
+        """Start them, if there may be more than one; they get ready while this one goes on."""
+        if self._pool is not None or self._jobs < 2:
+            return
+        files = [part.path for part in self._recording.parts]
+        with _one_thread_each():
+            # Spawned, not forked: a fork would copy locks that other threads hold.
+            self._pool = ProcessPoolExecutor(self._jobs, get_context("spawn"), _begin, (files,))
+            for _ in range(self._jobs):  # a process is started with each of the first tasks
+                self._pool.submit(int)
+
+    def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
+        """`seeing.look_at` for all segments, in their order.
+
+        Yields:
+            How many pictures have been looked at since the last word, and one list a segment.
+        """
+        done = 0
+        if min(self._jobs, len(segments) // 2) > 1:
+            with suppress(BrokenProcessPool, OSError, NotImplementedError):
+                for looks, damage in self._together(scene, segments):
+                    for note in damage:
+                        self._recording.note(note)
+                    yield sum(len(found) for one in looks for found in one.found.values())
+                    yield looks
+                    done += 1
         for segment in segments[done:]:
-            yield from look_at(recording, scene, segment)
+            yield from look_at(self._recording, scene, segment)
 
-
-def _from_pool(
-    recording: Recording, scene: Scene, segments: Sequence[Segment], workers: int
-) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
-    files = [part.path for part in recording.parts]
-    waiting: deque[Future[tuple[list[Looks], tuple[str, ...]]]] = deque()
-    # Spawned, not forked: a fork would copy locks that other threads hold.
-    with ProcessPoolExecutor(workers, get_context("spawn"), _begin, (files, scene)) as pool:
-        try:
-            for segment in segments:
-                with _one_thread_each():
-                    waiting.append(pool.submit(_look, segment, _logged(recording, scene, segment)))
-                if len(waiting) >= _AHEAD * workers:
-                    yield waiting.popleft().result()
-            while waiting:
+    def _together(
+        self, scene: Scene, segments: Sequence[Segment]
+    ) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
+        self.call()
+        assert self._pool is not None
+        waiting: deque[Future[tuple[list[Looks], tuple[str, ...]]]] = deque()
+        for segment in segments:
+            logged = _logged(self._recording, scene, segment)
+            waiting.append(self._pool.submit(_look, scene, segment, logged))
+            if len(waiting) >= _AHEAD * self._jobs:
                 yield waiting.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def look(
+    crew: Crew,
+    scene: Scene,
+    stations: Sequence[Station],
+    thorough: bool,
+    progress: Progress,
+) -> tuple[list[Looks], list[Snapshot]]:
+    """Look at every shot of every station.
+
+    Args:
+        crew: who looks. A few segments are looked at in this process.
+        scene: cameras and board.
+        stations: what to look at.
+        thorough: how boards are searched for, see `vision.detect`.
+        progress: told about every picture.
+
+    Returns:
+        One `Looks` a station, and JPEGs of some stations' first pictures.
+    """
+    segments = segments_of(stations, thorough)
+    total = 2 * sum(len(station.shots) for station in stations)
+    done = 0
+    looks: list[Looks] = []
+    for step in crew.look_at(scene, segments):
+        if isinstance(step, int):
+            done += step
+            progress("looking for the board", done, total)
+        else:
+            looks += step
+    snapshots = [
+        Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
+        for station, seen in zip(stations, looks, strict=True)
+        if all(side in seen.pictures for side in SIDES)
+    ]
+    return looks, snapshots

@@ -15,12 +15,10 @@ from mobilecal_cli.model import (
     Rejection,
     Shot,
     Side,
-    Snapshot,
     Sources,
     Station,
     StereoRig,
 )
-from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.readers import Recording, read_images
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, identify_size, snapshot_jpeg
 
@@ -30,7 +28,7 @@ SIZE_VOTES = 3  # so many pictures that agree on the board's size are enough
 #: Pairs that are looked at in one go: the board is followed from picture to picture inside. The segments are the same
 #: however many processes there are, and so are the corners.
 SEGMENT_PAIRS = 250
-_SIDES: tuple[Side, Side] = ("left", "right")
+SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(slots=True)
@@ -156,7 +154,7 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
         "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
     }
     looks = [Looks() for _ in stations]
-    followers = {side: BoardFollower(scene.board, segment.thorough) for side in _SIDES}
+    followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
     for side, stamp, picture in read_images(recording, scene.sources.image, wanted, scene.sources.layout):
         station = where[side][stamp]
         place = looks[station]
@@ -169,50 +167,3 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
         place.found[side][stamp] = followers[side].find(picture, stamp)
         yield 1
     yield looks
-
-
-def look(
-    recording: Recording,
-    scene: Scene,
-    stations: Sequence[Station],
-    thorough: bool,
-    jobs: int,
-    progress: Progress,
-) -> tuple[list[Looks], list[Snapshot]]:
-    """Look at every shot of every station.
-
-    Args:
-        recording: one log.
-        scene: cameras and board.
-        stations: what to look at.
-        thorough: how boards are searched for, see `vision.detect`.
-        jobs: processes that may look. A few segments are looked at in this one.
-        progress: told about every picture.
-
-    Returns:
-        One `Looks` a station, and JPEGs of some stations' first pictures.
-    """
-    from mobilecal_cli.pipeline.looking import in_processes  # pools are for long logs only
-
-    segments = segments_of(stations, thorough)
-    total = 2 * sum(len(station.shots) for station in stations)
-    done = 0
-    looks: list[Looks] = []
-    workers = min(jobs, len(segments) // 2)
-    steps = (
-        in_processes(recording, scene, segments, workers)
-        if workers > 1
-        else (step for segment in segments for step in look_at(recording, scene, segment))
-    )
-    for step in steps:
-        if isinstance(step, int):
-            done += step
-            progress("looking for the board", done, total)
-        else:
-            looks += step
-    snapshots = [
-        Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
-        for station, seen in zip(stations, looks, strict=True)
-        if all(side in seen.pictures for side in _SIDES)
-    ]
-    return looks, snapshots

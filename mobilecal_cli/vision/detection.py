@@ -87,7 +87,7 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
             "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
         )
     order, dark_at_origin = canonical(grid, polarity.dark_at_origin)
-    contrast = float(np.median(np.abs(fit.contrast_grey)))
+    contrast = fit.half_contrast_grey
     look = Look(fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole)
     return Detection(fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], look=look)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,11 +15,15 @@ from mobilecal_cli.vision.detection import FAINTEST, FLOOR_PX, MIN_EDGE_PX, roug
 from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
 from mobilecal_cli.vision.grid import fit_grid, smallest_edge_px
 from mobilecal_cli.vision.refinement import refine_once
-from mobilecal_cli.vision.spots import spot_strength
+from mobilecal_cli.vision.spots import has_spots, spot_strength
 from mobilecal_cli.vision.values import Detection, Look, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was going
+# A search costs as much as ten followed pictures: after the first that found nothing there is none for so long, after
+# the next for twice as long, and so on.
+_AGAIN_NS, _AGAIN_AT_LAST_NS = 350_000_000, 1_400_000_000
 _MARGIN_PX = 3.0
+_MORE = 1.5  # a board that comes into view brings spots so many times as strong
 _FLOW_WINDOW = (15, 15)
 _WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
 _FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
@@ -64,7 +69,7 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
         return Miss(
             "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
         )
-    contrast = float(np.median(np.abs(fit.contrast_grey))) * np.sign(look.contrast_grey)
+    contrast = np.copysign(fit.half_contrast_grey, look.contrast_grey)
     seen = Look(fit.blur_px, fit.noise_grey, float(contrast), look.outer_whole)
     return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, look=seen)
 
@@ -77,12 +82,28 @@ def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int)
     return all(bool(side.mean() >= _FEWEST) for side in sides)
 
 
+@dataclass(frozen=True, slots=True)
+class _Vain:
+    """The last search, where it found nothing.
+
+    Attributes:
+        time_ns: stamp of its picture.
+        wait_ns: how long there will be no other.
+        strength: of the spots in it.
+    """
+
+    time_ns: int
+    wait_ns: int
+    strength: float
+
+
 class BoardFollower:
     """Looks at the pictures of one camera in order of time.
 
     The board is expected where its corners were going in the last two pictures that showed it, at most half a second
     ago; where it is not there, to where the optical flow carried it. Else it is searched for; but once it is
-    known how strong its corners look in this light, not in pictures without as many spots of a tenth of that strength.
+    known how strong its corners look in this light, not in pictures without as many spots of a tenth of that strength,
+    and not soon after a search that found nothing, unless the spots have become much stronger since.
 
     Whether there is a second board is looked at where the board is searched for first, and in thorough searches.
 
@@ -97,6 +118,7 @@ class BoardFollower:
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
         self._lost = False
+        self._vain: _Vain | None = None
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
         """The board in the next picture.
@@ -105,24 +127,29 @@ class BoardFollower:
             image: (height, width) grey.
             time_ns: its stamp.
         """
-        board = self._board
-        if board.markers is not None:
-            return find_board(image, board)
-        found: Detection | Miss | None = None
-        if self._lost and self._spots is not None and not self._spotted(image):
+        if self._board.markers is not None:
+            return find_board(image, self._board)
+        if self._lost and not self._spotted(image):
             return self._nothing()
-        look = self._seen[-1][1].look if self._seen else None
-        if look is not None:
-            found = follow(image, self._expected(time_ns), look, board.columns, board.rows)
-            soon = 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS
-            if not isinstance(found, Detection) and soon and self._last_image.shape == image.shape:
-                found = follow(image, self._carried(image), look, board.columns, board.rows)
+        found = self._followed(image, time_ns)
         if not isinstance(found, Detection):
-            found = self._search(image, found)
+            found = self._searched(image, time_ns, found)
         self._lost = not isinstance(found, Detection)
         if isinstance(found, Detection):
             self._seen.append((time_ns, found))
             self._last_image = image
+        return found
+
+    def _followed(self, image: GrayImage, time_ns: int) -> Detection | Miss | None:
+        """The board where it is expected, None before it has been seen."""
+        look = self._seen[-1][1].look if self._seen else None
+        if look is None:
+            return None
+        columns, rows = self._board.columns, self._board.rows
+        found = follow(image, self._expected(time_ns), look, columns, rows)
+        soon = 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS
+        if not isinstance(found, Detection) and soon and self._last_image.shape == image.shape:
+            found = follow(image, self._carried(image), look, columns, rows)
         return found
 
     def _expected(self, time_ns: int) -> FloatArray:
@@ -143,19 +170,34 @@ class BoardFollower:
         return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
 
     def _spotted(self, image: GrayImage) -> bool:
-        """Whether as many spots as the board has corners are as strong as its corners may be."""
-        return self._spots is not None and spot_strength(image, self._board.corners) >= FAINTEST * self._spots
+        """Whether as many spots as the board has corners are as strong as its corners may be, as far as is known."""
+        return self._spots is None or has_spots(image, self._board.corners, FAINTEST * self._spots)
 
     def _nothing(self) -> Miss:
         return Miss("no board", f"fewer than {self._board.corners} spots look like corners of the board")
 
-    def _search(self, image: GrayImage, lost: Miss | None) -> Detection | Miss:
-        if self._spots is not None and not self._lost and not self._spotted(image):
+    def _too_soon(self, image: GrayImage, time_ns: int, vain: _Vain) -> bool:
+        """Whether a search is not worth while so soon after one that found nothing."""
+        waiting = 0 <= time_ns - vain.time_ns < vain.wait_ns
+        return waiting and not has_spots(image, self._board.corners, _MORE * vain.strength)
+
+    def _searched(self, image: GrayImage, time_ns: int, lost: Miss | None) -> Detection | Miss:
+        """The board wherever it is; where it was expected there was none."""
+        if not self._lost and not self._spotted(image):
             return lost or self._nothing()
+        vain = self._vain
+        if vain is not None and not self._thorough and self._too_soon(image, time_ns, vain):
+            return lost or Miss(
+                "no board", f"a search {(time_ns - vain.time_ns) / 1e9:.2f} s before found none"
+            )
         found = find_board(
             image, self._board, self._thorough, alone=not self._thorough and self._spots is not None
         )
-        if isinstance(found, Detection):
-            strength = spot_strength(image, self._board.corners)
-            self._spots = strength if self._spots is None else min(self._spots, strength)
+        strength = spot_strength(image, self._board.corners)
+        if not isinstance(found, Detection):
+            wait_ns = _AGAIN_NS if vain is None else min(2 * vain.wait_ns, _AGAIN_AT_LAST_NS)
+            self._vain = _Vain(time_ns, wait_ns, strength)
+            return found
+        self._vain = None
+        self._spots = strength if self._spots is None else min(self._spots, strength)
         return found

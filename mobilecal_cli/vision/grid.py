@@ -188,7 +188,8 @@ def fit_grid(grid: FloatArray) -> GridMap:
 
 def smallest_edge_px(grid: FloatArray) -> float:
     """Shortest distance between neighbouring corners of (rows, columns, 2), px."""
-    return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)))
+    along, down = grid[:, 1:] - grid[:, :-1], grid[1:] - grid[:-1]
+    return float(min(np.hypot(step[..., 0], step[..., 1]).min() for step in (along, down)))
 
 
 def right_handed(grid: FloatArray) -> FloatArray:

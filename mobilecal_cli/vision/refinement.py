@@ -16,7 +16,7 @@ _MIN_HALF, _MAX_HALF = 2, 11
 # 0.015 px rms) and takes a tenth off on noisy ones. Small squares stand less of it.
 _SMOOTHING = 0.075  # of the shortest edge
 _FINE = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
-_COARSE = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.02)
+_COARSE = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.05)
 _MIN_SMOOTHING_PX, _MAX_SMOOTHING_PX = 0.6, 0.9
 
 

@@ -55,18 +55,18 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
     from mobilecal_cli.pipeline.extracting import Seen, _observe, _plan
-    from mobilecal_cli.pipeline.seeing import Scene, look
+    from mobilecal_cli.pipeline.looking import Crew, look
+    from mobilecal_cli.pipeline.seeing import Scene
     from mobilecal_cli.readers import open_recording, read_prelude
     from mobilecal_cli.vision import Detection
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
-    with open_recording([path]) as recording:
+    with open_recording([path]) as recording, Crew(recording, jobs) as crew:
+        crew.call()
         rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
         plan, _ = _plan(recording, rig, everything=True)
-        looks, _ = look(
-            recording, Scene(rig.sources, rig.cameras, board), plan.stations, False, jobs, lambda *_: None
-        )
+        looks, _ = look(crew, Scene(rig.sources, rig.cameras, board), plan.stations, False, lambda *_: None)
     seconds = time.perf_counter() - start
     found = sum(
         isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()

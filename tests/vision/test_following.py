@@ -8,6 +8,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
+from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.following import follow
 from mobilecal_cli.vision.spots import spot_strength
 from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
@@ -39,11 +40,20 @@ def rms(off: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(off))))
 
 
+def counted_searches(monkeypatch) -> list[int]:
+    searches: list[int] = []
+
+    def counted(*args, **kwargs):
+        searches.append(1)
+        return find_board(*args, **kwargs)
+
+    monkeypatch.setattr("mobilecal_cli.vision.following.find_board", counted)
+    return searches
+
+
 def test_a_moving_board_is_followed_as_well_as_it_is_found(film, monkeypatch):
     follower = BoardFollower(BOARD, thorough=True)
-    searches = []
-    search = follower._search
-    monkeypatch.setattr(follower, "_search", lambda *args: searches.append(1) or search(*args))
+    searches = counted_searches(monkeypatch)
     followed, found = [], []
     for i, (image, truth) in enumerate(film):
         seen, cold = follower.find(image, i * STEP_NS), detect(image, 9, 6)
@@ -91,6 +101,18 @@ def test_a_hidden_board_is_lost_and_found_again(film):
     again = follower.find(film[4][0], 4 * STEP_NS)
     assert isinstance(again, Detection)
     assert rms(again.pixels - film[4][1]) < 0.02
+
+
+def test_searches_in_vain_become_rare_and_a_board_that_comes_is_seen_at_once(film, monkeypatch):
+    follower, searches = BoardFollower(BOARD, thorough=False), counted_searches(monkeypatch)
+    random = np.random.default_rng(4)
+    for i in range(20):
+        rough = np.clip(110 + random.normal(0, 12, (480, 640)), 0, 255).astype(np.uint8)
+        assert isinstance(follower.find(rough, 100_000_000 * i), Miss)
+    assert len(searches) == 3  # at 0, 0.4 and 1.1 s
+    again = follower.find(film[4][0], 2_000_000_000)
+    assert isinstance(again, Detection)
+    assert len(searches) == 4
 
 
 def test_half_a_board_is_no_board(film):
