@@ -114,11 +114,19 @@ def _reaches(
 ) -> tuple[Single, Single]:
     """How far windows reach on either side of each edge along its normal: (M, 2, 1) lower and upper ends, px."""
     area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
-    width = np.stack([area / np.hypot(*along.T), area / np.hypot(*down.T)], axis=1)
-    reach = np.full((*shape, 2, 2), _INNER_REACH)
+    width = np.empty((len(along), 2, 1), dtype=np.float32)
+    width[:, 0, 0], width[:, 1, 0] = area / np.hypot(*along.T), area / np.hypot(*down.T)
+    lower, upper = _shares(*shape, outer_whole)
+    return lower * width, upper * width
+
+
+@lru_cache(maxsize=16)
+def _shares(rows: int, columns: int, outer_whole: bool) -> tuple[Single, Single]:
+    """Lower and upper ends of the windows in units of the squares' width, (M, 2, 1)."""
+    reach = np.full((rows, columns, 2, 2), _INNER_REACH, dtype=np.float32)
     if not outer_whole:
         reach[0, :, 0, 0] = reach[-1, :, 0, 1] = reach[:, 0, 1, 0] = reach[:, -1, 1, 1] = _OUTER_REACH
-    ends = (reach.reshape(-1, 2, 2) * width[..., None]).astype(np.float32)
+    ends = reach.reshape(-1, 2, 2)
     return -ends[..., :1], ends[..., 1:]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -74,12 +75,18 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
     return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, look=seen)
 
 
-def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:
+@lru_cache(maxsize=16)
+def _colours(rows: int, columns: int) -> FloatArray:
+    """1 and -1 in turn."""
     j, i = np.indices((rows, columns))
-    strength = fit.contrast_grey.reshape(rows, columns) * np.where((i + j) % 2 == 0, 1, -1) / contrast_grey
+    return np.where((i + j) % 2 == 0, 1.0, -1.0)
+
+
+def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:
+    strength = fit.contrast_grey.reshape(rows, columns) * (_colours(rows, columns) / contrast_grey)
     good = fit.fitted.reshape(rows, columns) & (strength > _WEAKEST)
     sides = good[0], good[-1], good[:, 0], good[:, -1], good
-    return all(bool(side.mean() >= _FEWEST) for side in sides)
+    return all(np.count_nonzero(side) >= _FEWEST * side.size for side in sides)
 
 
 @dataclass(frozen=True, slots=True)
