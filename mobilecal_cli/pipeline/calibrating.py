@@ -157,6 +157,7 @@ def calibrate(
         require_stations(extraction)
         if method != "ml":
             require_observable(extraction)
+        draughtsman.begin_with(extraction)
         progress("solving", 0, None)
         solution = _solved(extraction, method, asked)
         nominal = extraction.rig.nominal.wheels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing import get_context
@@ -13,7 +13,7 @@ from typing import Self
 
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.pipeline.progress import Progress
-from mobilecal_cli.report import Figures, draw_figures
+from mobilecal_cli.report import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 
 _BEGINS_WITH = "looking for the board"  # by then the input is sound, and a few seconds are left
 
@@ -28,6 +28,8 @@ def _get_ready() -> None:
 class Draughtsman:
     """Draws on another core, if there is one; here, if not, or if that process fails.
 
+    A third process would take longer to get ready than it draws.
+
     Args:
         jobs: processes that may be used.
     """
@@ -35,6 +37,7 @@ class Draughtsman:
     def __init__(self, jobs: int) -> None:
         self._pool: ProcessPoolExecutor | None = None
         self._alone = jobs < 2
+        self._seen: Future[Drawn] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -43,7 +46,7 @@ class Draughtsman:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool.shutdown(cancel_futures=True)
 
     def watching(self, progress: Progress) -> Progress:
         """The same progress, at whose first picture the process is started."""
@@ -62,18 +65,28 @@ class Draughtsman:
         except (OSError, NotImplementedError):
             self._alone = True
 
+    def begin_with(self, extraction: Extraction) -> None:
+        """Begin with the figures of a report that need no solution."""
+        if self._pool is not None:
+            with suppress(BrokenProcessPool, OSError):
+                self._seen = self._pool.submit(draw_seen, extraction)
+
     def begin(self, solution: Solution, extraction: Extraction) -> Callable[[], Figures]:
-        """Begin with the figures of a report; what comes back waits until they are there."""
-        pool = self._pool
-        try:
-            future = None if pool is None else pool.submit(draw_figures, solution, extraction)
-        except (BrokenProcessPool, OSError):
-            future = None
+        """Begin with all that is left; what comes back waits until everything is there.
+
+        Args:
+            solution: the answer.
+            extraction: the one that `begin_with` was given.
+        """
+        seen, solved = self._seen, None
+        if self._pool is not None and seen is not None:
+            with suppress(BrokenProcessPool, OSError):
+                solved = self._pool.submit(draw_solved, solution, extraction)
 
         def figures() -> Figures:
             with suppress(BrokenProcessPool, OSError):
-                if future is not None:
-                    return future.result()
+                if seen is not None and solved is not None:
+                    return put_together({**seen.result(), **solved.result()}, extraction)
             return draw_figures(solution, extraction)
 
         return figures

@@ -34,7 +34,7 @@ from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
 from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
-from mobilecal_cli.vision import Detection, observe, settle_numbering
+from mobilecal_cli.vision import Detection, Measured, measure, settle_numbering, settle_square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,25 +108,20 @@ def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board)
         )
 
 
-def _observations(log: int, seen: Seen, square_m: float | None) -> tuple[list[Observation], list[Rejection]]:
-    observations, rejections = [], []
-    for station, looks in zip(seen.plan.stations, seen.looks, strict=True):
-        result = _observe(log, station, looks, seen, square_m)
-        if isinstance(result, Rejection):
-            rejections.append(result)
-        else:
-            observations.append(result)
-    return observations, rejections
+def measured(log: int, seen: Seen) -> list[Measured | Rejection]:
+    """The board at each station of a log, and the stations that do not show it."""
+    return [
+        _measured(log, station, looks, seen)
+        for station, looks in zip(seen.plan.stations, seen.looks, strict=True)
+    ]
 
 
-def _observe(
-    log: int, station: Station, looks: Looks, seen: Seen, square_m: float | None
-) -> Observation | Rejection:
+def _measured(log: int, station: Station, looks: Looks, seen: Seen) -> Measured | Rejection:
     left, right = looks.pairs(station.shots)
     if not left:
         detail = looks.rejections[0].detail if looks.rejections else "its pictures are not in the recording"
         return Rejection("readers", "pictures cannot be decoded", detail, station.time_ns, station.index)
-    return observe(log, station, left, right, seen.rig.cameras, seen.board, square_m)
+    return measure(log, station, left, right, seen.rig.cameras, seen.board)
 
 
 def board_of(config: RigConfig) -> Board | None:
@@ -189,22 +184,24 @@ def extract(
 
 def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:
     board, rig = seen[0].board, seen[0].rig
+    stations = [measured(log, one) for log, one in enumerate(seen)]
     square_m = board.square_m
     if square_m is None:
         # One board, one square: its size is what the stereo baseline gives over all stations.
-        sides = [o.square_m for log, one in enumerate(seen) for o in _observations(log, one, None)[0]]
+        sides = [m.square_m for of_log in stations for m in of_log if isinstance(m, Measured)]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []
-    for log, one in enumerate(seen):
-        found, missed = _observations(log, one, square_m)
-        observations += found
+    for log, (one, of_log) in enumerate(zip(seen, stations, strict=True)):
+        settled = [settle_square(m, square_m) if isinstance(m, Measured) else m for m in of_log]
+        observations += [item for item in settled if isinstance(item, Observation)]
         lost = (rejection for looks in one.looks for rejection in looks.rejections)
+        missed = (item for item in settled if isinstance(item, Rejection))
         rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
-        settled, unsettled = settle_numbering(observations, R_v_h, board)
-        observations, rejections = list(settled), [*rejections, *unsettled]
+        numbered, unsettled = settle_numbering(observations, R_v_h, board)
+        observations, rejections = list(numbered), [*rejections, *unsettled]
     wheels: tuple[WheelTrack, ...] = tuple(one.plan.wheels for one in seen)
     counts: dict[str, Any] = {
         "stations": sum(len(one.plan.stations) for one in seen),

@@ -4,7 +4,7 @@ from mobilecal_cli.report.changes import Change, change_checks, change_from_nomi
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
-from mobilecal_cli.report.drawn import Figures, draw_figures
+from mobilecal_cli.report.drawn import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
@@ -21,6 +21,7 @@ __all__ = [
     "MIN_STATIONS",
     "Change",
     "Check",
+    "Drawn",
     "Figures",
     "Verdict",
     "change_checks",
@@ -29,6 +30,8 @@ __all__ = [
     "comparison_json",
     "comparison_text",
     "draw_figures",
+    "draw_seen",
+    "draw_solved",
     "evaluated_figures",
     "evaluation_json",
     "evaluation_text",
@@ -44,6 +47,7 @@ __all__ = [
     "judge",
     "junit_error_xml",
     "junit_xml",
+    "put_together",
     "reference_frame",
     "reference_pose",
     "reference_std",

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report import plots, residual_plots
 
 _MOST_PATHS = 4  # logs that are drawn from above
+
+#: SVG elements by the figures' names.
+Drawn = Mapping[str, str]
+
+_OF_EXTRACTION: dict[str, Callable[[Extraction], str]] = {
+    "stations": plots.station_residuals,
+    "head": plots.head_angles,
+    "left": lambda extraction: plots.picture_coverage(extraction, "left"),
+    "right": lambda extraction: plots.picture_coverage(extraction, "right"),
+    "residual_left": lambda extraction: residual_plots.picture_residuals(extraction, "left"),
+    "residual_right": lambda extraction: residual_plots.picture_residuals(extraction, "right"),
+}
+_OF_SOLUTION: dict[str, Callable[[Solution, Extraction], str]] = {
+    "nine": plots.all_convergence,
+    "wheels": plots.wheel_convergence,
+    "refinement": lambda solution, _: plots.refinement_convergence(solution),
+    "legs": plots.leg_residuals,
+    "correlation": lambda solution, _: residual_plots.correlation_matrix(solution),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,34 +39,37 @@ class Figures:
         paths: of each log, its recording, the way seen from above, and the residuals over time.
     """
 
-    named: Mapping[str, str]
+    named: Drawn
     paths: tuple[tuple[str, str, str], ...]
+
+
+def draw_seen(extraction: Extraction) -> Drawn:
+    """Those figures that need no solution."""
+    seen = bool(extraction.observations)
+    return {name: draw(extraction) if seen else "" for name, draw in _OF_EXTRACTION.items()}
+
+
+def _logs(extraction: Extraction) -> Sequence[int]:
+    return sorted({o.log for o in extraction.observations})[:_MOST_PATHS]
+
+
+def draw_solved(solution: Solution, extraction: Extraction) -> Drawn:
+    """The other figures."""
+    seen = bool(extraction.observations)
+    drawn = {name: draw(solution, extraction) if seen else "" for name, draw in _OF_SOLUTION.items()}
+    for log in _logs(extraction):
+        drawn[f"above {log}"] = plots.seen_from_above(solution, extraction, log)
+        drawn[f"time {log}"] = residual_plots.over_time(solution, extraction, log)
+    return drawn
+
+
+def put_together(drawn: Drawn, extraction: Extraction) -> Figures:
+    """What was drawn, sorted by where the report shows it."""
+    named = {name: drawn[name] for name in (*_OF_SOLUTION, *_OF_EXTRACTION)}
+    paths = [(extraction.logs[i].path, drawn[f"above {i}"], drawn[f"time {i}"]) for i in _logs(extraction)]
+    return Figures(named, tuple(paths))
 
 
 def draw_figures(solution: Solution, extraction: Extraction) -> Figures:
     """Draw what the report shows."""
-    drawn: dict[str, Callable[[], str]] = {
-        "wheels": lambda: plots.wheel_convergence(solution, extraction),
-        "nine": lambda: plots.all_convergence(solution, extraction),
-        "refinement": lambda: plots.refinement_convergence(solution),
-        "legs": lambda: plots.leg_residuals(solution, extraction),
-        "stations": lambda: plots.station_residuals(extraction),
-        "head": lambda: plots.head_angles(extraction),
-        "left": lambda: plots.picture_coverage(extraction, "left"),
-        "right": lambda: plots.picture_coverage(extraction, "right"),
-        "residual_left": lambda: residual_plots.picture_residuals(extraction, "left"),
-        "residual_right": lambda: residual_plots.picture_residuals(extraction, "right"),
-        "correlation": lambda: residual_plots.correlation_matrix(solution),
-    }
-    logs = sorted({o.log for o in extraction.observations})[:_MOST_PATHS]
-    return Figures(
-        {name: draw() if extraction.observations else "" for name, draw in drawn.items()},
-        tuple(
-            (
-                extraction.logs[log].path,
-                plots.seen_from_above(solution, extraction, log),
-                residual_plots.over_time(solution, extraction, log),
-            )
-            for log in logs
-        ),
-    )
+    return put_together({**draw_seen(extraction), **draw_solved(solution, extraction)}, extraction)

@@ -8,7 +8,7 @@ from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import settle_numbering
-from mobilecal_cli.vision.observing import observe
+from mobilecal_cli.vision.observing import Measured, measure, settle_square
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
 from mobilecal_cli.vision.snapshot import snapshot_jpeg
 from mobilecal_cli.vision.stereo import triangulate
@@ -18,6 +18,7 @@ __all__ = [
     "BoardFollower",
     "BoardPose",
     "Detection",
+    "Measured",
     "Miss",
     "SizeVote",
     "StereoPoints",
@@ -26,8 +27,9 @@ __all__ = [
     "detect",
     "find_board",
     "identify_size",
-    "observe",
+    "measure",
     "settle_numbering",
+    "settle_square",
     "snapshot_jpeg",
     "square_from_points",
     "triangulate",

@@ -12,12 +12,11 @@ from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smalles
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.spots import spot_strength
-from mobilecal_cli.vision.values import Detection, Look, Miss
+from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
 
 _LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
 MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
 _SMALLEST_PICTURE = 64
-FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 #: Spots that are fainter than so much of a board's are none of another board in the same light.
 FAINTEST = 0.1
 _PAINTED = 1.2  # squares beyond the corners

@@ -12,12 +12,12 @@ import numpy as np
 from mobilecal_cli.model import Board, FloatArray, GrayImage
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners
-from mobilecal_cli.vision.detection import FAINTEST, FLOOR_PX, MIN_EDGE_PX, roughest_px
+from mobilecal_cli.vision.detection import FAINTEST, MIN_EDGE_PX, roughest_px
 from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
 from mobilecal_cli.vision.grid import fit_grid, smallest_edge_px
 from mobilecal_cli.vision.refinement import refine_once
 from mobilecal_cli.vision.spots import has_spots, spot_strength
-from mobilecal_cli.vision.values import Detection, Look, Miss
+from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was going
 # A search costs as much as ten followed pictures: after the first that found nothing there is none for so long, after

@@ -22,6 +22,7 @@ Reason = Literal[
     "board of another size",
     "left and right do not fit together",
 ]
+FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 
 
 @dataclass(frozen=True, slots=True)

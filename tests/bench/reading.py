@@ -9,6 +9,7 @@ import sys
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -54,11 +55,11 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.extracting import Seen, _observe, _plan
+    from mobilecal_cli.pipeline.extracting import Seen, _plan, measured
     from mobilecal_cli.pipeline.looking import Crew, look
     from mobilecal_cli.pipeline.seeing import Scene
     from mobilecal_cli.readers import open_recording, read_prelude
-    from mobilecal_cli.vision import Detection
+    from mobilecal_cli.vision import Detection, Measured, settle_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
@@ -72,9 +73,10 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
         isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()
     )
     start = time.perf_counter()
-    seen = Seen(rig, board, plan, looks, (), ())
-    for station, one in zip(plan.stations[:_MEASURED], looks, strict=False):
-        _observe(0, station, one, seen, board.square_m)
+    some = replace(plan, stations=plan.stations[:_MEASURED])
+    for item in measured(0, Seen(rig, board, some, looks[:_MEASURED], (), ())):
+        if isinstance(item, Measured):
+            settle_square(item, board.square_m)
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found
 
 

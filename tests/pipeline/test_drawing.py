@@ -20,20 +20,21 @@ def drawn():
     return solution, extraction, draw_figures(solution, extraction)
 
 
-def begin(draughtsman: Draughtsman) -> list[str]:
+def begin(draughtsman: Draughtsman, extraction) -> list[str]:
     told = []
     progress = draughtsman.watching(lambda stage, *_: told.append(stage))
     progress("reading", 0, None)
     assert draughtsman._pool is None
     progress("looking for the board", 1, 2)
     progress("looking for the board", 2, 2)
+    draughtsman.begin_with(extraction)
     return told
 
 
 def test_another_process_draws_the_same(drawn):
     solution, extraction, here = drawn
     with Draughtsman(2) as draughtsman:
-        assert begin(draughtsman) == ["reading", "looking for the board", "looking for the board"]
+        assert begin(draughtsman, extraction) == ["reading", "looking for the board", "looking for the board"]
         assert draughtsman._pool is not None
         there = draughtsman.begin(solution, extraction)()
     assert there == here
@@ -42,7 +43,7 @@ def test_another_process_draws_the_same(drawn):
 def test_one_job_is_this_process(drawn):
     solution, extraction, here = drawn
     with Draughtsman(1) as draughtsman:
-        begin(draughtsman)
+        begin(draughtsman, extraction)
         assert draughtsman._pool is None
         assert draughtsman.begin(solution, extraction)() == here
 
@@ -50,7 +51,7 @@ def test_one_job_is_this_process(drawn):
 def test_a_process_that_dies_is_no_loss(drawn):
     solution, extraction, here = drawn
     with Draughtsman(2) as draughtsman:
-        begin(draughtsman)
+        begin(draughtsman, extraction)
         assert draughtsman._pool is not None
         os.kill(draughtsman._pool.submit(os.getpid).result(), signal.SIGKILL)
         assert draughtsman.begin(solution, extraction)() == here
@@ -64,5 +65,5 @@ def test_where_no_process_can_be_started_all_is_drawn_here(drawn, monkeypatch):
 
     monkeypatch.setattr(drawing, "ProcessPoolExecutor", refused)
     with Draughtsman(2) as draughtsman:
-        begin(draughtsman)
+        begin(draughtsman, extraction)
         assert draughtsman.begin(solution, extraction)() == here

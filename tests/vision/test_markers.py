@@ -13,7 +13,8 @@ from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.scenario import PRINTED
 from mobilecal_cli.simulate.stereo import pixels
-from mobilecal_cli.vision import Detection, Miss, find_board, observe
+from mobilecal_cli.vision import Detection, Miss, find_board
+from tests.vision.test_observing import observe
 
 ROBOT = paper_robot()
 RIG = ROBOT.rig_cameras

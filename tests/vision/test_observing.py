@@ -10,7 +10,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera, Observation, Rejection, Shot, Station, StereoRig
-from mobilecal_cli.vision import Detection, Miss, detect, observe, snapshot_jpeg
+from mobilecal_cli.vision import Detection, Measured, Miss, detect, measure, settle_square, snapshot_jpeg
 from mobilecal_cli.vision.grid import turned
 from tests.vision.scenes import pose, render, seen, stereo_rig
 
@@ -34,6 +34,13 @@ def shots(
         [Detection(p + sigma_px * rng.standard_normal(p.shape), sigma_px) for _ in range(count)]
         for p in (left, right)
     )
+
+
+def observe(*seen: object) -> Observation | Rejection:
+    """What a station gives: of what `measure` takes, and a square's side, m."""
+    *pictures, square_m = seen
+    result = measure(*pictures)
+    return settle_square(result, square_m) if isinstance(result, Measured) else result
 
 
 def observed(result: Observation | Rejection) -> Observation:

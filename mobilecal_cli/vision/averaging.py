@@ -1,0 +1,86 @@
+"""The shots of a station: one numbering, how still they are, and their average."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli.model import Board, BoolArray, Corners, FloatArray
+from mobilecal_cli.vision.grid import fit_grid, scatter_px, turned, turns
+from mobilecal_cli.vision.values import FLOOR_PX, Detection, rms
+
+
+def turns_of(board: Board) -> tuple[int, ...]:
+    """Quarter turns that give the numberings which corners could have: one, where markers tell it."""
+    return (0,) if board.markers is not None else turns(board.columns, board.rows)
+
+
+def turned_board(values: FloatArray, board: Board, quarter_turns: int) -> FloatArray:
+    """Corner values (M, ...) numbered anew for a board that is turned by so many quarters."""
+    return turned(values, board.columns, board.rows, quarter_turns) if quarter_turns else values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shots:
+    """One camera's corners in the shots of a station.
+
+    Attributes:
+        pixels: (n, M, 2), all in one numbering.
+        seen: (n, M) the corners that were seen.
+        cov: (n, M, 2, 2) what each one's fit claims, px^2.
+    """
+
+    pixels: FloatArray
+    seen: BoolArray
+    cov: FloatArray
+
+    @classmethod
+    def of(cls, found: Sequence[Detection], board: Board) -> Shots:
+        """Each shot in the numbering nearest to the first shot's."""
+        pixels, cov = [], []
+        for d in found:
+            options = [(turned_board(d.pixels, board, k), k) for k in turns_of(board)]
+            nearest, turn = min(options, key=lambda option: float(np.sum((option[0] - found[0].pixels) ** 2)))
+            pixels.append(nearest)
+            cov.append(turned_board(d.cov, board, turn))
+        return cls(np.stack(pixels), np.stack([d.seen for d in found]), np.stack(cov))
+
+    def select(self, kept: BoolArray) -> Shots:
+        """Some of the shots."""
+        return Shots(self.pixels[kept], self.seen[kept], self.cov[kept])
+
+    @property
+    def drift_px(self) -> FloatArray:
+        """(n,) how far each shot's corners lie from the middle of all shots, rms per coordinate."""
+        measured = np.where(self.seen[..., None], self.pixels, np.nan)
+        anywhere = self.seen.any(axis=0)
+        off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
+        return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
+
+    def average(self, board: Board) -> Corners:
+        """Corners averaged over the shots, those that most shots show, with the noise of the average.
+
+        The noise is the scatter over the shots, pooled over the corners, divided by sqrt(n); but no less than what
+        the average's own roughness shows: errors of refinement that are the same in every shot do not average out.
+        What it is more than the fits claim, it is for all corners alike.
+        """
+        n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        weight = (self.seen & seen)[..., None]
+        mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
+        if board.markers is None:
+            roughness = fit_grid(mean.reshape(board.rows, board.columns, 2)).sigma_px
+        else:
+            roughness = rms(scatter_px(board.grid()[seen, :2], mean[seen]))
+        sigma_px = max(roughness, FLOOR_PX)
+        if n > 1:
+            freedom = max(2 * (int(weight.sum()) - int(seen.sum())), 1)
+            scatter = np.sqrt(np.sum(weight * (self.pixels - mean) ** 2) / freedom)
+            sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
+        times = np.maximum(weight.sum(axis=0), 1)[..., None]
+        claimed = np.sum(self.cov * weight[..., None], axis=0) / times**2
+        usual = float(np.median(np.trace(claimed[seen], axis1=1, axis2=2))) / 2
+        cov = claimed + max(sigma_px**2 - usual, 0.0) * np.eye(2)
+        sigma_px = max(sigma_px, float(np.sqrt(usual)))
+        return Corners(mean, sigma_px, n, seen, np.where(seen[:, None, None], cov / sigma_px**2, np.eye(2)))
