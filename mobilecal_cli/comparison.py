@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
@@ -77,7 +76,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     if known.any():
         x = change[known]
         chi2 = float(x @ np.linalg.lstsq(covariance[np.ix_(known, known)], x, rcond=None)[0])
-        chance = float(chdtrc(int(known.sum()), chi2))
+        chance = _chance(chi2, int(known.sum()))
     a, b = first.wheels, second.wheels
     right, left = b.radius_right_m / a.radius_right_m, b.radius_left_m / a.radius_left_m
     # A full turn on the spot by the first: each wheel rolls b_a / 2 times 2 pi, one of them backwards.
@@ -121,6 +120,13 @@ def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, 
     return a.observable & b.observable, a.covariance + b.covariance
 
 
+def _chance(chi2: float, freedom: int) -> float:
+    """That chance alone makes a sum of squares as large (Pearson's chi-squared test)."""
+    from scipy.special import chdtrc  # heavy, and whoever draws a report needs none of it
+
+    return float(chdtrc(freedom, chi2))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
     """One number over several calibrations.
@@ -154,5 +160,5 @@ def history(robots: Sequence[CalibratedRobot]) -> History:
         if known.sum() >= 2:
             weight = 1 / std[known, k] ** 2
             mean = np.average(change[known, k], weights=weight)
-            chance[k] = chdtrc(int(known.sum()) - 1, float(weight @ (change[known, k] - mean) ** 2))
+            chance[k] = _chance(float(weight @ (change[known, k] - mean) ** 2), int(known.sum()) - 1)
     return History(change, std, chance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -15,12 +17,15 @@ from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.report import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 
-_BEGINS_WITH = "looking for the board"  # by then the input is sound, and a few seconds are left
+#: By then the input is sound, and a few seconds are left.
+_BEGINS_WITH = ("finding the board's size", "looking for the board")
 
 
 def _get_ready() -> None:
     """Load the plotting library: half of the time that the figures take."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # To take the library's many objects down one by one would keep the command waiting for a third of a second.
+    atexit.register(os._exit, 0)
     import matplotlib.backends.backend_svg
     import matplotlib.figure  # noqa: F401
 
@@ -53,7 +58,7 @@ class Draughtsman:
 
         def told(stage: str, done: int, total: int | None) -> None:
             progress(stage, done, total)
-            if stage == _BEGINS_WITH and self._pool is None and not self._alone:
+            if stage in _BEGINS_WITH and self._pool is None and not self._alone:
                 self._start()
 
         return told
