@@ -24,6 +24,9 @@ _NEAR, _ROUNDING = (
     1e-12,
 )  # a step that would gain less than 1e-7, 0.0003 standard deviations, is not taken
 _CREEPING = 1e-6  # of the cost: a descent that still gains less than that after so many steps has arrived
+# Readings between which others are interpolated give the cost kinks along the clocks' offsets, on which a descent
+# would creep for long: it ends where steps gain less than this, and no longer ever less by leaps.
+_KINKED, _LEAP = 1e-4, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +139,14 @@ def terms_before(problem: Problem, state: State, selection: Selection, noise: No
     return terms_at(problem, state, selection, noise, covariance)
 
 
+def _creeps(history: list[float]) -> bool:
+    """Whether the last two steps gained little, and the last not much less than the one before."""
+    if len(history) < 3:
+        return False
+    before, last = history[-3] - history[-2], history[-2] - history[-1]
+    return last < _KINKED and last > _LEAP * before
+
+
 def descend(start: Terms, ties: Ties) -> Optimum:
     """Minimise the sum of squares of everything that is believed.
 
@@ -178,10 +189,11 @@ def descend(start: Terms, ties: Ties) -> Optimum:
             terms, state, cost = ahead, trial, trial_cost
             history.append(cost)
             arrived |= len(history) > _MAX_STEPS and history[-2] - cost < _CREEPING * cost
+            arrived |= _creeps(history)
             damping = damping / 10 if damping > 1e-9 and not arrived else 0.0
         else:
             damping = max(damping * 10, 1e-6)
-            if damping > _LARGEST_DAMPING:
+            if damping > _LARGEST_DAMPING or gain < _KINKED:
                 arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(cost)
         system = eliminated(terms, damping)
