@@ -1,4 +1,4 @@
-"""Which measurements are believed: what is left out, what is taken back, one by one."""
+"""Which measurements are believed: what is left out, what is taken back, one by one (in long logs a few at a time)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any sound measurement of a kind is looked at more closely
 _FEWEST_VIEWS = 4
+# In a log of so many stations two measurements of a kind are judged at once, in one of twice as many three, ...: so
+# that the rounds do not grow with the log. They lie so many stations apart that neither is blamed for the other.
+_STATIONS_EACH, _APART = 100, 5
 _LOUD = 4.0  # noise this many times (in variance) above what is supposed makes a consensus worth its time
 
 
@@ -97,16 +100,28 @@ class Decisions:
             return replace(selection, views=views, readings=readings)
         return None
 
-    def _candidates(self, fit: Fit) -> list[tuple[float, str, tuple[int, ...]]]:
-        """Believed measurements that stand out, the most striking first: (by how much, kind, index)."""
+    def _candidates(self, fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
+        """Believed measurements that stand out, of each kind the most striking: (by how much, kind, indices)."""
         stats = believed_statistics(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
         found = []
         for kind, dof in _DEGREES.items():
             values = getattr(stats, kind)
-            at = np.unravel_index(int(np.argmax(values)), values.shape)
             usual = float(chdtri(dof, _STRIKING / values.size))
-            found.append((float(values[at]) / usual, kind, tuple(int(k) for k in at)))
-        return sorted((item for item in found if item[0] > 1), reverse=True)
+            places = self._most_striking(values / usual)
+            if places:
+                found.append((float(values[places[0]]) / usual, kind, places))
+        return sorted(found, reverse=True)
+
+    def _most_striking(self, strength: FloatArray) -> list[tuple[int, ...]]:
+        """Indices of the largest values above 1, far from one another; one, but for long logs."""
+        most, places = 1 + self.problem.stations // _STATIONS_EACH, list[tuple[int, ...]]()
+        striking = np.argwhere(strength > 1)
+        for at in striking[np.argsort(-strength[strength > 1], kind="stable")]:
+            if len(places) == most:
+                break
+            if all(abs(at[0] - other[0]) > _APART for other in places):
+                places.append(tuple(int(k) for k in at))
+        return places
 
     def _at_peace(self, fit: Fit) -> bool:
         """Whether nothing that is believed stands out, at the present noise."""
@@ -117,22 +132,20 @@ class Decisions:
             for kind, dof in _DEGREES.items()
         )
 
-    def _external(self, fit: Fit, kind: str, at: tuple[int, ...]) -> float:
-        """How far beyond its limit a measurement is that a fit does not believe; the noise is that of the others."""
+    def _external(self, fit: Fit, kind: str) -> FloatArray:
+        """How far beyond its limit each measurement is that a fit does not believe; the noise is that of the others."""
         count = self.problem.stations
         wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
         if kind == "legs":
-            statistic = doubted_legs(fit.optimum, fit.marginal)[at]
+            statistic = doubted_legs(fit.optimum, fit.marginal)
             redundancy = self._known_by("wheel_rad_per_sqrt_rad", wheels.redundancy)
         elif kind == "views":
-            statistic = doubted_views(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)[0][
-                at
-            ]
+            statistic, _ = doubted_views(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
             redundancy = self._known_by("joint_rad", wheels.redundancy + joints.redundancy)
         else:
-            statistic = doubted_readings(fit.optimum, fit.marginal, fit.noise)[at]
+            statistic = doubted_readings(fit.optimum, fit.marginal, fit.noise)
             redundancy = self._known_by("joint_rad", joints.redundancy)
-        return float(statistic) / limit(count, _DEGREES[kind], redundancy)
+        return np.asarray(statistic / limit(count, _DEGREES[kind], redundancy))
 
     def _known_by(self, level: str, redundancy: float) -> float:
         """How many residuals a noise level rests on: very many where it is given."""
@@ -163,28 +176,40 @@ class Decisions:
         return None
 
     def decided(self, fit: Fit) -> Fit | None:
-        """One more measurement taken back or left out; None where all is well."""
+        """Measurements taken back or left out; None where all is well."""
         selection = fit.selection
         wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
         back = self._view_back(fit, self._known_by("joint_rad", wheels.redundancy + joints.redundancy))
         if back is not None:
-            return self._fitter.levelled(self._fitter.fit(fit.optimum.state, back, fit.noise), ROUGH)
-        for leg in np.flatnonzero(~selection.legs):
-            if self._external(fit, "legs", (int(leg),)) < 1:
-                legs = selection.legs.copy()
-                legs[leg] = True
-                again = self._fitter.fit(fit.optimum.state, replace(selection, legs=legs), fit.noise)
-                return self._fitter.levelled(again, ROUGH)
-        for _, kind, at in self._candidates(fit):
-            believed = getattr(selection, kind).copy()
-            believed[at] = False
-            changed = replace(selection, **{kind: believed})
-            if changed.views.sum() < _FEWEST_VIEWS:
+            return self._levelled(fit, back)
+        if not selection.legs.all():
+            agreeing = np.flatnonzero(~selection.legs & (self._external(fit, "legs") < 1))
+            if len(agreeing):
+                return self._levelled(fit, _changed(selection, "legs", [(int(agreeing[0]),)], believed=True))
+        for _, kind, places in self._candidates(fit):
+            without = _changed(selection, kind, places, believed=False)
+            if without.views.sum() < _FEWEST_VIEWS:
                 continue
             try:
-                trial = self._fitter.levelled(self._fitter.fit(fit.optimum.state, changed, fit.noise), ROUGH)
+                trial = self._levelled(fit, without)
+                beyond = self._external(trial, kind)
+                wrong = [at for at in places if beyond[at] > 1]
+                if wrong and len(wrong) < len(places):
+                    trial = self._levelled(trial, _changed(selection, kind, wrong, believed=False))
             except SolveError:
-                continue  # without it the rest hangs on too little
-            if self._external(trial, kind, at) > 1:
+                continue  # without them the rest hangs on too little
+            if wrong:
                 return trial
         return None
+
+    def _levelled(self, fit: Fit, selection: Selection) -> Fit:
+        """A fit of another selection, from where an earlier one ended."""
+        return self._fitter.levelled(self._fitter.fit(fit.optimum.state, selection, fit.noise), ROUGH)
+
+
+def _changed(selection: Selection, kind: str, places: list[tuple[int, ...]], believed: bool) -> Selection:
+    """The selection with some measurements of a kind believed, or not."""
+    values = getattr(selection, kind).copy()
+    for at in places:
+        values[at] = believed
+    return replace(selection, **{kind: values})

@@ -14,6 +14,7 @@ from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import asked_of, solve
+from mobilecal_cli.solvers.decisions import Decisions
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import errors, spoiled
 
@@ -22,8 +23,9 @@ NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
 GIVEN = KnownNoise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.05)))
 
 
-def extraction_of(motion="standard", seed=1, noise=NOISE, **more):
-    return ideal_extraction(ROBOT, plan_route(ROBOT, motion, seed=seed), noise, seed, **more)
+def extraction_of(motion="standard", seed=1, noise=NOISE, stations=12, **more):
+    route = plan_route(ROBOT, motion, stations=stations, seed=seed)
+    return ideal_extraction(ROBOT, route, noise, seed, **more)
 
 
 def with_noise(extraction, known=GIVEN):
@@ -219,6 +221,20 @@ def test_a_wrong_joint_reading_is_named(noisy):
     found = solve(replace(noisy, observations=tuple(seen)))
     assert [(o.kind, o.observations) for o in found.outliers] == [("joint", (5,))]
     assert "off by +2.8" in found.outliers[0].text or "off by +2.9" in found.outliers[0].text
+
+
+def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
+    log = with_noise(extraction_of(stations=220))
+    seen, wrong = list(log.observations), (20, 55, 90, 125, 160, 195)
+    for at in wrong:
+        joints = seen[at].joints.copy()
+        joints[3] += 0.008  # nine sigma
+        seen[at] = replace(seen[at], joints=joints)
+    rounds, decided = [], Decisions.decided
+    monkeypatch.setattr(Decisions, "decided", lambda self, fit: rounds.append(1) or decided(self, fit))
+    fit = maximum_likelihood(replace(log, observations=tuple(seen)))
+    assert [tuple(at) for at in np.argwhere(~fit.selection.readings)] == [(at, 3) for at in wrong]
+    assert len(rounds) == 3  # three, three, and nothing more
 
 
 def test_gross_corners_are_left_out_without_their_station(noisy, solution):
