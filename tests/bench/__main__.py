@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
@@ -24,29 +25,28 @@ matters is a ratio of two things measured side by side in one run, the median of
 
 
 class _Data:
-    """The recordings that several tables need, made when the first one asks."""
+    """The recordings that several tables need, made when the first one asks, in a folder that may hold them already."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._made: dict[str, Path] = {}
 
     def _mono8(self) -> Path:
-        if "mono8" not in self._made:
-            self._made["mono8"] = simulated(self.folder, _STATIONS)
-        return self._made["mono8"]
+        path = self.folder / "moving.mcap"
+        return path if path.exists() else simulated(path, _STATIONS)
+
+    def _transcoded(self, name: str, kind: str, *, hide: bool) -> Path:
+        path, part = self.folder / name, self.folder / f"{name}.part"
+        if not path.exists():
+            transcoded(self._mono8(), part, kind, hide).rename(path)
+        return path
 
     def hidden(self, kind: str) -> Path:
         """The moving log, the board hidden for a third of the time."""
-        name = f"hidden_{kind}.mcap"
-        if name not in self._made:
-            self._made[name] = transcoded(self._mono8(), self.folder / name, kind, hide=True)
-        return self._made[name]
+        return self._transcoded(f"hidden_{kind}.mcap", kind, hide=True)
 
     def open(self) -> Path:
         """The moving log as JPEGs, the board always in view."""
-        if "open" not in self._made:
-            self._made["open"] = transcoded(self._mono8(), self.folder / "open.mcap", "jpeg", hide=False)
-        return self._made["open"]
+        return self._transcoded("open.mcap", "jpeg", hide=False)
 
 
 def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
@@ -75,9 +75,17 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
 
 def main() -> None:
     """All sections, or those that are named; the page is written only when all were measured."""
-    with tempfile.TemporaryDirectory() as folder:
-        sections = _sections(_Data(Path(folder)))
-        wanted = sys.argv[1:] or list(sections)
+    parser = argparse.ArgumentParser(prog="python -m tests.bench", description=main.__doc__)
+    parser.add_argument("sections", nargs="*", help="reading, commands, corners, effect, growth, solvers")
+    parser.add_argument(
+        "--data", type=Path, help="folder to keep the recordings in, and to take them from again"
+    )
+    asked = parser.parse_args()
+    with ExitStack() as stack:
+        folder = asked.data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(parents=True, exist_ok=True)
+        sections = _sections(_Data(folder))
+        wanted = asked.sections or list(sections)
         text = f"{_INTRODUCTION}{conditions()}, OpenCV {cv2.__version__}\n"
         print(text, flush=True)
         for name in wanted:

@@ -22,7 +22,7 @@ from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import DEGREES_MM, HEADER, JOINT_RAD, WHEEL, errors, map_runs, route_of, row
 
-STATIONS, RUNS, RUNS_PER_ROUTE = 12, 80, 10
+STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
 _SHAPE = (6, 9, 2)
 

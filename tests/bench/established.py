@@ -126,7 +126,11 @@ def table(repeats: int = 5) -> str:
     timed is building the problem and solving it, from the same measurements and the same linear start. Growth of
     memory over what the start takes, relative differences of cost and of the nine numbers: in the order of `SOLVERS`, or of mobilecal to each.
     """
-    return "\n".join([HEADER, *(row(stations, min(repeats, most)) for stations, most in SIZES.items())])
+    rows = []
+    for stations, most in SIZES.items():
+        rows.append(row(stations, min(repeats, most)))
+        print(rows[-1], file=sys.stderr, flush=True)  # the last takes a quarter of an hour
+    return "\n".join([HEADER, *rows])
 
 
 def main() -> None:

@@ -73,9 +73,8 @@ class Output:
         self._stream.close()
 
 
-def simulated(folder: Path, stations: int) -> Path:
+def simulated(path: Path, stations: int) -> Path:
     """A moving log with the board always in view, three seconds a station, ten stereo pairs a second, mono8."""
-    path = folder / "moving.mcap"
     simulate(Scenario(motion="moving", stations=stations, pictures="mono8", seed=3), path, force=True)
     return path
 
