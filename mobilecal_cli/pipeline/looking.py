@@ -97,15 +97,20 @@ class Crew:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def call(self) -> None:
-        """Start them, if there may be more than one; they get ready while this one goes on."""
-        if self._pool is not None or self._jobs < 2:
+    def call(self, most: int | None = None) -> None:
+        """Start them, if there may be more than one; they get ready while this one goes on.
+
+        Args:
+            most: so many at most have something to do; not known by default.
+        """
+        processes = min(self._jobs, self._jobs if most is None else most)
+        if self._pool is not None or processes < 2:
             return
         files = [part.path for part in self._recording.parts]
-        with _one_thread_each():
+        with suppress(BrokenProcessPool, OSError, NotImplementedError), _one_thread_each():
             # Spawned, not forked: a fork would copy locks that other threads hold.
-            self._pool = ProcessPoolExecutor(self._jobs, get_context("spawn"), _begin, (files,))
-            for _ in range(self._jobs):  # a process is started with each of the first tasks
+            self._pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin, (files,))
+            for _ in range(processes):  # a process is started with each of the first tasks
                 self._pool.submit(int)
 
     def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
@@ -115,9 +120,10 @@ class Crew:
             How many pictures have been looked at since the last word, and one list a segment.
         """
         done = 0
-        if min(self._jobs, len(segments) // 2) > 1:
-            with suppress(BrokenProcessPool, OSError, NotImplementedError):
-                for looks, damage in self._together(scene, segments):
+        self.call(len(segments) // 2)
+        if self._pool is not None and len(segments) > 1:
+            with suppress(BrokenProcessPool, OSError):
+                for looks, damage in self._together(self._pool, scene, segments):
                     for note in damage:
                         self._recording.note(note)
                     yield sum(len(found) for one in looks for found in one.found.values())
@@ -127,14 +133,12 @@ class Crew:
             yield from look_at(self._recording, scene, segment)
 
     def _together(
-        self, scene: Scene, segments: Sequence[Segment]
+        self, pool: ProcessPoolExecutor, scene: Scene, segments: Sequence[Segment]
     ) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
-        self.call()
-        assert self._pool is not None
         waiting: deque[Future[tuple[list[Looks], tuple[str, ...]]]] = deque()
         for segment in segments:
             logged = _logged(self._recording, scene, segment)
-            waiting.append(self._pool.submit(_look, scene, segment, logged))
+            waiting.append(pool.submit(_look, scene, segment, logged))
             if len(waiting) >= _AHEAD * self._jobs:
                 yield waiting.popleft().result()
         while waiting:

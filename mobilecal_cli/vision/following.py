@@ -125,7 +125,7 @@ class BoardFollower:
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
         self._lost = False
-        self._vain: _Vain | None = None
+        self._vain: _Vain | None = None  # and the board has not been seen since
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
         """The board in the next picture.
@@ -144,7 +144,7 @@ class BoardFollower:
         self._lost = not isinstance(found, Detection)
         if isinstance(found, Detection):
             self._seen.append((time_ns, found))
-            self._last_image = image
+            self._last_image, self._vain = image, None
         return found
 
     def _followed(self, image: GrayImage, time_ns: int) -> Detection | Miss | None:
@@ -205,6 +205,5 @@ class BoardFollower:
             wait_ns = _AGAIN_NS if vain is None else min(2 * vain.wait_ns, _AGAIN_AT_LAST_NS)
             self._vain = _Vain(time_ns, wait_ns, strength)
             return found
-        self._vain = None
         self._spots = strength if self._spots is None else min(self._spots, strength)
         return found

@@ -17,6 +17,8 @@ from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 
+EXTRACTING = sys.modules["mobilecal_cli.pipeline.extracting"]  # the package's `extract` is the function in it
+
 
 def station(index: int, shots: int) -> Station:
     times = [1000 * index + i for i in range(shots)]
@@ -62,8 +64,14 @@ def same(a, b) -> bool:
     )
 
 
-def test_processes_see_what_one_sees(log, monkeypatch):
+@pytest.fixture(params=[True, False], ids=["called early", "called when needed"])
+def segmented(request, monkeypatch) -> None:
+    """A short log is cut into several segments; the crew is called before or after the log is planned."""
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
+
+
+def test_processes_see_what_one_sees(log, segmented):
     alone, shown = everything(log, 1)
     assert len(alone.observations) > 40
     assert not any(o.at_rest for o in alone.observations)
@@ -73,8 +81,7 @@ def test_processes_see_what_one_sees(log, monkeypatch):
     assert [s.left_jpeg for s in shown] == [s.left_jpeg for s in shown_together]
 
 
-def test_where_processes_cannot_be_started_this_one_looks(log, monkeypatch):
-    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkeypatch):
     alone, _ = everything(log, 1)
 
     def refused(*_args, **_kwargs):
@@ -86,10 +93,7 @@ def test_where_processes_cannot_be_started_this_one_looks(log, monkeypatch):
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
-    extracting = sys.modules[
-        "mobilecal_cli.pipeline.extracting"
-    ]  # the package's `extract` is the function in it
-    settle = extracting.settle_rig
+    settle = EXTRACTING.settle_rig
 
     def other_size(*args):
         settled = settle(*args)
@@ -97,7 +101,7 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
         left = replace(rig.cameras.left, width=641)
         return replace(settled, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
 
-    monkeypatch.setattr(extracting, "settle_rig", other_size)
+    monkeypatch.setattr(EXTRACTING, "settle_rig", other_size)
     with pytest.raises(RecordingError, match="the left pictures are 640 x 480") as raised:
         everything(log, 2)
     assert raised.value.hint
