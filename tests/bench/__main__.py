@@ -69,7 +69,12 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
             "## Cost against length\n\nA moving log of JPEGs that is played to and fro, ten stereo pairs a second.\n",
             lambda: growth.main(data.open(), data.folder),
         ),
-        "solvers": ("## The solver beside Ceres and GTSAM\n", established.table),
+        "solvers": (
+            "## The solver beside Ceres and GTSAM\n\n"
+            "The same likelihood, start and tolerances; costs and derivatives of both others are Python callbacks, which take "
+            "most of their time.\n",
+            established.table,
+        ),
     }
 
 

@@ -315,6 +315,9 @@ def main(views: int = VIEWS) -> str:
         [
             f"Root-mean-square error of one coordinate; {views} pictures drawn at random, those with squares of 7 px and more.\n",
             accuracy(views),
+            "The bound knows nothing of the light; the fit takes its gradient to be what it is over the board, and may lie a little "
+            "below for small squares. The row of blur 2.0 px holds boards whose squares are narrower than what the blur spreads "
+            "over; the gate refuses those, here they were fitted all the same.\n",
             f"Detectors on the same pictures with squares of 7 px and more, and on {EMPTY} without a board. The error is that "
             "of the boards found; ms are processor time, medians.\n",
             detectors(views),
