@@ -6,14 +6,11 @@ import atexit
 import os
 import signal
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future
 from contextlib import suppress
-from multiprocessing import get_context
-from types import TracebackType
-from typing import Self
 
 from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.pipeline.processes import FAILED, Processes
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.report import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 
@@ -30,7 +27,7 @@ def _get_ready() -> None:
     import matplotlib.figure  # noqa: F401
 
 
-class Draughtsman:
+class Draughtsman(Processes):
     """Draws on another core, if there is one; here, if not, or if that process fails.
 
     A third process would take longer to get ready than it draws.
@@ -40,41 +37,26 @@ class Draughtsman:
     """
 
     def __init__(self, jobs: int) -> None:
-        self._pool: ProcessPoolExecutor | None = None
-        self._alone = jobs < 2
+        super().__init__()
+        self._wanted = jobs > 1
         self._seen: Future[Drawn] | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
 
     def watching(self, progress: Progress) -> Progress:
         """The same progress, at whose first picture the process is started."""
 
         def told(stage: str, done: int, total: int | None) -> None:
             progress(stage, done, total)
-            if stage in _BEGINS_WITH and self._pool is None and not self._alone:
-                self._start()
+            if stage in _BEGINS_WITH and self._wanted:
+                self._wanted = False
+                self.start(1, _get_ready)
 
         return told
 
-    def _start(self) -> None:
-        try:
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _get_ready)
-            self._pool.submit(int)  # a pool starts its process with the first task
-        except (OSError, NotImplementedError):
-            self._alone = True
-
     def begin_with(self, extraction: Extraction) -> None:
         """Begin with the figures of a report that need no solution."""
-        if self._pool is not None:
-            with suppress(BrokenProcessPool, OSError):
-                self._seen = self._pool.submit(draw_seen, extraction)
+        if self.pool is not None:
+            with suppress(*FAILED):
+                self._seen = self.pool.submit(draw_seen, extraction)
 
     def begin(self, solution: Solution, extraction: Extraction) -> Callable[[], Figures]:
         """Begin with all that is left; what comes back waits until everything is there.
@@ -84,12 +66,12 @@ class Draughtsman:
             extraction: the one that `begin_with` was given.
         """
         seen, solved = self._seen, None
-        if self._pool is not None and seen is not None:
-            with suppress(BrokenProcessPool, OSError):
-                solved = self._pool.submit(draw_solved, solution, extraction)
+        if self.pool is not None and seen is not None:
+            with suppress(*FAILED):
+                solved = self.pool.submit(draw_solved, solution, extraction)
 
         def figures() -> Figures:
-            with suppress(BrokenProcessPool, OSError):
+            with suppress(*FAILED):
                 if seen is not None and solved is not None:
                     return put_together({**seen.result(), **solved.result()}, extraction)
             return draw_figures(solution, extraction)

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, suppress
-from multiprocessing import get_context
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from mobilecal_cli.model import Snapshot, Station
+from mobilecal_cli.pipeline.processes import FAILED, Processes
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
 
 #: So many segments of a process wait or are being looked at, so that results do not pile up.
 _AHEAD = 2
-#: Libraries that would start threads of their own in each of the processes.
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 Logged = dict[str, dict[int, int]]
 
@@ -46,21 +40,6 @@ def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], 
     return looks, _Here.recording.damage
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes that are started meanwhile do their sums on one thread."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
 def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
     """When the segment's pictures were logged: all that it needs to know of the first pass."""
     wanted = {"left": scene.sources.image["left"], "right": scene.sources.image["right"]}
@@ -74,7 +53,7 @@ def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
     return logged
 
 
-class Crew:
+class Crew(Processes):
     """Processes that look at a long log's pictures.
 
     Where they cannot be started, or one dies, the segments that are left are looked at in this one.
@@ -85,17 +64,8 @@ class Crew:
     """
 
     def __init__(self, recording: Recording, jobs: int) -> None:
+        super().__init__()
         self._recording, self._jobs = recording, jobs
-        self._pool: ProcessPoolExecutor | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
 
     def call(self, most: int | None = None) -> None:
         """Start them, if there may be more than one; they get ready while this one goes on.
@@ -104,14 +74,8 @@ class Crew:
             most: so many at most have something to do; not known by default.
         """
         processes = min(self._jobs, self._jobs if most is None else most)
-        if self._pool is not None or processes < 2:
-            return
-        files = [part.path for part in self._recording.parts]
-        with suppress(BrokenProcessPool, OSError, NotImplementedError), _one_thread_each():
-            # Spawned, not forked: a fork would copy locks that other threads hold.
-            self._pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin, (files,))
-            for _ in range(processes):  # a process is started with each of the first tasks
-                self._pool.submit(int)
+        if self.pool is None and processes > 1:
+            self.start(processes, _begin, [part.path for part in self._recording.parts])
 
     def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
         """`seeing.look_at` for all segments, in their order.
@@ -121,9 +85,9 @@ class Crew:
         """
         done = 0
         self.call(len(segments) // 2)
-        if self._pool is not None and len(segments) > 1:
-            with suppress(BrokenProcessPool, OSError):
-                for looks, damage in self._together(self._pool, scene, segments):
+        if self.pool is not None and len(segments) > 1:
+            with suppress(*FAILED):
+                for looks, damage in self._together(self.pool, scene, segments):
                     for note in damage:
                         self._recording.note(note)
                     yield sum(len(found) for one in looks for found in one.found.values())

@@ -12,7 +12,7 @@ import pytest
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Shot, Station
-from mobilecal_cli.pipeline import looking, seeing
+from mobilecal_cli.pipeline import processes, seeing
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
@@ -87,7 +87,7 @@ def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkey
     def refused(*_args, **_kwargs):
         raise OSError("no processes here")
 
-    monkeypatch.setattr(looking, "ProcessPoolExecutor", refused)
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", refused)
     assert same(alone, everything(log, 2)[0])
 
 
