@@ -25,8 +25,11 @@ class _Cost(pyceres.CostFunction):  # type: ignore[misc]
         return True
 
 
-def by_ceres(problem: Problem, start: State) -> State:
-    """Sparse Cholesky factors of the whole, one thread: as fast as its Schur complements here, and smaller."""
+def by_ceres(problem: Problem, start: State) -> tuple[State, float]:
+    """Where it ends, and seconds in callbacks.
+
+    Sparse Cholesky factors of the whole, one thread: as fast as its Schur complements here, and smaller.
+    """
     terms = Terms(problem, start)
     at = terms.first()
     ceres, costs = pyceres.Problem(), []
@@ -47,4 +50,4 @@ def by_ceres(problem: Problem, start: State) -> State:
     options.function_tolerance, options.parameter_tolerance, options.gradient_tolerance = 1e-14, 1e-12, 1e-14
     options.minimizer_progress_to_stdout = False
     pyceres.solve(options, ceres, pyceres.SolverSummary())
-    return terms.state(at)
+    return terms.state(at), terms.seconds
