@@ -53,9 +53,8 @@ def board_in_camera(problem: Problem, state: State) -> FloatArray:
     return T
 
 
-def whitened(problem: Problem, values: FloatArray, stations: slice = slice(None)) -> FloatArray:
-    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, in units of the corners' relative sigmas."""
-    W = problem.whitening[stations]
+def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
+    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, by the corners' whitening, lower triangles W."""
     W = W.reshape(*W.shape, *[1] * (values.ndim - 4))
     result = np.empty_like(values)
     np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
@@ -160,8 +159,9 @@ def linearize_views(problem: Problem, state: State, selection: Selection, noise:
     for block in blocks_of(problem.stations):
         residual, J = corner_residuals(problem, state, T_c_k[block], block)
         width = J.shape[-1]
-        A = (whitened(problem, J, block) * root_weight[block, ..., None, None]).reshape(len(J), -1, width)
-        r = (whitened(problem, residual, block) * root_weight[block, ..., None]).reshape(len(J), -1)
+        W = problem.whitening[block] * root_weight[block, ..., None, None]
+        A = whitened(W, J).reshape(len(J), -1, width)
+        r = whitened(W, residual).reshape(len(J), -1)
         At = np.swapaxes(A, 1, 2)
         parts.append((residual, At @ A, (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)))
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -9,8 +9,8 @@ from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Selection
-from mobilecal_cli.model import BoolArray, FloatArray
-from mobilecal_cli.solvers.fit import Fit, Fitter
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.solvers.fit import ROUGH, Fit, Fitter
 from mobilecal_cli.solvers.robust import (
     believed_statistics,
     doubted_legs,
@@ -20,7 +20,6 @@ from mobilecal_cli.solvers.robust import (
 )
 from mobilecal_cli.solvers.variance import guess_worth
 
-ROUGH = 0.1  # how well the noise levels are to stand while decisions are made
 _CONSENSUS_REDUNDANCY = 20.0  # of the noise that the agreeing legs show
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
@@ -107,21 +106,21 @@ class Decisions:
         for kind, dof in _DEGREES.items():
             values = getattr(stats, kind)
             usual = float(chdtri(dof, _STRIKING / values.size))
-            places = self._most_striking(values / usual)
+            striking = np.argwhere(values > usual)
+            places = self._some(striking[np.argsort(-values[values > usual], kind="stable")])
             if places:
                 found.append((float(values[places[0]]) / usual, kind, places))
         return sorted(found, reverse=True)
 
-    def _most_striking(self, strength: FloatArray) -> list[tuple[int, ...]]:
-        """Indices of the largest values above 1, far from one another; one, but for long logs."""
-        most, places = 1 + self.problem.stations // _STATIONS_EACH, list[tuple[int, ...]]()
-        striking = np.argwhere(strength > 1)
-        for at in striking[np.argsort(-strength[strength > 1], kind="stable")]:
-            if len(places) == most:
+    def _some(self, places: IntArray) -> list[tuple[int, ...]]:
+        """The first of some places, (n, indices), that are far from one another: one, but for long logs."""
+        most, some = 1 + self.problem.stations // _STATIONS_EACH, list[tuple[int, ...]]()
+        for at in places:
+            if len(some) == most:
                 break
-            if all(abs(at[0] - other[0]) > _APART for other in places):
-                places.append(tuple(int(k) for k in at))
-        return places
+            if all(abs(at[0] - other[0]) > _APART for other in some):
+                some.append(tuple(int(k) for k in at))
+        return some
 
     def _at_peace(self, fit: Fit) -> bool:
         """Whether nothing that is believed stands out, at the present noise."""
@@ -183,9 +182,9 @@ class Decisions:
         if back is not None:
             return self._levelled(fit, back)
         if not selection.legs.all():
-            agreeing = np.flatnonzero(~selection.legs & (self._external(fit, "legs") < 1))
-            if len(agreeing):
-                return self._levelled(fit, _changed(selection, "legs", [(int(agreeing[0]),)], believed=True))
+            agreeing = self._some(np.argwhere(~selection.legs & (self._external(fit, "legs") < 1)))
+            if agreeing:
+                return self._levelled(fit, _changed(selection, "legs", agreeing, believed=True))
         for _, kind, places in self._candidates(fit):
             without = _changed(selection, kind, places, believed=False)
             if without.views.sum() < _FEWEST_VIEWS:

@@ -19,10 +19,7 @@ from mobilecal_cli.model import FloatArray, Parameters
 _MAX_STEPS = 120
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
-_NEAR, _ROUNDING = (
-    1e-7,
-    1e-12,
-)  # a step that would gain less than 1e-7, 0.0003 standard deviations, is not taken
+NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
 _CREEPING = 1e-6  # of the cost: a descent that still gains less than that after so many steps has arrived
 # Readings between which others are interpolated give the cost kinks along the clocks' offsets, on which a descent
 # would creep for long: it ends where steps gain less than this, and no longer ever less by leaps.
@@ -147,7 +144,7 @@ def _creeps(history: list[float]) -> bool:
     return last < _KINKED and last > _LEAP * before
 
 
-def descend(start: Terms, ties: Ties) -> Optimum:
+def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
     """Minimise the sum of squares of everything that is believed.
 
     The legs' covariance stays that of the start; call again from the result to renew it.
@@ -155,6 +152,8 @@ def descend(start: Terms, ties: Ties) -> Optimum:
     Args:
         start: see `terms_before`; where something is held the descent starts beside it, on the held values.
         ties: what binds the named shared numbers.
+        near: a step that would gain less of the sum of squares is not taken: where the descent ends lies about the
+            root of this from the minimum, in standard deviations.
 
     Raises:
         SolveError: no minimum within 120 steps.
@@ -177,7 +176,7 @@ def descend(start: Terms, ties: Ties) -> Optimum:
         unit = 1 / np.sqrt(np.diag(S))
         along = -unit * cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s)
         gain = system.gain - float(s @ along)
-        if arrived or (damping == 0 and gain <= _NEAR + _ROUNDING * cost):
+        if arrived or (damping == 0 and gain <= near + _ROUNDING * cost):
             full = system.S + np.diag(information)
             return Optimum(state, system, full, basis, covariance, cost, np.array(history))
         step = basis @ along
@@ -192,8 +191,8 @@ def descend(start: Terms, ties: Ties) -> Optimum:
             arrived |= _creeps(history)
             damping = damping / 10 if damping > 1e-9 and not arrived else 0.0
         else:
-            damping = max(damping * 10, 1e-6)
-            if damping > _LARGEST_DAMPING or gain < _KINKED:
+            damping = max(damping * 100, 1e-6)
+            if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
                 arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(cost)
         system = eliminated(terms, damping)

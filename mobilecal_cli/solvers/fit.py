@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.shared import EXTRA_NAMES
 from mobilecal_cli.likelihood.system import eliminated
 from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.asked import Asked
-from mobilecal_cli.solvers.descent import Optimum, Ties, descend, terms_before
+from mobilecal_cli.solvers.descent import NEAR, Optimum, Ties, descend, terms_before
 from mobilecal_cli.solvers.linear import linear_estimate, linear_from
 from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.start import Known, motion_seen, pulled_start
@@ -35,6 +35,25 @@ from mobilecal_cli.solvers.variance import (
 
 _NOISE_ROUNDS = 60
 _OBSERVABILITY_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Care:
+    """How exactly a fit is made.
+
+    Attributes:
+        levels: the noise levels are to stand to this share of themselves before the last fit.
+        enough: levels that stand as well as this need no other fit; None: a last fit is made in any case.
+        near: where a descent ends, see `descend`.
+    """
+
+    levels: float
+    enough: float | None
+    near: float
+
+
+#: While decisions are made, 0.03 standard deviations do not matter; in the end they do.
+ROUGH, FINE = Care(levels=0.1, enough=0.02, near=1e-3), Care(levels=0.01, enough=None, near=NEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +224,7 @@ class Fitter:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         return replace(self._guess, **{"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
 
-    def fit(self, state: State, selection: Selection, noise: Noise) -> Fit:
+    def fit(self, state: State, selection: Selection, noise: Noise, care: Care = ROUGH) -> Fit:
         """Descend, holding what the data do not show, until that does not change."""
         problem = self.problem
         for _ in range(_OBSERVABILITY_ROUNDS):
@@ -217,7 +236,7 @@ class Fitter:
             if len(held) or self._asked.fixed:
                 self._require_anchor(held)
             ties = self.ties(anchor, held)
-            optimum = descend(start, ties)
+            optimum = descend(start, ties, care.near)
             state = optimum.state
             again = self.shown(optimum.information, state.parameters.wheels)
             if _same_space(again.hidden, held):
@@ -225,9 +244,9 @@ class Fitter:
         return self._fitted(optimum, selection, noise, ties, again, held)
 
     def refit(self, fit: Fit, selection: Selection) -> Fit:
-        """Descend from a fit with another selection, holding what that fit holds."""
+        """Descend roughly from a fit with another selection, holding what that fit holds."""
         start = terms_before(self.problem, fit.optimum.state, selection, fit.noise)
-        optimum = descend(start, fit.ties)
+        optimum = descend(start, fit.ties, ROUGH.near)
         return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
 
     def _fitted(
@@ -261,12 +280,14 @@ class Fitter:
                 "missing motion",
             )
 
-    def levelled(self, fit: Fit, tolerance: float) -> Fit:
+    def levelled(self, fit: Fit, care: Care) -> Fit:
         """Noise levels and fit in turn, until the levels stand."""
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(fit.noise, fit.components, self.given, self._guess)
-            done = settled(fit.noise, noise, tolerance)
-            fit = self.fit(fit.optimum.state, fit.selection, noise)
+            if care.enough is not None and settled(fit.noise, noise, care.enough):
+                break
+            done = settled(fit.noise, noise, care.levels)
+            fit = self.fit(fit.optimum.state, fit.selection, noise, care)
             if done:
                 break
         return fit

@@ -12,13 +12,12 @@ from mobilecal_cli.likelihood.noise import Noise, Selection
 from mobilecal_cli.model import Extraction, Parameters
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.consensus import agreed
-from mobilecal_cli.solvers.decisions import ROUGH, Decisions
-from mobilecal_cli.solvers.fit import Fit, Fitter
+from mobilecal_cli.solvers.decisions import Decisions
+from mobilecal_cli.solvers.fit import FINE, ROUGH, Fit, Fitter
 from mobilecal_cli.solvers.placing import state_at
 from mobilecal_cli.solvers.robust import gross_corners
 
 _LOG = logging.getLogger(__name__)
-_FINE = 0.01  # how well the noise levels are to stand in the end
 _MOST_DECISIONS = 60
 
 
@@ -64,7 +63,7 @@ class Solver:
                 break
             before.append(again.selection)
             fit = again
-        return fitter.levelled(fit, _FINE)
+        return fitter.levelled(fit, FINE)
 
     def _by_consensus(self, rough: Parameters, noise: Noise, selection: Selection) -> Fit:
         """A fit of the legs that agree, with all that agrees with it taken back."""

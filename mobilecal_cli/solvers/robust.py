@@ -130,7 +130,8 @@ def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) 
     seen = problem.seen[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(problem, state, T, stations)
-        residual, J = whitened(problem, residual, stations), whitened(problem, J, stations)
+        W = problem.whitening[stations]
+        residual, J = whitened(W, residual), whitened(W, J)
         size = np.linalg.norm(residual, axis=-1)
         scale = np.maximum(_median(size, seen), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
@@ -143,7 +144,7 @@ def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) 
         if np.abs(step).max() < 1e-10:
             break
     residual, _ = corner_residuals(problem, state, T, stations)
-    return np.asarray(np.linalg.norm(whitened(problem, residual, stations), axis=-1))
+    return np.asarray(np.linalg.norm(whitened(problem.whitening[stations], residual), axis=-1))
 
 
 def gross_corners(

@@ -54,6 +54,8 @@ class Shots:
     @property
     def drift_px(self) -> FloatArray:
         """(n,) how far each shot's corners lie from the middle of all shots, rms per coordinate."""
+        if len(self.pixels) == 1:
+            return np.zeros(1)
         measured = np.where(self.seen[..., None], self.pixels, np.nan)
         anywhere = self.seen.any(axis=0)
         off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)

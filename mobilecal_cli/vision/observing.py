@@ -57,24 +57,25 @@ def _no_pair(left: Sequence[Detection | Miss], right: Sequence[Detection | Miss]
 def _best_fit(
     rig: StereoRig, left: Corners, right: Corners, board: Board
 ) -> tuple[StereoPoints | Miss, Corners]:
-    """Corners that both see, triangulated, with the right picture numbered so that it fits the left one best."""
-    options = [
-        replace(
+    """Corners that both see, triangulated, with the right picture numbered so that it fits the left one.
+
+    The first numbering that fits is the only one: turned, a board's rows lie squares beside one another.
+    """
+    both = left.seen & right.seen
+    fits = []
+    for k in turns_of(board):
+        option = replace(
             right,
             pixels=turned_board(right.pixels, board, k),
             relative_cov=turned_board(right.relative_cov, board, k),
         )
-        for k in turns_of(board)
-    ]
-    both = left.seen & right.seen
-    fits = [
-        triangulate(rig, left.pixels[both], option.pixels[both], left.cov_px2[both], option.cov_px2[both])
-        for option in options
-    ]
-    best = min(
-        range(len(fits)), key=lambda i: fit.rms_px if isinstance(fit := fits[i], StereoPoints) else np.inf
-    )
-    return fits[best], options[best]
+        fit = triangulate(
+            rig, left.pixels[both], option.pixels[both], left.cov_px2[both], option.cov_px2[both]
+        )
+        if isinstance(fit, StereoPoints) and fit.rms_px <= _MAX_EPIPOLAR_RMS_PX:
+            return fit, option
+        fits.append((fit, option))
+    return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +239,10 @@ def settle_square(measured: Measured, square_m: float | None) -> Observation | R
                 f"triangulated squares are {1e3 * m.square_m:.1f} mm wide, {1e3 * square_m:.1f} mm are said to be",
             )
         grid = m.board.grid()[left.seen & right.seen]
-        start = absolute_orientation(m.points.points_c, square_m * grid)
+        R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
+        start = se3.transform(
+            R_c_k, t_c_k * square_m / m.square_m
+        )  # as large in the pictures, and nearly as wide
         pose = board_pose(m.rig, square_m * grid, *_seen_by_both(left, right), start)
     if pose.rms_px > _MAX_REPROJECTION_PX:
         return m.rejected("left and right do not fit together", _bent(pose))

@@ -11,6 +11,8 @@ from mobilecal_cli.vision.values import BoardPose, rms
 
 _STEPS = 50
 _FACTOR = 10.0
+_SMALL = 1e-6  # damping that does not shorten a step
+_CONVERGED = 1e-10  # of the sum of squares
 
 
 def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
@@ -112,7 +114,7 @@ def board_pose(
         return np.asarray((root @ residual[..., None])[..., 0])
 
     unknowns = 7 if free_scale else 6
-    T_c_k, scale, damping = start, 1.0, 1e-6
+    T_c_k, scale, damping = start, 1.0, _SMALL
     residual, J = pose_residuals(rig, T_c_k, points_k, measured)
     cost = float(np.sum(whitened(residual) ** 2))
     for _ in range(_STEPS):
@@ -122,6 +124,8 @@ def board_pose(
         step = np.asarray(
             np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64
         )
+        if damping <= _SMALL and step @ gradient <= _CONVERGED * cost:
+            break
         trial_T = se3.exp(step[:6]) @ T_c_k
         trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
         trial_points = trial_scale * points_k
@@ -132,7 +136,7 @@ def board_pose(
             trial_cost = float(np.sum(whitened(trial_residual) ** 2))
         if trial_cost <= cost:
             T_c_k, scale, residual, J = trial_T, trial_scale, trial_residual, trial_J
-            done = cost - trial_cost <= 1e-10 * cost or cost < 1e-20
+            done = cost - trial_cost <= _CONVERGED * cost or cost < 1e-20
             cost, damping = trial_cost, max(damping / _FACTOR, 1e-12)
             if done:
                 break
