@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import atexit
 import os
-import signal
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import suppress
 
 from mobilecal_cli.model import Extraction, Solution
-from mobilecal_cli.pipeline.processes import FAILED, Processes
+from mobilecal_cli.pipeline.processes import FAILED, Processes, Task
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.report import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 
@@ -20,7 +18,6 @@ _BEGINS_WITH = ("finding the board's size", "looking for the board")
 
 def _get_ready() -> None:
     """Load the plotting library: half of the time that the figures take."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     # To take the library's many objects down one by one would keep the command waiting for a third of a second.
     atexit.register(os._exit, 0)
     import matplotlib.backends.backend_svg
@@ -39,7 +36,7 @@ class Draughtsman(Processes):
     def __init__(self, jobs: int) -> None:
         super().__init__()
         self._wanted = jobs > 1
-        self._seen: Future[Drawn] | None = None
+        self._seen: Task[Drawn] | None = None
 
     def watching(self, progress: Progress) -> Progress:
         """The same progress, at whose first picture the process is started."""
@@ -54,9 +51,9 @@ class Draughtsman(Processes):
 
     def begin_with(self, extraction: Extraction) -> None:
         """Begin with the figures of a report that need no solution."""
-        if self.pool is not None:
+        if self.started:
             with suppress(*FAILED):
-                self._seen = self.pool.submit(draw_seen, extraction)
+                self._seen = self.submit(draw_seen, extraction)
 
     def begin(self, solution: Solution, extraction: Extraction) -> Callable[[], Figures]:
         """Begin with all that is left; what comes back waits until everything is there.
@@ -66,9 +63,9 @@ class Draughtsman(Processes):
             extraction: the one that `begin_with` was given.
         """
         seen, solved = self._seen, None
-        if self.pool is not None and seen is not None:
+        if seen is not None:
             with suppress(*FAILED):
-                solved = self.pool.submit(draw_solved, solution, extraction)
+                solved = self.submit(draw_solved, solution, extraction)
 
         def figures() -> Figures:
             with suppress(*FAILED):

@@ -7,7 +7,6 @@ import json
 import multiprocessing
 import os
 import re
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -22,6 +21,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, Quali
 from mobilecal_cli.export import from_plain, to_plain, write_file
 from mobilecal_cli.model import FleetJob, FleetRow
 from mobilecal_cli.pipeline.calibrating import Calibration, calibrate
+from mobilecal_cli.pipeline.processes import stand_by
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import recognised, sha256_of
 from mobilecal_cli.report import fleet_csv, fleet_html, reference_pose, reference_std
@@ -219,14 +219,9 @@ def run_locally(workers: int) -> Run:
     return run
 
 
-def _dies_by_ctrl_c() -> None:
-    """Without a word of its own: the command tells that it was interrupted."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def _in_a_pool(jobs: Sequence[FleetJob], workers: int) -> Iterator[FleetRow]:
     """Rows as they come; those of a pool that breaks are missing."""
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _dies_by_ctrl_c) as pool:
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), stand_by) as pool:
         futures = [pool.submit(run_job, job) for job in jobs]
         for future in as_completed(futures):
             with suppress(BrokenProcessPool):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from mobilecal_cli.model import Snapshot, Station
-from mobilecal_cli.pipeline.processes import FAILED, Processes
+from mobilecal_cli.pipeline.processes import FAILED, Processes, Task
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
@@ -29,7 +27,6 @@ class _Here:
 
 
 def _begin(files: Sequence[Path]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command tells that it was interrupted
     _Here.recording = _Here.resources.enter_context(open_recording(files))
 
 
@@ -74,7 +71,7 @@ class Crew(Processes):
             most: so many at most have something to do; not known by default.
         """
         processes = min(self._jobs, self._jobs if most is None else most)
-        if self.pool is None and processes > 1:
+        if not self.started and processes > 1:
             self.start(processes, _begin, [part.path for part in self._recording.parts])
 
     def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
@@ -85,9 +82,9 @@ class Crew(Processes):
         """
         done = 0
         self.call(len(segments) // 2)
-        if self.pool is not None and len(segments) > 1:
+        if self.started and len(segments) > 1:
             with suppress(*FAILED):
-                for looks, damage in self._together(self.pool, scene, segments):
+                for looks, damage in self._together(scene, segments):
                     for note in damage:
                         self._recording.note(note)
                     yield sum(len(found) for one in looks for found in one.found.values())
@@ -97,12 +94,12 @@ class Crew(Processes):
             yield from look_at(self._recording, scene, segment)
 
     def _together(
-        self, pool: ProcessPoolExecutor, scene: Scene, segments: Sequence[Segment]
+        self, scene: Scene, segments: Sequence[Segment]
     ) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
-        waiting: deque[Future[tuple[list[Looks], tuple[str, ...]]]] = deque()
+        waiting: deque[Task[tuple[list[Looks], tuple[str, ...]]]] = deque()
         for segment in segments:
             logged = _logged(self._recording, scene, segment)
-            waiting.append(pool.submit(_look, scene, segment, logged))
+            waiting.append(self.submit(_look, scene, segment, logged))
             if len(waiting) >= _AHEAD * self._jobs:
                 yield waiting.popleft().result()
         while waiting:

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Selection
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
-from mobilecal_cli.solvers.fit import ROUGH, Fit, Fitter
+from mobilecal_cli.solvers.fit import LONG_LOG, Fit, Fitter
 from mobilecal_cli.solvers.robust import (
     believed_statistics,
     doubted_legs,
@@ -25,9 +25,9 @@ _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any sound measurement of a kind is looked at more closely
 _FEWEST_VIEWS = 4
-# In a log of so many stations two measurements of a kind are judged at once, in one of twice as many three, ...: so
-# that the rounds do not grow with the log. They lie so many stations apart that neither is blamed for the other.
-_STATIONS_EACH, _APART = 100, 5
+# Measurements that are judged at once, one more for every `LONG_LOG` stations, lie so many stations apart that none is
+# blamed for another.
+_APART = 5
 _LOUD = 4.0  # noise this many times (in variance) above what is supposed makes a consensus worth its time
 
 
@@ -114,7 +114,7 @@ class Decisions:
 
     def _some(self, places: IntArray) -> list[tuple[int, ...]]:
         """The first of some places, (n, indices), that are far from one another: one, but for long logs."""
-        most, some = 1 + self.problem.stations // _STATIONS_EACH, list[tuple[int, ...]]()
+        most, some = 1 + self.problem.stations // LONG_LOG, list[tuple[int, ...]]()
         for at in places:
             if len(some) == most:
                 break
@@ -171,7 +171,7 @@ class Decisions:
                 except SolveError:
                     continue
                 if self._at_peace(trial):
-                    return self._fitter.levelled(trial, ROUGH)
+                    return self._fitter.levelled(trial)
         return None
 
     def decided(self, fit: Fit) -> Fit | None:
@@ -203,7 +203,7 @@ class Decisions:
 
     def _levelled(self, fit: Fit, selection: Selection) -> Fit:
         """A fit of another selection, from where an earlier one ended."""
-        return self._fitter.levelled(self._fitter.fit(fit.optimum.state, selection, fit.noise), ROUGH)
+        return self._fitter.levelled(self._fitter.fit(fit.optimum.state, selection, fit.noise))
 
 
 def _changed(selection: Selection, kind: str, places: list[tuple[int, ...]], believed: bool) -> Selection:

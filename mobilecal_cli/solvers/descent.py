@@ -144,6 +144,16 @@ def _creeps(history: list[float]) -> bool:
     return last < _KINKED and last > _LEAP * before
 
 
+def _solved(S: FloatArray, s: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(cho_solve(cho_factor(S), s))
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            "the measurements that are believed leave the numbers open",
+            "record more stations, with the whole board in both pictures",
+        ) from error
+
+
 def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
     """Minimise the sum of squares of everything that is believed.
 
@@ -156,7 +166,7 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
             root of this from the minimum, in standard deviations.
 
     Raises:
-        SolveError: no minimum within 120 steps.
+        SolveError: no minimum within 120 steps, or none at all.
     """
     problem, selection, noise, terms = start.problem, start.selection, start.noise, start
     basis = ties.free_basis(problem.layout.size)
@@ -174,7 +184,7 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
         S = basis.T @ (system.S + np.diag(information)) @ basis
         s = basis.T @ (system.s + gradient)
         unit = 1 / np.sqrt(np.diag(S))
-        along = -unit * cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s)
+        along = -unit * _solved(S * np.outer(unit, unit), unit * s)
         gain = system.gain - float(s @ along)
         if arrived or (damping == 0 and gain <= near + _ROUNDING * cost):
             full = system.S + np.diag(information)
@@ -191,7 +201,7 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
             arrived |= _creeps(history)
             damping = damping / 10 if damping > 1e-9 and not arrived else 0.0
         else:
-            damping = max(damping * 100, 1e-6)
+            damping = max(damping * 10, 1e-6)
             if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
                 arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(cost)

@@ -52,8 +52,11 @@ class Care:
     near: float
 
 
-#: While decisions are made, 0.03 standard deviations do not matter; in the end they do.
-ROUGH, FINE = Care(levels=0.1, enough=0.02, near=1e-3), Care(levels=0.01, enough=None, near=NEAR)
+#: In logs of so many stations decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
+#: that what they cost does not grow with the log.
+LONG_LOG = 100
+_ROUGH, _QUICK = Care(levels=0.1, enough=None, near=NEAR), Care(levels=0.1, enough=0.02, near=1e-3)
+FINE = Care(levels=0.01, enough=None, near=NEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +159,8 @@ class Fitter:
         self.known = Known(T_h_c, nominal.wheels, all(name in fixed for name in NINE[:6]))
         self._levels = extraction.rig.noise.given
         self.given = frozenset(self._levels)
+        #: The care that is enough while it is decided what to believe.
+        self.rough = _QUICK if self.problem.stations >= LONG_LOG else _ROUGH
         self._guess = replace(GUESS, encoder_rad=self.problem.encoder_step_rad * UNIFORM)
 
     # -- where to start ---------------------------------------------------------------------------
@@ -224,9 +229,9 @@ class Fitter:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         return replace(self._guess, **{"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
 
-    def fit(self, state: State, selection: Selection, noise: Noise, care: Care = ROUGH) -> Fit:
-        """Descend, holding what the data do not show, until that does not change."""
-        problem = self.problem
+    def fit(self, state: State, selection: Selection, noise: Noise, care: Care | None = None) -> Fit:
+        """Descend, holding what the data do not show, until that does not change; `rough` by default."""
+        problem, near = self.problem, (care or self.rough).near
         for _ in range(_OBSERVABILITY_ROUNDS):
             anchor = _anchor(self._extraction, self._asked, state.parameters)
             free = self.ties(anchor, np.zeros((0, problem.layout.named)))
@@ -236,7 +241,7 @@ class Fitter:
             if len(held) or self._asked.fixed:
                 self._require_anchor(held)
             ties = self.ties(anchor, held)
-            optimum = descend(start, ties, care.near)
+            optimum = descend(start, ties, near)
             state = optimum.state
             again = self.shown(optimum.information, state.parameters.wheels)
             if _same_space(again.hidden, held):
@@ -246,7 +251,7 @@ class Fitter:
     def refit(self, fit: Fit, selection: Selection) -> Fit:
         """Descend roughly from a fit with another selection, holding what that fit holds."""
         start = terms_before(self.problem, fit.optimum.state, selection, fit.noise)
-        optimum = descend(start, fit.ties, ROUGH.near)
+        optimum = descend(start, fit.ties, self.rough.near)
         return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
 
     def _fitted(
@@ -280,8 +285,9 @@ class Fitter:
                 "missing motion",
             )
 
-    def levelled(self, fit: Fit, care: Care) -> Fit:
-        """Noise levels and fit in turn, until the levels stand."""
+    def levelled(self, fit: Fit, care: Care | None = None) -> Fit:
+        """Noise levels and fit in turn, until the levels stand; `rough` by default."""
+        care = care or self.rough
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(fit.noise, fit.components, self.given, self._guess)
             if care.enough is not None and settled(fit.noise, noise, care.enough):

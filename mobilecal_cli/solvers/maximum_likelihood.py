@@ -13,7 +13,7 @@ from mobilecal_cli.model import Extraction, Parameters
 from mobilecal_cli.solvers.asked import Asked
 from mobilecal_cli.solvers.consensus import agreed
 from mobilecal_cli.solvers.decisions import Decisions
-from mobilecal_cli.solvers.fit import FINE, ROUGH, Fit, Fitter
+from mobilecal_cli.solvers.fit import FINE, Fit, Fitter
 from mobilecal_cli.solvers.placing import state_at
 from mobilecal_cli.solvers.robust import gross_corners
 
@@ -55,7 +55,7 @@ class Solver:
             except SolveError as error:
                 # Noise that is far from what was supposed, and no outliers: all of it, with noise levels to match.
                 _LOG.info("no consensus of legs: %s", error.message)
-        fit = fitter.levelled(fit, ROUGH)
+        fit = fitter.levelled(fit)
         before: list[Selection] = [fit.selection]
         for _ in range(_MOST_DECISIONS):
             again = decisions.decided(fit) or decisions.swapped(fit)

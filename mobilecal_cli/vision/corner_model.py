@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
-from mobilecal_cli.vision.values import Look
+from mobilecal_cli.vision.values import Look, Single
 
 # Reach of a corner's window in units of the edge: up to the middle of a square, short of the next edge's blur;
 # less to the outside of the board, where printed boards often have squares of less than half the width.
@@ -39,8 +39,6 @@ _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
 _RIDGE = 1e-6 * np.eye(_UNKNOWNS)
 _NO_CONTRAST = 1e-3
-
-Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mobilecal_cli.model import GrayImage
+from mobilecal_cli.vision.values import Single
 
 _LARGE = 1280  # px of width from which a quarter of the size is enough
 _BLUR = (5, 5), 1.0  # px; takes noise out, and leaves squares of 7 px their corners
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
-
-Single = NDArray[np.float32]
 
 
 def spot_strength(image: GrayImage, count: int) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.model.arrays import freeze, freeze_corners, freeze_covariances
@@ -22,6 +23,8 @@ Reason = Literal[
     "board of another size",
     "left and right do not fit together",
 ]
+#: Where single precision is enough.
+Single = NDArray[np.float32]
 FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
 
 

@@ -24,7 +24,7 @@ def begin(draughtsman: Draughtsman, extraction) -> list[str]:
     told = []
     progress = draughtsman.watching(lambda stage, *_: told.append(stage))
     progress("reading", 0, None)
-    assert draughtsman.pool is None
+    assert not draughtsman.started
     progress("looking for the board", 1, 2)
     progress("looking for the board", 2, 2)
     draughtsman.begin_with(extraction)
@@ -35,7 +35,7 @@ def test_another_process_draws_the_same(drawn):
     solution, extraction, here = drawn
     with Draughtsman(2) as draughtsman:
         assert begin(draughtsman, extraction) == ["reading", "looking for the board", "looking for the board"]
-        assert draughtsman.pool is not None
+        assert draughtsman.started
         there = draughtsman.begin(solution, extraction)()
     assert there == here
 
@@ -44,7 +44,7 @@ def test_one_job_is_this_process(drawn):
     solution, extraction, here = drawn
     with Draughtsman(1) as draughtsman:
         begin(draughtsman, extraction)
-        assert draughtsman.pool is None
+        assert not draughtsman.started
         assert draughtsman.begin(solution, extraction)() == here
 
 
@@ -52,8 +52,8 @@ def test_a_process_that_dies_is_no_loss(drawn):
     solution, extraction, here = drawn
     with Draughtsman(2) as draughtsman:
         begin(draughtsman, extraction)
-        assert draughtsman.pool is not None
-        os.kill(draughtsman.pool.submit(os.getpid).result(), signal.SIGKILL)
+        assert draughtsman.started
+        os.kill(draughtsman.submit(os.getpid).result(), signal.SIGKILL)
         assert draughtsman.begin(solution, extraction)() == here
 
 
