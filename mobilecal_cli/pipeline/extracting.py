@@ -24,7 +24,6 @@ from mobilecal_cli.model import (
     Rejection,
     Rig,
     Snapshot,
-    Station,
     WheelTrack,
 )
 from mobilecal_cli.pipeline.looking import Crew, look
@@ -34,17 +33,18 @@ from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
 from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
-from mobilecal_cli.vision import Detection, Measured, measure, settle_numbering, settle_square
+from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """One log, read and looked at."""
+    """One log, read, looked at and measured."""
 
     rig: Rig
     board: Board
     plan: Plan
     looks: Sequence[Looks]
+    measured: Sequence[Measured | Rejection]
     snapshots: Sequence[Snapshot]
     notes: tuple[str, ...]
 
@@ -61,6 +61,7 @@ def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple
 
 
 def _see(
+    log: int,
     recording: Recording,
     crew: Crew,
     config: RigConfig,
@@ -90,7 +91,9 @@ def _see(
     found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plan, board)
-    return Seen(rig, board, plan, looks, snapshots, (*settled.notes, *notes, *recording.damage))
+    progress("measuring", 0, None)
+    measured = crew.measure_at(log, scene, plan.stations, looks)
+    return Seen(rig, board, plan, looks, measured, snapshots, (*settled.notes, *notes, *recording.damage))
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board) -> None:
@@ -106,22 +109,6 @@ def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board)
             f"show one of {size[0]} x {size[1]}",
             f"state the board that was used: --board {size[0]}x{size[1]}, or board.columns and board.rows",
         )
-
-
-def measured(log: int, seen: Seen) -> list[Measured | Rejection]:
-    """The board at each station of a log, and the stations that do not show it."""
-    return [
-        _measured(log, station, looks, seen)
-        for station, looks in zip(seen.plan.stations, seen.looks, strict=True)
-    ]
-
-
-def _measured(log: int, station: Station, looks: Looks, seen: Seen) -> Measured | Rejection:
-    left, right = looks.pairs(station.shots)
-    if not left:
-        detail = looks.rejections[0].detail if looks.rejections else "its pictures are not in the recording"
-        return Rejection("readers", "pictures cannot be decoded", detail, station.time_ns, station.index)
-    return measure(log, station, left, right, seen.rig.cameras, seen.board)
 
 
 def board_of(config: RigConfig) -> Board | None:
@@ -168,7 +155,7 @@ def extract(
     sources: list[LogSource] = []
     for parts in join_parts(logs):
         with open_recording(parts) as recording, Crew(recording, jobs) as crew:
-            one = _see(recording, crew, config, flags, board, progress)
+            one = _see(len(seen), recording, crew, config, flags, board, progress)
         board = one.board
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(
@@ -178,22 +165,20 @@ def extract(
             )
         seen.append(one)
         sources += [LogSource(str(path), sha256_of(path)) for path in parts]
-    progress("measuring", 0, None)
     return _assembled(seen, sources)
 
 
 def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:
     board, rig = seen[0].board, seen[0].rig
-    stations = [measured(log, one) for log, one in enumerate(seen)]
     square_m = board.square_m
     if square_m is None:
         # One board, one square: its size is what the stereo baseline gives over all stations.
-        sides = [m.square_m for of_log in stations for m in of_log if isinstance(m, Measured)]
+        sides = [m.square_m for one in seen for m in one.measured if isinstance(m, Measured)]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []
-    for log, (one, of_log) in enumerate(zip(seen, stations, strict=True)):
-        settled = [settle_square(m, square_m) if isinstance(m, Measured) else m for m in of_log]
+    for log, one in enumerate(seen):
+        settled = [settle_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
         observations += [item for item in settled if isinstance(item, Observation)]
         lost = (rejection for looks in one.looks for rejection in looks.rejections)
         missed = (item for item in settled if isinstance(item, Rejection))

@@ -7,14 +7,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from mobilecal_cli.model import Snapshot, Station
+from mobilecal_cli.model import Rejection, Snapshot, Station
 from mobilecal_cli.pipeline.processes import FAILED, Processes, Task
 from mobilecal_cli.pipeline.progress import Progress
-from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, segments_of
+from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, measure_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
+from mobilecal_cli.vision import Measured
 
 #: So many segments of a process wait or are being looked at, so that results do not pile up.
 _AHEAD = 2
+_MEASURED_AT_ONCE = 200  # stations
 
 Logged = dict[str, dict[int, int]]
 
@@ -92,6 +94,18 @@ class Crew(Processes):
                     done += 1
         for segment in segments[done:]:
             yield from look_at(self._recording, scene, segment)
+
+    def measure_at(
+        self, log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
+    ) -> list[Measured | Rejection]:
+        """`seeing.measure_at` for all stations, by the processes that looked."""
+        if self.started and len(stations) > _MEASURED_AT_ONCE:
+            starts = range(0, len(stations), _MEASURED_AT_ONCE)
+            some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
+            with suppress(*FAILED):
+                tasks = [self.submit(measure_at, log, scene, stations[part], looks[part]) for part in some]
+                return [one for task in tasks for one in task.result()]
+        return measure_at(log, scene, stations, looks)
 
     def _together(
         self, scene: Scene, segments: Sequence[Segment]

@@ -1,4 +1,4 @@
-"""Pictures into detections: in segments, one after the other or side by side, never many pictures in memory."""
+"""Pictures into detections, and detections into what a station shows: in segments, never many pictures in memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ from mobilecal_cli.model import (
     StereoRig,
 )
 from mobilecal_cli.readers import Recording, read_images
-from mobilecal_cli.vision import BoardFollower, Detection, Miss, identify_size, snapshot_jpeg
+from mobilecal_cli.vision import (
+    BoardFollower,
+    Detection,
+    Measured,
+    Miss,
+    identify_size,
+    measure,
+    snapshot_jpeg,
+)
 
 SNAPSHOTS = 60  # pictures kept for the report, so that memory does not grow with the log
 SIZE_PICTURES = 8
@@ -167,3 +175,25 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
         place.found[side][stamp] = followers[side].find(picture, stamp)
         yield 1
     yield looks
+
+
+def measure_at(
+    log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
+) -> list[Measured | Rejection]:
+    """The board at each of some stations of a log, or why a station gives none.
+
+    Args:
+        log: index of the recording.
+        scene: cameras and board.
+        stations: which.
+        looks: what was seen at each of them.
+    """
+    return [_measured(log, scene, station, seen) for station, seen in zip(stations, looks, strict=True)]
+
+
+def _measured(log: int, scene: Scene, station: Station, looks: Looks) -> Measured | Rejection:
+    left, right = looks.pairs(station.shots)
+    if not left:
+        detail = looks.rejections[0].detail if looks.rejections else "its pictures are not in the recording"
+        return Rejection("readers", "pictures cannot be decoded", detail, station.time_ns, station.index, log)
+    return measure(log, station, left, right, scene.cameras, scene.board)

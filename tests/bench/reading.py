@@ -9,7 +9,6 @@ import sys
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -55,10 +54,10 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.extracting import Seen, measured, sliding_joints
+    from mobilecal_cli.pipeline.extracting import sliding_joints
     from mobilecal_cli.pipeline.looking import Crew, look
     from mobilecal_cli.pipeline.planning import plan_log
-    from mobilecal_cli.pipeline.seeing import Scene
+    from mobilecal_cli.pipeline.seeing import Scene, measure_at
     from mobilecal_cli.readers import open_recording, read_prelude
     from mobilecal_cli.vision import Detection, Measured, settle_square
 
@@ -68,14 +67,14 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
         crew.call()
         rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
         plan, _ = plan_log(recording, rig, sliding_joints(rig.chain), True)
-        looks, _ = look(crew, Scene(rig.sources, rig.cameras, board), plan.stations, False, lambda *_: None)
+        scene = Scene(rig.sources, rig.cameras, board)
+        looks, _ = look(crew, scene, plan.stations, False, lambda *_: None)
     seconds = time.perf_counter() - start
     found = sum(
         isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()
     )
     start = time.perf_counter()
-    some = replace(plan, stations=plan.stations[:_MEASURED])
-    for item in measured(0, Seen(rig, board, some, looks[:_MEASURED], (), ())):
+    for item in measure_at(0, scene, plan.stations[:_MEASURED], looks[:_MEASURED]):
         if isinstance(item, Measured):
             settle_square(item, board.square_m)
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found

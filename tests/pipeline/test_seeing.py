@@ -12,7 +12,7 @@ import pytest
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Shot, Station
-from mobilecal_cli.pipeline import processes, seeing
+from mobilecal_cli.pipeline import looking, processes, seeing
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
@@ -59,6 +59,7 @@ def everything(log: Path, jobs: int):
 def same(a, b) -> bool:
     return len(a.observations) == len(b.observations) and all(
         np.array_equal(x.left.pixels, y.left.pixels)
+        and np.array_equal(x.T_c_k, y.T_c_k)
         and np.array_equal(x.right.relative_cov, y.right.relative_cov)
         for x, y in zip(a.observations, b.observations, strict=True)
     )
@@ -68,6 +69,7 @@ def same(a, b) -> bool:
 def segmented(request, monkeypatch) -> None:
     """A short log is cut into several segments; the crew is called before or after the log is planned."""
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(looking, "_MEASURED_AT_ONCE", 7)
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
