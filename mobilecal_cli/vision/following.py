@@ -25,7 +25,10 @@ _LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was goi
 _AGAIN_NS, _AGAIN_AT_LAST_NS = 350_000_000, 1_400_000_000
 _MARGIN_PX = 3.0
 _MORE = 1.5  # a board that comes into view brings spots so many times as strong
-_FLOW_WINDOW = (15, 15)
+_FLOW_WINDOW, _FLOW_REACH_PX = (
+    (15, 15),
+    64,
+)  # px; over three halvings a window finds what moved half of its side
 _WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
 _FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
 
@@ -172,9 +175,15 @@ class BoardFollower:
 
     def _carried(self, image: GrayImage) -> FloatArray:
         """Where the corners are as their surroundings moved since the last picture (Lucas and Kanade, in pyramids)."""
-        last = self._seen[-1][1].pixels.astype(np.float32).reshape(-1, 1, 2)
-        moved = cv2.calcOpticalFlowPyrLK(self._last_image, image, last, last.copy(), winSize=_FLOW_WINDOW)[0]
-        return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
+        last = self._seen[-1][1].pixels
+        first = np.maximum(last.min(axis=0).astype(np.int64) - _FLOW_REACH_PX, 0)
+        end = last.max(axis=0).astype(np.int64) + _FLOW_REACH_PX
+        around = slice(first[1], end[1]), slice(first[0], end[0])
+        start = (last - first).astype(np.float32).reshape(-1, 1, 2)
+        moved = cv2.calcOpticalFlowPyrLK(
+            self._last_image[around], image[around], start, start.copy(), winSize=_FLOW_WINDOW
+        )[0]
+        return np.asarray(moved.reshape(-1, 2) + first, dtype=np.float64)
 
     def _spotted(self, image: GrayImage) -> bool:
         """Whether as many spots as the board has corners are as strong as its corners may be, as far as is known."""
