@@ -31,7 +31,7 @@ pages: $(VENV)/.dev  ## every command of the tutorial and the how-to pages
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-bench: $(VENV)/.dev  ## docs/explanation/performance.md, measured anew: an hour or more
+bench: $(VENV)/.dev  ## docs/explanation/performance.md, measured anew: 40 minutes or more
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench
 
