@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
 from scipy.special import erf
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board
+from mobilecal_cli.model import Board, Camera
 from tests.vision.scenes import opencv_pixels, painted, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
 CAMERA = stereo_rig("raw").left
 _MARGIN_PX = 3.0
-_SUPERSAMPLE = (
-    10  # with 4, an edge's share of a pixel is a sixteenth off: as much as two grey levels of noise
-)
+# The lens blurs what the pixels then average: a picture that is blurred after it was sampled has edges whose shape
+# depends on where they lie between the pixels, and shifts corners by 0.01 px. So it is drawn so many times as fine, by
+# so many rays each way.
+_FINER, _SUPERSAMPLE = 4, 3
 _NEARER_SQUARES = 1.3  # the board's print reaches so far beyond its corners
 
 
@@ -104,18 +106,28 @@ def _pose(random: np.random.Generator) -> np.ndarray:
             return T
 
 
+@cache
+def _finer(camera: Camera) -> Camera:
+    """The same camera with smaller pixels."""
+    K = camera.K * [[_FINER], [_FINER], [1]]
+    K[:2, 2] += (_FINER - 1) / 2  # (0, 0) is the middle of the first pixel
+    return replace(camera, K=K, width=_FINER * camera.width, height=_FINER * camera.height)
+
+
 def view(seed: int, blur_px: float | None = None) -> View:
     """A view with light, blur, noise and background drawn at random; `blur_px` instead of a drawn blur of the lens."""
     random = np.random.default_rng(seed)
     T = _pose(random)
     side = BOARD.square_m or 0.0
     light, dark = random.uniform(130, 225), random.uniform(15, 60)
+    wall = cv2.resize(clutter(random), None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_NEAREST)
     picture = painted(
-        CAMERA, T, BOARD, side, picture=clutter(random), dark=dark, light=light, supersample=_SUPERSAMPLE
+        _finer(CAMERA), T, BOARD, side, picture=wall, dark=dark, light=light, supersample=_SUPERSAMPLE
     )
     lens = random.uniform(0.5, 1.2) if blur_px is None else blur_px
     noise = random.uniform(1, 4)
-    blurred = cv2.GaussianBlur(picture, (0, 0), lens, borderType=cv2.BORDER_REPLICATE)
+    picture = cv2.GaussianBlur(picture, (0, 0), _FINER * lens, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.resize(picture, None, fx=1 / _FINER, fy=1 / _FINER, interpolation=cv2.INTER_AREA)
     x, y = np.meshgrid(np.linspace(-1, 1, 640), np.linspace(-1, 1, 480))
     falls, sinks = random.uniform(-0.3, 0.3), random.uniform(-0.2, 0.2)
     shade = (1 + falls * x) * (1 + sinks * y)
