@@ -25,10 +25,8 @@ _LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was goi
 _AGAIN_NS, _AGAIN_AT_LAST_NS = 350_000_000, 1_400_000_000
 _MARGIN_PX = 3.0
 _MORE = 1.5  # a board that comes into view brings spots so many times as strong
-_FLOW_WINDOW, _FLOW_REACH_PX = (
-    (15, 15),
-    64,
-)  # px; over three halvings a window finds what moved half of its side
+_FLOW_WINDOW = (15, 15)
+_FLOW_REACH_PX = 64  # over three halvings a window finds what moved half of its side
 _WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
 _FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
 

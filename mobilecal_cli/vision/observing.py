@@ -240,9 +240,8 @@ def settle_square(measured: Measured, square_m: float | None) -> Observation | R
             )
         grid = m.board.grid()[left.seen & right.seen]
         R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
-        start = se3.transform(
-            R_c_k, t_c_k * square_m / m.square_m
-        )  # as large in the pictures, and nearly as wide
+        # The board as large in the pictures as it was with its scale free.
+        start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         pose = board_pose(m.rig, square_m * grid, *_seen_by_both(left, right), start)
     if pose.rms_px > _MAX_REPROJECTION_PX:
         return m.rejected("left and right do not fit together", _bent(pose))

@@ -15,7 +15,7 @@ from mobilecal_cli.vision.values import Single
 
 _LARGE = 1280  # px of width from which a quarter of the size is enough
 _BLUR = (5, 5), 1.0  # px; takes noise out, and leaves squares of 7 px their corners
-_WORTH = 0.02  # of the strongest
+_WORTH = 0.02  # of the strongest; mostly a hundredth of all peaks are above it, the others are noise
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -30,9 +30,7 @@ def spot_strength(image: GrayImage, count: int) -> float:
         Minus the determinant there, at reduced size, in units of its own: to be compared with other pictures' only.
     """
     saddle = _saddle(image)
-    peaks = _peaks(
-        saddle, _WORTH * float(saddle.max())
-    )  # a hundredth of all peaks, mostly: the others are noise
+    peaks = _peaks(saddle, _WORTH * float(saddle.max()))
     if len(peaks) < count:
         peaks = _peaks(saddle, 0.0)
     if len(peaks) < count:
