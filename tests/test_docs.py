@@ -1,9 +1,10 @@
-"""What is made out of the code is what is in docs/."""
+"""The documentation: generated pages are up to date, links lead somewhere, the pages build."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 
@@ -14,6 +15,7 @@ from mobilecal_cli import errors
 from tests.conftest import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
+SECTIONS = ("tutorial", "how-to", "explanation", "reference")
 
 
 def generator_of(name):
@@ -50,6 +52,45 @@ def test_every_error_says_what_to_do(generator):
 def test_the_options_are_up_to_date():
     options = generator_of("options")
     assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
+
+
+PAGES = sorted(
+    path
+    for root in (REPOSITORY, REPOSITORY / "sample_logs", *(DOCS / name for name in ("", *SECTIONS)))
+    for path in root.glob("*.md")
+)
+
+
+def anchors_of(path):
+    """Anchors of a page's headings, as GitHub and MyST make them."""
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#+ +(.*?) *$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_every_relative_link_leads_to_a_file_and_an_anchor(page):
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if link.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors_of(target), link
+
+
+def test_the_readme_links_to_every_page_for_users():
+    linked = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    pages = {path.relative_to(REPOSITORY).as_posix() for path in PAGES if path.parent != REPOSITORY}
+    # The command-line page links to the options; the others are for the documentation's own site.
+    others = {
+        "docs/index.md",
+        "docs/reference/options.md",
+        "docs/reference/python-api.md",
+        "docs/explanation/usability-walk.md",
+    }
+    assert {page for page in pages if f"({page})" not in linked} == others
 
 
 def test_the_pages_are_built_without_a_warning(tmp_path):
