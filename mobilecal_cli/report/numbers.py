@@ -1,7 +1,8 @@
-"""The numbers that every part of the report shows, worked out in one place, and how they are written."""
+"""The numbers that the terminal and every report show, and how they are formatted."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,21 +11,22 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
-#: Nearer to gimbal lock than this, two of the angles have no meaning one by one.
+#: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.
 NEAR_LOCK_DEG = 5.0
-_ANGLE_STEP_RAD = 1e-5
+_STEP_RAD = 1e-5
+_MOST_DECIMALS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One of the nine numbers, in the units of the paper's Table 1.
+    """One of the nine parameters, in the units of the paper's Table 1.
 
     Attributes:
         key: name in report.json, with its unit.
-        symbol: as the paper writes it.
-        meaning: in words.
+        symbol: symbol in the paper.
+        meaning: label for people.
         unit: "deg" or "mm".
-        digits: decimals worth showing.
+        digits: decimals to show where no standard deviation is known.
     """
 
     key: str
@@ -35,45 +37,90 @@ class Quantity:
 
 
 QUANTITIES = (
-    Quantity("euler_x_deg", "αx", "camera's rotation about x", "deg", 3),
-    Quantity("euler_y_deg", "αy", "camera's rotation about y", "deg", 3),
-    Quantity("euler_z_deg", "αz", "camera's rotation about z", "deg", 3),
-    Quantity("translation_x_mm", "tx", "camera's position on the head, x", "mm", 2),
-    Quantity("translation_y_mm", "ty", "camera's position on the head, y", "mm", 2),
-    Quantity("translation_z_mm", "tz", "camera's position on the head, z", "mm", 2),
-    Quantity("radius_right_mm", "rR", "right wheel's radius", "mm", 2),
-    Quantity("radius_left_mm", "rL", "left wheel's radius", "mm", 2),
-    Quantity("separation_mm", "b", "distance between the wheels", "mm", 2),
+    Quantity("euler_x_deg", "αx", "Euler angle x (ZYX)", "deg", 3),
+    Quantity("euler_y_deg", "αy", "Euler angle y (ZYX)", "deg", 3),
+    Quantity("euler_z_deg", "αz", "Euler angle z (ZYX)", "deg", 3),
+    Quantity("translation_x_mm", "tx", "camera position in the head frame, x", "mm", 2),
+    Quantity("translation_y_mm", "ty", "camera position in the head frame, y", "mm", 2),
+    Quantity("translation_z_mm", "tz", "camera position in the head frame, z", "mm", 2),
+    Quantity("radius_right_mm", "rR", "right wheel radius", "mm", 2),
+    Quantity("radius_left_mm", "rL", "left wheel radius", "mm", 2),
+    Quantity("separation_mm", "b", "wheel separation", "mm", 2),
 )
 
 
 def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
-    """(4, 4) reference camera coordinates to head coordinates, m."""
+    """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
     return T
 
 
 def reference_frame(cameras: StereoRig) -> str:
-    """Name of the reference camera's optical frame."""
+    """Name of the optical frame of the reference camera."""
     return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
 
 
 def nine_numbers(parameters: Parameters, cameras: StereoRig) -> FloatArray:
-    """(9,) in the order and units of `QUANTITIES`."""
+    """The nine parameters, (9,), in the order and units of `QUANTITIES`."""
     T = reference_pose(parameters, cameras)
     wheels = parameters.wheels
     lengths_m = [*T[:3, 3], wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
     return np.array([*se3.euler_zyx_deg(T[:3, :3]), *(1e3 * length for length in lengths_m)])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rotation:
+    """Rotation of the reference camera in the head frame; each standard deviation is that of the number beside it.
+
+    Attributes:
+        vector_deg: (3,) rotation vector, norm at most 180 degrees.
+        vector_std_deg: (3,) 1 sigma of its components; None if any part of the rotation is fixed or unobservable.
+        quaternion_xyzw: (4,) unit quaternion with w >= 0.
+        euler_deg: (3,) angles x, y, z with R = Rz(z) Ry(y) Rx(x); None within `NEAR_LOCK_DEG` of gimbal lock.
+        euler_std_deg: (3,) 1 sigma of these angles; None where `euler_deg` or `vector_std_deg` is None.
+        lock_deg: distance from gimbal lock.
+    """
+
+    vector_deg: FloatArray
+    vector_std_deg: FloatArray | None
+    quaternion_xyzw: FloatArray
+    euler_deg: FloatArray | None
+    euler_std_deg: FloatArray | None
+    lock_deg: float
+
+
+def rotation_of(solution: Solution, cameras: StereoRig) -> Rotation:
+    """Rotation vector, quaternion and Euler angles of the reference camera, with first-order standard deviations.
+
+    The covariance is that of a small rotation r about the head's axes: `R_true = exp(r) R`.
+    """
+    R = reference_pose(solution.parameters, cameras)[:3, :3]
+    vector_deg, found = np.degrees(se3.log_so3(R)), solution.uncertainty
+    lock_deg = se3.gimbal_margin_deg(R)
+    euler_deg = np.array(se3.euler_zyx_deg(R)) if lock_deg >= NEAR_LOCK_DEG else None
+    vector_std = euler_std = None
+    if found is not None and found.observable[:3].all():
+        C = found.covariance[:3, :3]
+        J = np.linalg.inv(se3.left_jacobian_so3(np.radians(vector_deg)))
+        vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
+        if euler_deg is not None:
+            step = np.eye(3) * _STEP_RAD
+            ahead, behind = (
+                np.array([se3.euler_zyx_deg(se3.exp_so3(sign * r) @ R) for r in step]) for sign in (1, -1)
+            )
+            J = ((ahead - behind + 180) % 360 - 180).T / (2 * _STEP_RAD)
+            euler_std = np.sqrt(np.diag(J @ C @ J.T))
+    return Rotation(vector_deg, vector_std, se3.quaternion_xyzw(R), euler_deg, euler_std, lock_deg)
+
+
 @dataclass(frozen=True, slots=True)
 class Sigma:
-    """How well one of the nine numbers is known.
+    """Standard deviation of one of the nine parameters.
 
     Attributes:
         name: as in params.yaml.
-        meaning: in words.
-        value: one standard deviation, None where the number is held at its nominal value.
+        meaning: label for people.
+        value: 1 sigma, None where the parameter is fixed at its nominal value.
         unit: "deg" or "mm".
     """
 
@@ -84,12 +131,15 @@ class Sigma:
 
 
 def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
-    """Standard deviations in degrees and mm; none for methods that know none."""
+    """Standard deviations in params.yaml's order, in deg and mm; empty for methods that give none.
+
+    The first three are of a small rotation about the head's axes, not of the components of the rotation vector.
+    """
     std = reference_std(solution, cameras)
     if not std:
         return ()
     meanings = [
-        *(f"camera's rotation about the head's {axis}" for axis in "xyz"),
+        *(f"small rotation about the head's {axis} axis" for axis in "xyz"),
         *(quantity.meaning for quantity in QUANTITIES[3:]),
     ]
     units = [("deg", float(np.degrees(1.0)))] * 3 + [("mm", 1e3)] * 6
@@ -100,9 +150,9 @@ def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
 
 
 def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
-    """Nine standard deviations of the reference camera's numbers and the wheels, rad and m; None where one is held.
+    """Nine standard deviations for the reference camera, rad and m; None where a parameter is fixed.
 
-    Empty for methods that know none.
+    Empty for methods that give none.
     """
     found = solution.uncertainty
     if found is None:
@@ -112,45 +162,56 @@ def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None,
 
 
 def nine_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
-    """Nine standard deviations in the order and units of `QUANTITIES`, None where one is held or means nothing.
+    """Nine standard deviations in the order and units of `QUANTITIES`, so the first three are of Euler angles.
 
-    Those of the angles are carried over from the small rotation vector, `R_true = exp(r) R`, to first order; near
-    gimbal lock, where x and z trade places, there are none. Empty for methods that know none.
+    None where a parameter is fixed, and for Euler angles near gimbal lock. Empty for methods that give none.
     """
-    found, std = solution.uncertainty, reference_std(solution, cameras)
-    if found is None:
+    std = reference_std(solution, cameras)
+    if not std:
         return ()
-    R = reference_pose(solution.parameters, cameras)[:3, :3]
-    lengths = tuple(None if s is None else 1e3 * s for s in std[3:])
-    if se3.gimbal_margin_deg(R) < NEAR_LOCK_DEG or not found.observable[:3].all():
-        return (None, None, None, *lengths)
-    step = np.eye(3) * _ANGLE_STEP_RAD
-    ahead, behind = (np.array([se3.euler_zyx_deg(se3.exp_so3(s * r) @ R) for r in step]) for s in (1, -1))
-    J = ((ahead - behind + 180) % 360 - 180).T / (2 * _ANGLE_STEP_RAD)
-    angles = np.sqrt(np.diag(J @ found.covariance[:3, :3] @ J.T))
-    return (*angles.tolist(), *lengths)
+    euler = rotation_of(solution, cameras).euler_std_deg
+    angles = (None, None, None) if euler is None else tuple(float(s) for s in euler)
+    return (*angles, *(None if s is None else 1e3 * s for s in std[3:]))
 
 
 def written(sigma: Sigma) -> str:
-    """A standard deviation for people."""
-    return "held" if sigma.value is None else f"{sigma.value:.3f}"
+    """A standard deviation with two significant digits, or "fixed"."""
+    return "fixed" if sigma.value is None else std_text(sigma.value)
+
+
+def std_text(std: float) -> str:
+    """A standard deviation with two significant digits, never rounded to zero."""
+    return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
+
+
+def decimals_of(std: float, otherwise: int = 3) -> int:
+    """Decimals of a value that match two significant digits of its standard deviation.
+
+    Args:
+        std: the standard deviation.
+        otherwise: decimals where it is zero or not finite.
+    """
+    if not (math.isfinite(std) and std > 0):
+        return otherwise
+    exponent = int(f"{std:.1e}".partition("e")[2])
+    return min(max(1 - exponent, 0), _MOST_DECIMALS)
 
 
 def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:
-    """What eq. 19's square root would be if the triangulated corners' own noise were all there is, m."""
+    """Point error (square root of eq. 19) predicted from the noise of the triangulated corners alone, m."""
     traces = np.array([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in extraction.observations])
     legs = solution.residuals.legs
     return float(np.sqrt(np.mean(traces[legs].sum(axis=1)))) if len(legs) else 0.0
 
 
 def board_distance_m(extraction: Extraction) -> float:
-    """Median distance from camera to corners, m; 0 without observations."""
+    """Median distance from the camera to the corners, m; 0 without observations."""
     seen = extraction.observations
     return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in seen])) if seen else 0.0
 
 
 def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
-    """Heading that is lost when both wheels' encoders are wrong by one step, rad."""
+    """Heading error if both encoders are off by one step, rad."""
     wheels = solution.parameters.wheels
     tracks = extraction.wheels
     right = max((encoder_step_rad(track.right_rad) for track in tracks), default=0.0)
@@ -159,19 +220,19 @@ def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
 
 
 def stations_looked_at(extraction: Extraction) -> int:
-    """How many stations there were, used or not."""
+    """Number of stations found, whether used or rejected."""
     return max(extraction.counts.get("stations", 0), len(extraction.observations))
 
 
 def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
-    """The station of a rejection, after its log's index where there are several logs; "" where it has none."""
+    """Station of a rejection, as "log:station" if there are several recordings; "" if it has none."""
     if rejection.station < 0:
         return ""
     return f"{rejection.log}:{rejection.station}" if len(extraction.wheels) > 1 else str(rejection.station)
 
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
-    """(stage, reason) → how many, the most frequent first."""
+    """Number of rejections for each (stage, reason), most frequent first."""
     counts: dict[tuple[str, str], int] = {}
     for item in extraction.rejections:
         counts[item.stage, item.reason] = counts.get((item.stage, item.reason), 0) + 1
@@ -179,13 +240,13 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
 
 
 def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int, int] = (8, 6)) -> float:
-    """Share of a coarse grid over the picture, (across, down) cells, in which any corner lies: (n, 2) → 0..1."""
+    """Share of the cells of a coarse (across, down) image grid that contain a corner: (n, 2) → 0..1."""
     at = np.floor(pixels / [width, height] * cells).astype(int)
     inside = np.all((at >= 0) & (at < cells), axis=-1)
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
 
 
 def station_names(extraction: Extraction) -> list[str]:
-    """What each observation's station is called: its index in the log, after the log's where there are several."""
+    """Name of each observation's station: its index, as "log:station" if there are several recordings."""
     several = len({o.log for o in extraction.observations}) > 1
     return [f"{o.log}:{o.station}" if several else str(o.station) for o in extraction.observations]

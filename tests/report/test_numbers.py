@@ -1,0 +1,60 @@
+"""Numbers as the terminal and the reports show them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.report.numbers import decimals_of, nine_std, reference_pose, rotation_of, std_text
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+
+
+@pytest.mark.parametrize("name", ["tick", "paper"])
+def test_sigmas_of_the_rotation_are_those_of_the_printed_components(name):
+    """Monte Carlo: rotations drawn from the covariance spread as printed, component by component."""
+    robot = ROBOTS[name]()
+    extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
+    solution, cameras = solve(extraction), extraction.rig.cameras
+    R = reference_pose(solution.parameters, cameras)[:3, :3]
+    rotation = rotation_of(solution, cameras)
+    assert se3.exp_so3(np.radians(rotation.vector_deg)) == pytest.approx(R, abs=1e-12)
+    assert se3.from_quaternion_xyzw(rotation.quaternion_xyzw) == pytest.approx(R, abs=1e-12)
+
+    small = np.random.default_rng(0).multivariate_normal(
+        np.zeros(3), solution.uncertainty.covariance[:3, :3], 4000
+    )
+    drawn = se3.exp_so3(small) @ R
+    vectors = np.degrees(se3.log_so3(drawn))
+    assert rotation.vector_std_deg == pytest.approx(vectors.std(axis=0), rel=0.05)
+    # They differ from the sigmas of a small rotation about the head's axes, which have another label.
+    assert rotation.vector_std_deg != pytest.approx(np.degrees(solution.uncertainty.std[:3]), rel=0.05)
+    if name == "paper":  # 0.6 degrees from gimbal lock
+        assert rotation.euler_deg is None
+        assert rotation.euler_std_deg is None
+        assert nine_std(solution, cameras)[:3] == (None, None, None)
+    else:
+        angles = np.array([se3.euler_zyx_deg(one) for one in drawn])
+        assert rotation.euler_deg == pytest.approx(angles.mean(axis=0), abs=0.01)
+        assert rotation.euler_std_deg == pytest.approx(angles.std(axis=0), rel=0.05)
+        assert nine_std(solution, cameras)[:3] == pytest.approx(rotation.euler_std_deg)
+    assert nine_std(solution, cameras)[8] == pytest.approx(1e3 * solution.uncertainty.std[8])
+
+
+@pytest.mark.parametrize(
+    ("std", "text", "decimals"),
+    [
+        (0.00645, "0.0065", 4),
+        (0.0996, "0.10", 2),
+        (0.004, "0.0040", 4),
+        (1.113, "1.1", 1),
+        (123.4, "123", 0),
+        (3.21e-9, "3.2e-09", 6),
+    ],
+)
+def test_a_standard_deviation_has_two_significant_digits(std, text, decimals):
+    assert std_text(std) == text
+    assert decimals_of(std) == decimals
