@@ -1,4 +1,4 @@
-"""`make bench`: makes its own data, prints every table of performance, and writes docs/explanation/performance.md."""
+"""`make bench`: creates its data, prints all performance tables, and writes docs/explanation/performance.md."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ import cv2
 from tests.bench import commands, corners, effect, established, growth, reading
 from tests.bench.recordings import simulated, transcoded
 from tests.bench.simulated import conditions
+from tests.bench.tables import paragraph
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "performance.md"
 _STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
-_INTRODUCTION = """# Performance
-
-`make bench` measures what stands here and writes this page. Machines differ and are shared, so every figure that
-matters is a ratio of two things measured side by side in one run, the median of at least five rounds.
-
-"""
+_INTRODUCTION = "# Performance\n\n" + paragraph(
+    "This page is written by `make bench`. Machines differ and are shared, so each important figure is a ratio of two "
+    "values measured side by side in one run: the median of at least five rounds."
+)
 
 
 class _Data:
-    """The recordings that several tables need, made when the first one asks, in a folder that may hold them already."""
+    """Recordings for several tables, created on first use unless the folder already contains them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,51 +40,57 @@ class _Data:
         return path
 
     def hidden(self, kind: str) -> Path:
-        """The moving log, the board hidden for a third of the time."""
+        """The recording without stops, with the board occluded for a third of the time."""
         return self._transcoded(f"hidden_{kind}.mcap", kind, hide=True)
 
     def open(self) -> Path:
-        """The moving log as JPEGs, the board always in view."""
+        """The recording without stops as JPEGs, the board always visible."""
         return self._transcoded("open.mcap", "jpeg", hide=False)
 
 
 def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
     return {
         "reading": (
-            "## Every frame of a moving log, on one core and on two\n\n"
-            "2,000 stereo pairs of 640 x 480, every one looked at (`--stations all`); for a third of the time somebody stands "
-            "before the board. Read + decode: all messages by the `mcap` package, pictures by OpenCV, on so many threads. Read "
-            "+ see: joints, wheels and all pictures, up to the corners of every board, on so many processes, their start "
-            "included.\n",
+            "## Every frame of a recording without stops, on one core and on two\n\n"
+            + paragraph(
+                "2,000 stereo pairs of 640 x 480, all of them searched (`--stations all`); a person occludes the board for a "
+                "third of the time. Read + decode: all messages read with the `mcap` package, images decoded with OpenCV, "
+                "one thread per core. Read + detect: joints, wheels and all images read, and the corners of each board "
+                "detected, one process per core, start of the processes included."
+            ),
             lambda: reading.main({kind: data.hidden(kind) for kind in ("jpeg", "mono8", "png")}),
         ),
         "commands": (
-            '## Whole commands\n\nBeside `python -c "import numpy, scipy.optimize, cv2, matplotlib.pyplot"`.\n',
+            "## Complete commands\n\n"
+            + paragraph('Compared with `python -c "import numpy, scipy.optimize, cv2, matplotlib.pyplot"`.'),
             lambda: commands.main(data.hidden("jpeg"), data.folder),
         ),
-        "corners": ("## Corners\n", corners.main),
-        "effect": ("## What the corners do for the nine numbers\n", effect.main),
+        "corners": ("## Corners\n\n", corners.main),
+        "effect": ("## Effect of the corners on the nine parameters\n\n", effect.main),
         "growth": (
-            "## Cost against length\n\nA moving log of JPEGs that is played to and fro, ten stereo pairs a second.\n",
+            "## Cost against length\n\n"
+            + paragraph(
+                "A recording without stops, repeated forwards and backwards: JPEG images, ten stereo pairs per second."
+            ),
             lambda: growth.main(data.open(), data.folder),
         ),
         "solvers": (
-            "## The solver beside Ceres and GTSAM\n\n"
-            "The same likelihood, start and tolerances; costs and derivatives of both others are Python callbacks, which take "
-            "most of their time. Without callbacks: what they took less what the callbacks took, as if cost and derivatives "
-            "were free, beside the whole of mobilecal's time.\n",
+            "## The solver compared with Ceres and GTSAM\n\n"
+            + paragraph(
+                "The same likelihood, initial estimate and tolerances. Costs and derivatives in Ceres and GTSAM are Python "
+                "callbacks, which take most of their time. Without callbacks: their time minus the time in callbacks, "
+                "divided by the total time of mobilecal."
+            ),
             established.table,
         ),
     }
 
 
 def main() -> None:
-    """All sections, or those that are named; the page is written only when all were measured."""
+    """Measure all sections or the named ones; the page is written only if all are measured."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=main.__doc__)
     parser.add_argument("sections", nargs="*", help="reading, commands, corners, effect, growth, solvers")
-    parser.add_argument(
-        "--data", type=Path, help="folder to keep the recordings in, and to take them from again"
-    )
+    parser.add_argument("--data", type=Path, help="folder that keeps the recordings for the next run")
     asked = parser.parse_args()
     with ExitStack() as stack:
         folder = asked.data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -96,7 +101,7 @@ def main() -> None:
         print(text, flush=True)
         for name in wanted:
             head, measure = sections[name]
-            part = f"\n{head}\n{measure()}"
+            part = f"\n{head}{measure()}"
             print(part, flush=True)
             text += part
     if len(wanted) == len(sections):

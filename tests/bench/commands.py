@@ -1,4 +1,4 @@
-"""Whole commands beside the imports that any such tool needs."""
+"""Time of complete commands compared with the imports that any such tool needs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mca
 
 
 def _spent(command: list[str]) -> tuple[float, float]:
-    """Seconds by the clock and of processor time that a command takes, its own children included."""
+    """Wall time and processor time of a command, its child processes included, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, check=False, env=_ENVIRONMENT)
@@ -32,12 +32,12 @@ def _spent(command: list[str]) -> tuple[float, float]:
 
 
 def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
-    """Table 2: the sample log, the moving log as it is taken by default, and looking for help."""
+    """Table 2: the sample recording, the recording without stops with default options, and `--help`."""
     tool = [sys.executable, "-m", "mobilecal_cli"]
     out = ["--output", str(folder / "out"), "--force", "--quiet"]
     commands = {
-        "calibrate the paper's robot's sample log": [*tool, "calibrate", str(_SAMPLE), *out],
-        "calibrate the moving log, stations chosen": [*tool, "calibrate", str(moving), *out],
+        "calibrate the sample recording of the paper's robot": [*tool, "calibrate", str(_SAMPLE), *out],
+        "calibrate the recording without stops, stations selected": [*tool, "calibrate", str(moving), *out],
         "mobilecal --help": [*tool, "--help"],
     }
     runs: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in commands}
@@ -57,5 +57,5 @@ def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
         for name, some in runs.items()
     ]
     return table(
-        ["command", "imports (s)", "command (s)", "ratio by the clock", "ratio of processor time"], rows
+        ["command", "imports (s)", "command (s)", "ratio of wall time", "ratio of processor time"], rows
     )

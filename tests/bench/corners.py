@@ -1,4 +1,4 @@
-"""Corners against truth, against the bound, and beside OpenCV's detectors and refinement."""
+"""Corner errors against the truth and the bound, compared with the detectors and refinement of OpenCV."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mobilecal_cli.vision import BoardFollower, Detection, detect
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.pictures import BOARD, View, bound_px, empty, view
-from tests.bench.tables import table
+from tests.bench.tables import paragraph, table
 
 VIEWS = 120
 EMPTY = 40
@@ -60,7 +60,7 @@ def errors_of(seen: View, image: np.ndarray, seed: int, noise_grey: float | None
     start = seen.truth + _START_PX * np.random.default_rng([seed, 9]).normal(size=seen.truth.shape)
     squares = {
         name: (how(image, start) - seen.truth) ** 2
-        for name, how in (("cornerSubPix", sub_pix), ("ours", ours))
+        for name, how in (("cornerSubPix", sub_pix), ("mobilecal", ours))
     }
     return Errors(
         seen.edge_px, squares | {"bound": np.repeat(bound_px(seen, noise_grey)[..., None] ** 2, 2, axis=-1)}
@@ -78,7 +78,7 @@ def _random(seed: int) -> Errors:
 
 
 _FIXED = tuple(
-    [("blur", v, "px") for v in (0.5, 0.8, 1.2, 2.0)] + [("noise", v, "grey") for v in (0.5, 1.0, 2.0, 4.0)]
+    [("blur", v, "px") for v in (0.5, 0.8, 1.2, 2.0)] + [("noise", v, "gray") for v in (0.5, 1.0, 2.0, 4.0)]
 )
 
 
@@ -98,13 +98,13 @@ def _cases(seed: int) -> dict[str, Errors]:
 
 def _lines(found: dict[str, list[Errors]]) -> list[list[str]]:
     return [
-        [name, str(len(some)), *(f"{rms(some, how):.4f}" for how in ("bound", "ours", "cornerSubPix"))]
+        [name, str(len(some)), *(f"{rms(some, how):.4f}" for how in ("bound", "mobilecal", "cornerSubPix"))]
         for name, some in found.items()
         if some
     ]
 
 
-_HEAD = ["", "pictures", "bound (px)", "ours (px)", "cornerSubPix (px)"]
+_HEAD = ["", "images", "bound (px)", "mobilecal (px)", "cornerSubPix (px)"]
 
 
 def accuracy(views: int) -> str:
@@ -159,7 +159,7 @@ def _product(image: np.ndarray) -> np.ndarray | None:
 
 _USUAL = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 FINDERS: dict[str, Finder] = {
-    "ours": _product,
+    "mobilecal": _product,
     "findChessboardCorners, usual flags": lambda image: _classic(image, _USUAL),
     "findChessboardCorners, usual flags, cornerSubPix": _refined(lambda image: _classic(image, _USUAL)),
     "findChessboardCorners, no flags, cornerSubPix": _refined(lambda image: _classic(image, 0)),
@@ -231,10 +231,13 @@ def detectors(views: int) -> str:
         for name, find in FINDERS.items()
     ]
     again = _row(
-        "ours, followed from the last picture", [f for f in followed if f is not None], [(False, 0.0)]
+        "mobilecal, tracked from the last image", [f for f in followed if f is not None], [(False, 0.0)]
     )
     rows.insert(1, [*again[:-1], ""])
-    return table(["", "found", "wrong", "error (px)", "ms a picture with a board", "ms without one"], rows)
+    return table(
+        ["", "found", "wrong", "error (px)", "ms per image with a board", "ms per image without a board"],
+        rows,
+    )
 
 
 _HALF_WINDOWS = (3, 5, 11)  # the tutorials' is 11; boards whose outer squares are narrow stand 3
@@ -275,13 +278,13 @@ def _epipolar_px(left: np.ndarray, right: np.ndarray) -> float:
 def real_pairs() -> str:
     """Residuals on Bouguet's seven stereo pairs, and of MRPT's four (no calibration is published: homography only)."""
     if not _DATA.is_dir():
-        return "The pictures of others that this table needs are not here.\n"
+        return "The published images for this table are not available.\n"
     rows = []
     for name, folder, calibrated in (
-        ("Bouguet's pairs", "opencv_samples", True),
-        ("MRPT's pairs", "mrpt_stereo_calib", False),
+        ("pairs from Bouguet", "opencv_samples", True),
+        ("pairs from MRPT", "mrpt_stereo_calib", False),
     ):
-        hows = ("ours", *(f"cornerSubPix, half window {most} px" for most in _HALF_WINDOWS))
+        hows = ("mobilecal", *(f"cornerSubPix, half window {most} px" for most in _HALF_WINDOWS))
         squares: dict[str, list[float]] = {how: [] for how in hows}
         epipolar: dict[str, list[float]] = {how: [] for how in hows}
         for first in sorted((_DATA / folder).rglob("*left*.jpg")):
@@ -306,22 +309,29 @@ def real_pairs() -> str:
             rows.append(
                 [f"{name}, {how}", str(len(squares[how])), f"{np.sqrt(np.mean(squares[how])):.4f}", across]
             )
-    return table(["", "pictures", "homography residual (px)", "epipolar residual (px)"], rows)
+    return table(["", "images", "homography residual (px)", "epipolar residual (px)"], rows)
 
 
 def main(views: int = VIEWS) -> str:
     """All tables of corners."""
-    return "\n".join(
+    return "".join(
         [
-            f"Root-mean-square error of one coordinate; {views} pictures drawn at random, those with squares of 7 px and more.\n",
-            accuracy(views),
-            "The bound knows nothing of the light; the fit takes its gradient to be what it is over the board, and may lie a little "
-            "below for small squares. The row of blur 2.0 px holds boards whose squares are narrower than what the blur spreads "
-            "over; the gate refuses those, here they were fitted all the same.\n",
-            f"Detectors on the same pictures with squares of 7 px and more, and on {EMPTY} without a board. The error is that "
-            "of the boards found; ms are processor time, medians.\n",
-            detectors(views),
-            "Real stereo pairs. The homography residual of MRPT's pictures holds their lenses' distortion.\n",
+            paragraph(
+                f"Root-mean-square error of one coordinate; {views} random images, those with squares of 7 px and more."
+            ),
+            accuracy(views) + "\n",
+            paragraph(
+                "The bound uses no knowledge of the light. The fit estimates one gradient of the light over the board, so "
+                "its error can be slightly below the bound for small squares. The row with a blur of 2.0 px contains boards "
+                "whose squares are narrower than the blur. The detector rejects such boards; here, they were fitted "
+                "nevertheless."
+            ),
+            paragraph(
+                f"Detectors on the same images with squares of 7 px and more, and on {EMPTY} images without a board. The "
+                "error is that of the boards found; times are medians of processor time."
+            ),
+            detectors(views) + "\n",
+            paragraph("Real stereo pairs. The homography residual for MRPT includes the lens distortion."),
             real_pairs(),
         ]
     )

@@ -1,4 +1,4 @@
-"""Motions that hide something: are the right numbers marked, and are the others as good as their bound?"""
+"""Insufficient motion: which parameters are marked as unobservable, and do the others reach their bound?"""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STATIONS = 12
 
 
 def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Error over stated sigma, NaN where the number is marked, and the marked numbers."""
+    """Error divided by the stated sigma, NaN for unobservable parameters, and their names."""
     robot, route = paper_robot(), route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
     extraction = ideal_extraction(robot, route, DISTURBED, seed)
     rig = replace(extraction.rig, noise=GIVEN)
@@ -59,9 +59,13 @@ def main() -> None:
     """All cases; runs of each as an argument, 200 by default."""
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     print(conditions())
-    print(f"\nN = {_STATIONS}, {runs} runs each, noise levels given: rms error over the stated sigma.\n")
+    print(
+        f"\nN = {_STATIONS}, {runs} runs each, noise levels given: rms error divided by the stated sigma.\n"
+    )
     header = (
-        HEADER.replace(" (deg)", "").replace(" (mm)", "").replace("\n", " marked in how many runs |\n", 1)
+        HEADER.replace(" (deg)", "")
+        .replace(" (mm)", "")
+        .replace("\n", " unobservable, number of runs |\n", 1)
     )
     print(header + " --- |")
     for motion, fix in _CASES:
@@ -70,7 +74,7 @@ def main() -> None:
         values = np.array([r[0] for r in results])
         shown = np.isfinite(values).sum(axis=0)
         rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(shown, 1))
-        cells = " | ".join(f"{v:.2f}" if n > runs / 2 else "held" for v, n in zip(rms, shown, strict=True))
+        cells = " | ".join(f"{v:.2f}" if n > runs / 2 else "fixed" for v, n in zip(rms, shown, strict=True))
         says = "; ".join(f"{names}: {count}" for names, count in marked.most_common())
         print(f"| {motion}{f', {fix} fixed' if fix else ''} | {cells} | {says} |")
         sys.stdout.flush()

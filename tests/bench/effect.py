@@ -1,4 +1,4 @@
-"""What better corners do for the nine numbers: Monte Carlo on rendered pictures, cornerSubPix against the corner model."""
+"""Effect of the corners on the nine parameters: Monte Carlo on rendered images, cornerSubPix and the corner model."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import DEGREES_MM, HEADER, JOINT_RAD, WHEEL, errors, map_runs, route_of, row
+from tests.bench.tables import paragraph
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
@@ -29,7 +30,7 @@ _SHAPE = (6, 9, 2)
 
 @cache
 def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Of a route, at each station and for both cameras: picture without noise, true corners."""
+    """Noise-free image and true corners of each station of a route, for both cameras."""
     robot, route = paper_robot(), route_of(STATIONS, number)
     rig, times_s = robot.rig_cameras, station_times_s(route)
     made = []
@@ -54,7 +55,7 @@ def _found(image: np.ndarray, start: np.ndarray, how: str) -> Corners:
 
 
 def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> tuple[Extraction, float]:
-    """The extraction with corners out of noisy pictures, and their root-mean-square error, px."""
+    """The extraction with corners from noisy images, and their root-mean-square error, px."""
     random, seen, off = np.random.default_rng([seed, 5]), [], []
     pictures, rig = _pictures(number), extraction.rig.cameras
     points_k = extraction.board.grid() * (extraction.board.square_m or 1.0)
@@ -82,15 +83,15 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
 
 
 def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]]:
-    """Error of the nine, NEES / 9 and the corners' error, by how corners were found."""
+    """Error of the nine parameters, NEES / 9 and corner error, by corner method."""
     robot, number = paper_robot(), seed // RUNS_PER_ROUTE
-    # A hundredth of the usual noise of wheels and joints shows what the corners alone do.
+    # A hundredth of the usual noise of wheels and joints shows the effect of the corners alone.
     share = 0.01 if quiet else 1.0
     base = ideal_extraction(
         robot, route_of(STATIONS, number), Noise(0.0, share * WHEEL, 0.0, share * JOINT_RAD), seed
     )
     result = {}
-    for how in ("cornerSubPix", "ours"):
+    for how in ("cornerSubPix", "mobilecal"):
         extraction, corner_px = _with_corners(base, number, seed, how)
         try:
             fit = maximum_likelihood(extraction)
@@ -104,30 +105,30 @@ def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]
 
 
 def main(runs: int = RUNS) -> str:
-    """Table 4, at the usual noise of wheels and joints, and with next to none."""
+    """Table 4, with the usual noise of wheels and joints and with a hundredth of it."""
     text = []
     for quiet in (False, True):
         found = list(map_runs(one_run, [(seed, quiet) for seed in range(runs)]))
         text.append(
             (
-                "Wheels and joints with a hundredth of their noise"
+                "Wheel and joint noise reduced to a hundredth"
                 if quiet
-                else "Wheels and joints as in method.md"
+                else "Wheel and joint noise as in the [results](results.md#maximum-likelihood-against-the-truth)"
             )
             + f", {runs} runs of N = {STATIONS}; root-mean-square errors.\n\n{HEADER}"
         )
         rms = {}
-        for how in ("cornerSubPix", "ours"):
+        for how in ("cornerSubPix", "mobilecal"):
             error = np.array([f[how][0] for f in found])
             rms[how] = np.sqrt(np.nanmean(error**2, axis=0)) * DEGREES_MM
             text.append(row(how, rms[how], 4))
-        text.append(row("ours / cornerSubPix", rms["ours"] / rms["cornerSubPix"]))
+        text.append(row("mobilecal / cornerSubPix", rms["mobilecal"] / rms["cornerSubPix"]))
         said = [
             f"{how}: corners {np.sqrt(np.mean([f[how][2] ** 2 for f in found])):.4f} px, mean NEES / 9 "
             f"{np.nanmean([f[how][1] for f in found]):.3f}, {sum(not np.isfinite(f[how][1]) for f in found)} runs refused"
-            for how in ("cornerSubPix", "ours")
+            for how in ("cornerSubPix", "mobilecal")
         ]
-        text.append("\n" + "; ".join(said) + ".\n")
+        text.append("\n" + paragraph("; ".join(said) + ".").rstrip("\n") + "\n")
     return "\n".join(text)
 
 

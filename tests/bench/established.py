@@ -1,4 +1,4 @@
-"""The same likelihood given to Ceres (pyceres) and to gtsam: the same optimum? At what cost in time and memory?"""
+"""The same likelihood solved by Ceres (pyceres) and gtsam: optimum, time and memory compared."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SIZES = (12, 200, 2000)
 SOLVERS = ("mobilecal", "ceres", "gtsam")
 HEADER = (
     "| stations | runs | mobilecal (s) | Ceres (s) | gtsam (s) | Ceres / mobilecal | gtsam / mobilecal "
-    "| Ceres without callbacks / mobilecal | gtsam without callbacks / mobilecal | growth of memory (MB) | cost apart | nine apart |\n"
+    "| Ceres without callbacks / mobilecal | gtsam without callbacks / mobilecal | growth of memory (MB) | difference of cost | difference of the parameters |\n"
     + "| --- " * 12
     + "|"
 )
@@ -39,7 +39,7 @@ HEADER = (
 
 @dataclass(frozen=True)
 class Found:
-    """What came of one run: seconds of building and solving, growth of memory, cost and the nine numbers there."""
+    """Result of one run: time to build and solve, growth of memory, cost and the nine parameters."""
 
     seconds: float
     callbacks: float
@@ -64,20 +64,20 @@ def vector(state: State) -> np.ndarray:
 
 
 def by_mobilecal(problem: Problem, start: State) -> tuple[State, float]:
-    """The product's own descent, which needs no callbacks."""
+    """The optimizer of mobilecal, which needs no callbacks."""
     nine = np.zeros(9)
     ties = Ties(start.parameters, np.zeros((0, 9)), np.zeros(0), np.ones(9), nine, nine)
     return descend(terms_before(problem, start, Selection.everything(problem), TRUE_NOISE), ties).state, 0.0
 
 
 def _kernel_mb(name: str) -> float:
-    """What the kernel says of this process's memory, MB."""
+    """Memory of this process as reported by the kernel, MB."""
     (line,) = (text for text in Path("/proc/self/status").read_text().splitlines() if text.startswith(name))
     return int(line.split()[1]) / 1024
 
 
 def one(solver: str, path: Path) -> None:
-    """In a process of its own: solve, and print what came of it as JSON."""
+    """In its own process: solve, and print the result as JSON."""
     solve = by_mobilecal
     if solver == "ceres":
         from tests.bench.established_ceres import by_ceres as solve
@@ -132,10 +132,10 @@ def row(stations: int, runs: int) -> str:
 def table(repeats: int = 5) -> str:
     """The study as a Markdown table.
 
-    Every time is the median of `repeats` runs in processes of their own; what is timed is building the problem and
-    solving it, from the same measurements and the same linear start. Without callbacks: as if cost and derivatives
-    took no time at all, which mobilecal's still do. Growth of
-    memory over what the start takes, relative differences of cost and of the nine numbers: in the order of `SOLVERS`, or of mobilecal to each.
+    Each time is the median of `repeats` runs, each in its own process. It covers building and solving the problem,
+    from the same measurements and the same linear solution. Without callbacks, the time in cost functions and
+    derivatives is subtracted for the other solvers, but not for mobilecal. The growth of memory is relative to the
+    start; it is listed in the order of `SOLVERS`. Differences of cost and parameters are relative to mobilecal.
     """
     rows = []
     for stations in SIZES:

@@ -26,7 +26,7 @@ class _Cost(pyceres.CostFunction):  # type: ignore[misc]
 
 
 def by_ceres(problem: Problem, start: State) -> tuple[State, float]:
-    """Where it ends, and seconds in callbacks.
+    """Final state, and seconds in callbacks.
 
     Sparse Cholesky factors of the whole, one thread: as fast as its Schur complements here, and smaller.
     """

@@ -13,7 +13,7 @@ _X, _K, _W = (gtsam.symbol(letter, 0) for letter in "xkw")  # head-eye, board, w
 
 
 def by_gtsam(problem: Problem, start: State) -> tuple[State, float]:
-    """Where it ends, and seconds in callbacks: Levenberg-Marquardt, stations in their order and then what they share."""
+    """Final state, and seconds in callbacks: Levenberg-Marquardt, stations in their order and then what they share."""
     terms = Terms(problem, start)
     at = terms.first()
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()

@@ -122,7 +122,7 @@ class Terms:
         base: FloatArray,
         error: FloatArray,
     ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        """(4 M,) of a station's two pictures; if wanted, derivatives by head-eye, board, base and joint errors."""
+        """(4 M,) of a station's two pictures; on request, derivatives by head-eye, board, base and joint errors."""
         problem = self.problem
         rig, joints = problem.cameras, problem.joints[station] + error
         R_X = se3.exp_so3(head_eye[:3]) @ self.R_X0
@@ -162,7 +162,7 @@ class Terms:
     def leg(
         self, derivatives: bool, leg: int, first: FloatArray, second: FloatArray, sizes: FloatArray
     ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        """(3,) of a leg's odometry; if wanted, derivatives by its first base, its second and the wheels."""
+        """(3,) of a leg's odometry; on request, derivatives by its first base, its second and the wheels."""
         steps, root = self._legs[leg]
         cos, sin = np.cos(first[2]), np.sin(first[2])
         dx, dy = second[:2] - first[:2]
@@ -183,6 +183,6 @@ class Terms:
     def reading(
         self, derivatives: bool, station: int, error: FloatArray
     ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        """(J,) of a station's joint readings; if wanted, the derivative by the joint errors."""
+        """(J,) of a station's joint readings; on request, the derivative by the joint errors."""
         whitened = error / TRUE_NOISE.joint_rad
         return whitened, (np.eye(self.joints) / TRUE_NOISE.joint_rad,) if derivatives else ()

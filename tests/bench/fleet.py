@@ -1,6 +1,6 @@
-"""Twenty-four simulated robots, here and on a Dask cluster that loses a worker half-way: the same table.
+"""Twenty-four simulated robots, locally and on a Dask cluster that loses a worker: both give the same table.
 
-`python -m tests.bench.fleet [ROBOTS]`. Every sixth recording is cut off, so that some robots fail.
+`python -m tests.bench.fleet [ROBOTS]`. Every sixth recording is truncated, so some robots fail.
 """
 
 from __future__ import annotations

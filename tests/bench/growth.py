@@ -1,4 +1,4 @@
-"""Cost against length: the stages of `calibrate`, and its memory, on logs of 1, 10 and 60 minutes."""
+"""Cost against length: the stages of `calibrate`, and its memory, on recordings of 1, 10 and 60 minutes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 from statistics import median
 
 from tests.bench.recordings import stretched
-from tests.bench.tables import table
+from tests.bench.tables import paragraph, table
 
 MINUTES = (1, 10, 60)
 _LENGTHS = {"auto": MINUTES, "all": (1, 10)}
 _STAGES = (
     "reading",
     "finding the board's size",
-    "looking for the board",
+    "detecting the board",
     "measuring",
     "solving",
     "writing the report",
@@ -42,7 +42,7 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
     began.append(("", time.perf_counter()))
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):
-        seconds[stage] = seconds.get(stage, 0.0) + end - start
+        seconds[stage] += end - start  # an unknown stage is an error, not a column of zeros
     status = Path("/proc/self/status").read_text()
     (peak,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
     return seconds | {"mb": int(peak.split()[1]) / 1024}
@@ -56,12 +56,10 @@ def _run(log: Path, out: Path, stations: str) -> dict[str, float]:
 
 
 def main(source: Path, folder: Path, rounds: int = 5) -> str:
-    """Table 5; `source` is a moving log of JPEGs. Every round runs all lengths, one after the other."""
+    """Table 5; `source` is a recording without stops, as JPEGs. Each round runs all lengths in sequence."""
     logs = {minutes: stretched(source, folder / f"{minutes}min.mcap", minutes) for minutes in MINUTES}
     runs = [(stations, minutes) for stations, lengths in _LENGTHS.items() for minutes in lengths]
-    found = [
-        {run: _run(logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)
-    ]  # of each round: what each run took
+    found = [{run: _run(logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)]
     rows = []
     for run in runs:
         stations, minutes = run
@@ -86,8 +84,11 @@ def main(source: Path, folder: Path, rounds: int = 5) -> str:
     return (
         f"Medians of {rounds} rounds.\n\n"
         + table(head, rows)
-        + "\nHow each stage grows: median of the ratios of each round, least and greatest behind it; of stages that took "
-        "less than 0.05 s on the shorter log nothing is said.\n\n"
+        + "\n"
+        + paragraph(
+            "Growth of each stage: median of the ratios of all rounds, with minimum and maximum. Stages that take less than "
+            "0.05 s on the shorter recording are omitted."
+        )
         + table(["length", "stations", *_STAGES, "memory"], growth)
     )
 

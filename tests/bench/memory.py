@@ -1,4 +1,4 @@
-"""Peak memory and time of the commands against the length of a recording, which `simulate` makes."""
+"""Peak memory and time of the commands against the length of a simulated recording."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.simulated import conditions
 
-#: Stops and stereo pairs a stop, with mono8 pictures of 640 x 480: about 0.1, 1 and 5 GB.
+#: Stops and stereo pairs per stop, with mono8 images of 640 x 480: about 0.1, 1 and 5 GB.
 SIZES = ((6, 28), (20, 82), (40, 204))
 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a command took: seconds, and its largest resident memory, MB."""
+    """Time of a command, s, and its peak resident memory, MB."""
 
     seconds: float
     peak_mb: float
@@ -66,7 +66,7 @@ def row(container: str, stations: int, pairs: int, folder: Path) -> str:
 def main() -> None:
     """All sizes as MCAP, one as the other containers."""
     print(f"{conditions()}\n")
-    print("| container | GB | pictures | calibrate: MB | s | inspect: MB | s |\n" + "| --- " * 7 + "|")
+    print("| container | GB | images | calibrate: MB | s | inspect: MB | s |\n" + "| --- " * 7 + "|")
     cases = [("mcap", *size) for size in SIZES]
     cases += [(container, *SIZES[1]) for container in ("mcap-lz4", "rosbag2", "bag")]
     with tempfile.TemporaryDirectory() as folder:

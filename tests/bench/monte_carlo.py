@@ -33,7 +33,7 @@ _NOTHING = (np.full(9, np.nan), np.nan, False)
 
 
 def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool]]:
-    """Error, NEES / 9 (NaN without covariance), and whether anything was left out, by method."""
+    """Error, NEES / 9 (NaN without covariance), and whether there were outliers, by method."""
     robot, number = paper_robot(), seed // RUNS_PER_ROUTE
     extraction = ideal_extraction(robot, route_of(stations, number), DISTURBED, seed)
     result = {}
@@ -70,10 +70,10 @@ def study(stations: int, runs: int) -> None:
         rows[name] = error
         rms = np.sqrt(np.nanmean(error**2, axis=0)) * DEGREES_MM
         print(row(name + (f" ({failed} runs refused)" if failed else ""), rms, 3))
-    print("\nOver the bound of each run\n\n" + HEADER.replace(" (deg)", "").replace(" (mm)", ""))
+    print("\nDivided by the bound of each run\n\n" + HEADER.replace(" (deg)", "").replace(" (mm)", ""))
     for name, error in rows.items():
         print(row(name, np.sqrt(np.nanmean((error / sigma) ** 2, axis=0))))
-    print("\n| | mean NEES / 9 | median | runs in which something was left out |\n| --- | --- | --- | --- |")
+    print("\n| | mean NEES / 9 | median | runs with outliers |\n| --- | --- | --- | --- |")
     for name in _LEVELS:
         nees = np.array([f[name][1] for f in found])
         left_out = sum(f[name][2] for f in found)

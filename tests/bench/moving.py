@@ -37,9 +37,9 @@ def main() -> None:
     offset, offset_std = np.array([r[3] for r in results]), np.array([r[4] for r in results])
     header = HEADER.replace(" (deg)", "").replace(" (mm)", "")
     print(
-        f"\nMoving logs of 40 pictures, {runs} runs, noise levels estimated, cameras 25 ms late.\n\n{header}"
+        f"\nRecordings without stops, 40 images, {runs} runs, noise levels estimated, cameras 25 ms late.\n\n{header}"
     )
-    print(row("rms error over the stated sigma", np.sqrt(np.mean((error / std) ** 2, axis=0))))
+    print(row("rms error divided by the stated sigma", np.sqrt(np.mean((error / std) ** 2, axis=0))))
     print(
         "\n| offset | rms error (ms) | mean stated sigma (ms) | rms error over sigma |\n| --- | --- | --- | --- |"
     )
@@ -48,9 +48,7 @@ def main() -> None:
         rms, mean = np.sqrt(np.mean(offset[:, k] ** 2)), np.mean(offset_std[:, k])
         print(f"| {name} | {1e3 * rms:.2f} | {1e3 * mean:.2f} | {ratio:.2f} |")
     left_out = sum(r[5] > 0 for r in results)
-    print(
-        f"\nMean NEES / 9: {np.mean([r[2] for r in results]):.2f}. Runs with something left out: {left_out}."
-    )
+    print(f"\nMean NEES / 9: {np.mean([r[2] for r in results]):.2f}. Runs with outliers: {left_out}.")
 
 
 if __name__ == "__main__":

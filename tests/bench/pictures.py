@@ -29,12 +29,12 @@ class View:
     """One picture before noise.
 
     Attributes:
-        light: (480, 640) grey levels, blurred.
+        light: (480, 640) gray levels, blurred.
         truth: (6, 9, 2) corners, px.
         edge_px: the shortest side of a square.
         blur_px: sigma of the edges' blur, a pixel's own width included.
         noise_grey: sigma of the noise that goes with it.
-        half_contrast: (6, 9) half of the step from dark to light at each corner, grey levels.
+        half_contrast: (6, 9) half of the step from dark to light at each corner, gray levels.
     """
 
     light: np.ndarray
@@ -47,7 +47,7 @@ class View:
     def taken(
         self, seed: int, *, noise_grey: float | None = None, tone: str = "linear", jpeg: int = 0
     ) -> np.ndarray:
-        """A picture with noise, in whole grey levels, after a tone curve and JPEG at a quality (0: none)."""
+        """A picture with noise, in whole gray levels, after a tone curve and JPEG at a quality (0: none)."""
         noise = self.noise_grey if noise_grey is None else noise_grey
         signal = self.light + noise * np.random.default_rng([seed, 7]).normal(size=self.light.shape)
         curves = {
@@ -64,7 +64,7 @@ class View:
 
 
 def clutter(random: np.random.Generator) -> np.ndarray:
-    """A wall with boxes, discs and stripes on it, (480, 640) grey levels."""
+    """A wall with boxes, discs and stripes on it, (480, 640) gray levels."""
     wall = np.full((480, 640), random.uniform(70, 160))
     for _ in range(12):
         x, y, grey = int(random.integers(640)), int(random.integers(480)), random.uniform(20, 230)
@@ -151,7 +151,7 @@ def bound_px(seen: View, noise_grey: float | None = None) -> np.ndarray:
     """Cramer-Rao bound of each corner: (6, 9) root mean square over x and y, px.
 
     For ``m + a erf(d1 / sqrt(2) s) erf(d2 / sqrt(2) s) + g . p`` with all nine numbers unknown, white noise (with that
-    of rounding), and a window up to the middle of each neighbouring square.
+    of rounding), and a window up to the middle of each neighboring square.
     """
     noise = math.hypot(seen.noise_grey if noise_grey is None else noise_grey, 1 / math.sqrt(12))
     along, down = np.gradient(seen.truth, axis=1), np.gradient(seen.truth, axis=0)

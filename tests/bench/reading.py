@@ -1,4 +1,4 @@
-"""Every frame of a moving log: reading and seeing, beside reading and decoding alone; on one core and on two."""
+"""Every frame of a recording without stops: reading and detection compared with reading and decoding, on one and two cores."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MEASURED = 100  # stations
 
 
 def decode_alone(path: Path, workers: int) -> float:
-    """Seconds to read all messages with the `mcap` package and decode the pictures, on so many threads."""
+    """Seconds to read all messages with the `mcap` package and decode the images, on `workers` threads."""
     import cv2
     import numpy as np
     from mcap.reader import make_reader
@@ -50,7 +50,7 @@ def decode_alone(path: Path, workers: int) -> float:
 
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
-    """Seconds to read the log and look for the board in every picture; ms a station to measure; boards found."""
+    """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
@@ -89,11 +89,11 @@ def _once(what: str, path: Path, workers: int) -> dict[str, float]:
 
 
 def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
-    """Tables 1 and 7, of one log stored in several ways."""
+    """Tables 1 and 7, for one recording with several image encodings."""
     rows: list[list[str]] = []
     speed: list[list[str]] = []
     for kind, path in logs.items():
-        # What one core does is asked of JPEGs only: the others would double the time.
+        # One core is measured with JPEGs only: the other encodings would double the time.
         cores = (1, _CORES) if kind == _JPEG else (_CORES,)
         runs = [
             {
@@ -118,18 +118,18 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
             ]
             speed.append([kind, *gain])
     head = [
-        "pictures",
+        "images",
         "cores",
         "read + decode (s)",
-        "read + see (s)",
+        "read + detect (s)",
         "ratio",
-        "triangulate and pose (ms a station, one core)",
+        "triangulation and pose (ms per station, one core)",
         "boards found",
     ]
     return (
         table(head, rows)
-        + f"\nSpeed-up from 1 to {_CORES} cores, medians of the ratios of each round.\n\n"
-        + table(["pictures", "read + decode", "read + see"], speed)
+        + f"\nSpeed-up from 1 to {_CORES} cores, medians of the ratios of all rounds.\n\n"
+        + table(["images", "read + decode", "read + detect"], speed)
     )
 
 

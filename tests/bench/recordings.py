@@ -1,4 +1,4 @@
-"""Recordings for the performance tables: simulated, transcoded, with somebody in the way, and stretched to any length."""
+"""Recordings for the performance tables: simulated, transcoded, with an occluded board, and of any length."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _walls() -> tuple[np.ndarray, ...]:
 
 
 def _with_somebody(picture: np.ndarray, time_s: float, number: int) -> np.ndarray:
-    """For a third of the time somebody stands before the board; coming and going takes half a second each."""
+    """For a third of the time a person occludes the board; entering and leaving take half a second each."""
     phase = time_s % _PERIOD_S
     if phase >= _HIDDEN_S:
         return picture
@@ -115,7 +115,7 @@ def _encoded(picture: np.ndarray, kind: str, template: Any) -> tuple[str, bytes,
 
 
 def transcoded(source: Path, out: Path, kind: str, hide: bool) -> Path:
-    """The same log with its mono8 pictures stored as jpeg, png or mono8, the board hidden now and then."""
+    """The recording with its mono8 images stored as jpeg, png or mono8, the board occluded at times."""
     output, start_ns = Output(out), 0
     for number, record in enumerate(records_of(source)):
         start_ns = start_ns or record.time_ns
@@ -137,10 +137,9 @@ def _restamped(data: bytes, time_ns: int) -> bytes:
 
 
 def stretched(source: Path, out: Path, minutes: float) -> Path:
-    """The log forwards, backwards, forwards, ... until it is so long: the robot drives to and fro over one way.
+    """The recording repeated forwards and backwards until it has the given length.
 
-    Backwards it is what a robot would record that drives back over its own path: every reading and picture again, in
-    opposite order.
+    Backwards, all readings and images appear in opposite order, as if the robot drove back along its path.
     """
     once = [record for record in records_of(source) if record.topic != "/robot_description"]
     stamped = [record for record in once if record.type in (*_IMAGES, "sensor_msgs/msg/JointState")]
@@ -155,7 +154,7 @@ def stretched(source: Path, out: Path, minutes: float) -> Path:
         for record in stamped if forwards else reversed(stamped):
             passed = record.time_ns - first if forwards else last - record.time_ns
             time_ns = begin + passed
-            # The turning point belongs to both ways.
+            # The turning point belongs to both directions.
             if (leg and not passed) or passed > minutes * 60e9 - (begin - first):
                 continue
             output.write(

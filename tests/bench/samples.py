@@ -1,4 +1,4 @@
-"""The sample logs: jackknife against covariance, and the errors against the truth that lies beside them."""
+"""The sample recordings: jackknife against covariance, and errors against the known truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _truth(path: Path) -> Parameters:
 
 
 def main() -> None:
-    """One table for each log that shows all nine numbers."""
+    """One table for each recording that determines all nine parameters."""
     print(conditions())
     for name in ("paper_robot", "tick_robot"):
         config = _LOGS / f"{name}.rig.yaml"
@@ -45,7 +45,7 @@ def main() -> None:
         print(f"\n### {name}\n\n{HEADER}")
         print(row("error", error * DEGREES_MM, 3))
         print(row("sigma", found.std * DEGREES_MM, 3))
-        print(row("jackknife's sigma", found.jackknife_std * DEGREES_MM, 3))
+        print(row("jackknife sigma", found.jackknife_std * DEGREES_MM, 3))
         print(row("jackknife / covariance", found.jackknife_std / found.std))
 
 

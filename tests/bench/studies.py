@@ -1,4 +1,4 @@
-"""`make studies`: the accuracy studies of docs/explanation/results.md, one after the other; hours."""
+"""`make studies`: the accuracy studies of docs/explanation/results.md, in sequence; this takes hours."""
 
 from tests.bench import degenerate, fleet, memory, monte_carlo, moving, robust, samples, table1
 

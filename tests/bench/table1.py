@@ -52,7 +52,7 @@ def wheel_rounds(history: tuple[Parameters, ...]) -> int:
 
 
 def sample() -> None:
-    """The sample log, by the paper's own method."""
+    """The sample recording, solved by the method of the paper."""
     robot = paper_robot()
     extraction, _ = extract([_SAMPLE], load_rig(None))
     solutions = {method: solve(extraction, method) for method in ("linear", "paper", "lm")}
@@ -82,7 +82,7 @@ def monte_carlo() -> None:
             results.append(errors(solution.parameters, robot))
         rounds.append(solution.linear.rounds_to_tolerance)
     print(
-        f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, most {max(rounds)}.\n"
+        f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, maximum {max(rounds)}.\n"
     )
     print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
