@@ -1,4 +1,4 @@
-# Every target makes its own virtual environment: Python and pip are all that a machine needs.
+# Each target creates the virtual environment it needs; only Python and pip are required.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -16,26 +16,26 @@ $(VENV)/.dev: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $@ $(VENV)/.run
 
-demo: $(VENV)/.run  ## install, then calibrate the paper's robot from its sample log
+demo: $(VENV)/.run  ## install, then calibrate the robot of the paper from its sample recording
 	$(BIN)/mobilecal calibrate sample_logs/paper_robot.mcap --output $(DEMO) --force
 
-test: $(VENV)/.dev  ## install, then run every test
+test: $(VENV)/.dev  ## install, then run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not pages and not long'
 
-long: $(VENV)/.dev  ## whole commands that take long
+long: $(VENV)/.dev  ## slow tests of complete commands
 	$(BIN)/python -m pytest -n 2 -m long
 
-pages: $(VENV)/.dev  ## every command of the tutorial and the how-to pages
+pages: $(VENV)/.dev  ## run all commands of the tutorial and the how-to pages
 	$(BIN)/python -m pytest -n 2 -m pages
 
-slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing at length
+slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-bench: $(VENV)/.dev  ## docs/explanation/performance.md, measured anew: 40 minutes or more
+bench: $(VENV)/.dev  ## measure docs/explanation/performance.md again: 40 minutes or more
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench
 
-studies: $(VENV)/.dev  ## the tables of docs/explanation/results.md, made anew: hours
+studies: $(VENV)/.dev  ## compute the tables of docs/explanation/results.md again: hours
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench.studies
 
@@ -49,12 +49,12 @@ types: $(VENV)/.dev
 layers: $(VENV)/.dev
 	$(BIN)/lint-imports
 
-check: lint types layers test  ## what must be clean before a commit
+check: lint types layers test  ## checks that must pass before a commit
 
-logs: $(VENV)/.run  ## rebuild sample_logs/ from their seeds
+logs: $(VENV)/.run  ## generate sample_logs/ again from their seeds
 	$(BIN)/python -m mobilecal_cli.simulate.samples sample_logs
 
-docs: $(VENV)/.dev  ## the parts of docs/ that are made out of the code, then the pages; a warning is an error
+docs: $(VENV)/.dev  ## generate the pages made from the code, then build all pages; warnings are errors
 	$(BIN)/python docs/generate/errors.py
 	$(BIN)/python docs/generate/options.py
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

@@ -1,4 +1,4 @@
-"""How Sphinx builds these pages: `make docs`; a warning is an error there."""
+"""Sphinx configuration for `make docs`, which treats warnings as errors."""
 
 import mobilecal_cli
 

@@ -21,7 +21,7 @@ SECTIONS = ("tutorial", "how-to", "explanation", "reference")
 def generator_of(name):
     spec = importlib.util.spec_from_file_location(f"generate_{name}", DOCS / "generate" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
+    sys.modules[spec.name] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -43,9 +43,9 @@ def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
 
 
 def test_every_error_says_what_to_do(generator):
-    """But for the readers' findings on one picture, which become rejections with their own cure."""
+    """Except for errors of the readers about a single image, which become rejections with their own cure."""
     lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
-    without = {room.removeprefix("| ") for room, _, cure in lines if cure in ("|", " |")}
+    without = {module.removeprefix("| ") for module, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/images", "readers/video"}
 
 

@@ -1,4 +1,4 @@
-"""Every command of the tutorial and the how-to pages, in a shell: `make pages`."""
+"""All commands of the tutorial and the how-to pages, run in a shell: `make pages`."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PAGES = sorted(
 
 @pytest.fixture(scope="module")
 def bench(sample_logs, tmp_path_factory):
-    """What the pages take for granted: recordings, a robot's URDF, a fleet, and an earlier result."""
+    """A directory with the files that the pages use: recordings, a URDF, a fleet, and an earlier result."""
     from mobilecal_cli.simulate.robot import ROBOTS
     from mobilecal_cli.simulate.urdf import urdf_text
 
     folder = tmp_path_factory.mktemp("bench")
     shutil.copy(sample_logs / "paper_robot.mcap", folder / "log.mcap")
-    shutil.copy(sample_logs / "paper_robot.bag", folder / "another.mcap")  # contents tell, not the name
+    shutil.copy(sample_logs / "paper_robot.bag", folder / "another.mcap")  # the content decides, not the name
     (folder / "sample_logs").symlink_to(sample_logs)
     (folder / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
     assert shell("mobilecal calibrate log.mcap --output result --quiet", folder).returncode == 0
@@ -59,7 +59,7 @@ def test_every_command_of_a_page_works(page, bench, tmp_path):
     shutil.copytree(bench, folder, symlinks=True)
     text = (DOCS / page).read_text(encoding="utf-8")
     if "--output result" in text:
-        shutil.rmtree(folder / "result")  # the page makes it itself
+        shutil.rmtree(folder / "result")  # the page creates it
     commands = [
         line
         for block in re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)

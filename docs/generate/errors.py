@@ -1,7 +1,7 @@
-"""The error catalogue out of the code: `python docs/generate/errors.py` writes docs/reference/errors.md.
+"""Error catalog from the code: `python docs/generate/errors.py` writes docs/reference/errors.md.
 
-Every place that raises one of the documented errors is found in the syntax trees of the package; what a message fills
-in stands in ⟨⟩.
+The script finds all places that raise a documented error in the syntax trees of the package. Values that a message
+fills in are shown in ⟨⟩.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ KINDS: dict[str, type[errors.MobilecalError]] = {
 HEAD = """\
 # Errors
 
-Generated from the code by `make docs`. Every error that a user meets is one of six kinds, each with an exit code of its
-own; anything else (exit code 1 and a Python traceback) is a bug of mobilecal's. The first line on standard error is the
-message, the second what to do next. What a message fills in stands in ⟨⟩. Ctrl-C ends with exit code 130; what was not
-finished is not written.
+Generated from the code by `make docs`. There are six kinds of errors, each with its own exit code.
+Anything else (exit code 1 and a Python traceback) is a bug in mobilecal. The first line on standard
+error is the message, and the second line says what to do. Values that a message fills in are shown
+in ⟨⟩. Ctrl-C ends a command with exit code 130, and unfinished output is not written.
 """
 
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """One place that raises: the room it is in, and the texts."""
+    """One place that raises: its module, the message and the cure."""
 
-    room: str
+    module: str
     message: str
     cure: str
 
 
 def _filled(node: ast.expr | None, names: dict[str, ast.expr]) -> str:
-    """A text as the code builds it, what it fills in between ⟨ and ⟩."""
+    """A text as the code builds it, with the values it fills in between ⟨ and ⟩."""
     if node is None:
         return ""
     if isinstance(node, ast.Constant):
@@ -65,7 +65,7 @@ def _filled(node: ast.expr | None, names: dict[str, ast.expr]) -> str:
 
 
 def _short(node: ast.expr) -> str:
-    """A name for an expression: its last telling word."""
+    """A name for an expression: its last descriptive word."""
     if isinstance(node, ast.Attribute):
         return node.attr.strip("_").replace("_", " ")
     if isinstance(node, ast.Name):
@@ -89,7 +89,7 @@ def _short(node: ast.expr) -> str:
 
 
 def _constants(tree: ast.AST) -> dict[str, ast.expr]:
-    """Names that are given a text once."""
+    """Names that are assigned a text."""
     found: dict[str, ast.expr] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.targets[0], ast.Name):
@@ -104,7 +104,7 @@ def _constants(tree: ast.AST) -> dict[str, ast.expr]:
 def _raised(path: Path) -> Iterator[tuple[str, Entry]]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     top = _constants(tree)
-    room = path.relative_to(PACKAGE).with_suffix("").as_posix()
+    module = path.relative_to(PACKAGE).with_suffix("").as_posix()
     functions = [node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
     seen: set[int] = set()
     for scope in [*reversed(functions), tree]:
@@ -116,7 +116,7 @@ def _raised(path: Path) -> Iterator[tuple[str, Entry]]:
                 seen.add(id(node))
                 message = " ".join(_filled(node.args[0], names).split())
                 cure = " ".join(_filled(node.args[1] if len(node.args) > 1 else None, names).split())
-                yield node.func.id, Entry(room, message, cure)
+                yield node.func.id, Entry(module, message, cure)
 
 
 def catalogue() -> str:
@@ -131,14 +131,14 @@ def catalogue() -> str:
         parts.append(f"\n## `{kind.code}`: exit code {kind.exit_code}\n\n{inspect.getdoc(kind)}\n\n")
         parts.append("| raised in | message | what to do |\n| --- | --- | --- |\n")
         parts += [
-            f"| {entry.room} | {_cell(entry.message)} | {_cell(entry.cure)} |\n"
+            f"| {entry.module} | {_cell(entry.message)} | {_cell(entry.cure)} |\n"
             for entry in sorted(found[name])
         ]
     return "".join(parts)
 
 
 def _outside(message: str) -> str:
-    """What a message says by itself, without what it fills in."""
+    """The fixed text of a message, without the values it fills in."""
     text, depth = "", 0
     for character in message:
         depth += (character == "⟨") - (character == "⟩")

@@ -1,4 +1,4 @@
-"""Pictures of good and bad motion, out of the sample logs: `docs/generate/motions.py` writes docs/images/."""
+"""Figures of good and insufficient motion from the samples: `docs/generate/motions.py` writes docs/images/."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLES = REPOSITORY / "sample_logs"
 
 
 def main() -> None:
-    """The way and the head's angles of a good log, of one that only drives straight, and of one whose head is still."""
+    """Path and head angles of a good recording, one with straight driving only, and one with a still head."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("paper_robot", "straight", "head_fixed"):
             asked = asked_of(["t_y=0"] if name == "head_fixed" else [], [], [])

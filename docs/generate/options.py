@@ -1,4 +1,4 @@
-"""Every command with its options, out of the code: `docs/generate/options.py` writes docs/reference/options.md."""
+"""All commands with their options, from the code: `docs/generate/options.py` writes docs/reference/options.md."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ TARGET = Path(__file__).resolve().parents[1] / "reference" / "options.md"
 HEAD = """\
 # Options
 
-Generated from the code by `make docs`. What the commands do is told in [command line](cli.md).
+Generated from the code by `make docs`. [Command line](cli.md) explains the commands.
 """
 
 
 def page() -> str:
-    """The whole page."""
+    """The text of docs/reference/options.md."""
     group: Any = typer.main.get_command(app)
     parts = [HEAD]
     for name in sorted(group.commands):
         command = group.commands[name]
         text = [line.strip() for line in (command.help or "").splitlines()]
         parts += [f"## `mobilecal {name}`\n", "\n".join(text), "", "| | |", "| --- | --- |"]
-        parts += [f"| {_names(item)} | {_told(item)} |" for item in command.params]
+        parts += [f"| {_names(item)} | {_help(item)} |" for item in command.params]
         parts.append("")
     return "\n".join(parts)
 
@@ -36,8 +36,8 @@ def _names(item: Any) -> str:  # noqa: ANN401 - typer's own classes
     return ", ".join(f"`{name}`" for name in (*item.opts, *item.secondary_opts))
 
 
-def _told(item: Any) -> str:  # noqa: ANN401
-    told = (
+def _help(item: Any) -> str:  # noqa: ANN401
+    text = (
         (getattr(item, "help", None) or "")
         .replace("|", "\\|")
         .replace("[default: ", "(default: ")
@@ -47,8 +47,8 @@ def _told(item: Any) -> str:  # noqa: ANN401
     choices = getattr(getattr(item, "type_descriptor", None), "choices", None)
     if choices:
         names = [f"`{getattr(choice, 'value', choice)}`" for choice in choices]
-        told += f" One of {', '.join(names)}."
-    return told
+        text += f" One of {', '.join(names)}."
+    return text
 
 
 if __name__ == "__main__":

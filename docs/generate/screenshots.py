@@ -1,6 +1,6 @@
 """Screenshots of reports in Chromium: `python docs/generate/screenshots.py` writes docs/images/.
 
-A pass, a report that is not enough, and a fail, out of the sample logs.
+One report for each verdict, from the sample recordings.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.report.browser import Browser  # noqa: E402
 
 IMAGES = REPOSITORY / "docs" / "images"
 SAMPLES = REPOSITORY / "sample_logs"
-#: Name of the picture → recording, further options, and the exit code.
+#: Name of the image → recording, further options, and exit code.
 REPORTS = {
     "report-pass": ("paper_robot.mcap", (), 0),
     "report-not-enough": ("straight.mcap", (), 6),
@@ -36,7 +36,7 @@ REPORTS = {
 
 
 def main() -> None:
-    """Calibrate, open, photograph."""
+    """Calibrate, open each report, and save a screenshot."""
     IMAGES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         for name, (log, options, code) in REPORTS.items():
