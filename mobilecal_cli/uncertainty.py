@@ -1,4 +1,4 @@
-"""What a log's motion cannot show, in words, before anything is solved."""
+"""Parameters that a recording's motion leaves unobservable, described before any solve."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from mobilecal_cli.kinematics import cut_at, head_pose
 from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
 FEWEST_STATIONS = 4  # three legs give nine equations in translation and nine in rotation for nine unknowns
-_TILTED_RAD = np.radians(3.0)  # a smaller range leaves Tsai-Lenz with parallel axes, whatever the noise
-_TURNED_RAD = 0.1  # wheel rotation: with usual wheels about 2.5 degrees of heading
-_DRIVEN_RAD = 0.1  # wheel rotation: with usual wheels about 2 cm
+_TILTED_RAD = np.radians(3.0)  # in a smaller range, the rotation axes are practically parallel for Tsai-Lenz
+_TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels
+_DRIVEN_RAD = 0.1  # wheel rotation: about 2 cm with typical wheels
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Something that the motion does not show.
+    """Parameters that the motion leaves unobservable.
 
     Attributes:
-        parameters: what stays unknown.
-        because: what the motion was, with its numbers.
-        cure: the motion that would show it.
+        parameters: the unobservable parameters.
+        because: the reason, with the amount of motion.
+        cure: the motion that makes them observable.
     """
 
     parameters: tuple[str, ...]
@@ -33,13 +33,13 @@ class Gap:
 
 
 def _vertical_range_rad(R_v_h: FloatArray) -> float:
-    """Largest angle between the verticals that the head saw, in its own frame: (N, 3, 3) → rad."""
+    """Largest angle between the vertical directions in the head's frame, (N, 3, 3) → rad."""
     vertical_h = R_v_h[:, 2, :]
     return float(np.arccos(np.clip(vertical_h @ vertical_h.T, -1, 1)).max())
 
 
 def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
-    """The cases of motion in which some of the nine numbers are not observable (`method.md`, last table)."""
+    """Gaps in the motion that leave some of the nine parameters unobservable (`method.md`, last table)."""
     observations = extraction.observations
     times = [
         np.array([o.time_ns for o in observations if o.log == log]) for log in range(len(extraction.wheels))
@@ -52,13 +52,13 @@ def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
 def gaps_between(
     chain: HeadChain, joints: FloatArray, wheels: Sequence[WheelTrack], times_ns: Sequence[IntArray]
 ) -> tuple[Gap, ...]:
-    """`motion_gaps` of stations, whatever was seen there.
+    """Gaps in the motion between stations, from joints and wheels alone; see `motion_gaps`.
 
     Args:
         chain: base to head.
-        joints: (N, J) head joint readings at the stations of all logs, rad or m.
-        wheels: both wheels of each log.
-        times_ns: (n,) stations' times in each log, increasing.
+        joints: (N, J) head joint readings at the stations of all recordings, rad or m.
+        wheels: both wheels of each recording.
+        times_ns: (n,) stations' times in each recording, increasing.
     """
     gaps = []
     T_v_h = head_pose(chain, joints)
@@ -66,8 +66,9 @@ def gaps_between(
     if tilted < _TILTED_RAD:
         gaps.append(
             Gap(
-                ("t along the vertical", "rotation about it"),
-                f"the head's tilt spans only {np.degrees(tilted):.2f} degrees",
+                ("translation along the vertical", "rotation about the vertical"),
+                f"the head's tilt spans only {np.degrees(tilted):.2f} degrees "
+                f"(at least {np.degrees(_TILTED_RAD):.0f} needed)",
                 "tilt the head up and down by 15 degrees or more between stations, and pan it",
             )
         )
@@ -81,8 +82,8 @@ def gaps_between(
         gaps.append(
             Gap(
                 ("radius_right", "radius_left", "separation"),
-                f"the wheels turn by at most {np.degrees(max(turned, driven)):.1f} degrees between stations: "
-                "the base stands still",
+                f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
+                f"between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive and turn the base between stations",
             )
         )
@@ -90,8 +91,8 @@ def gaps_between(
         gaps.append(
             Gap(
                 ("separation", "ratio of the radii"),
-                f"the base only drives straight: the two wheels' rotations differ by at most "
-                f"{np.degrees(turned):.1f} degrees between stations",
+                f"the base only drives straight: the rotations of the two wheels differ by at most "
+                f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(_TURNED_RAD):.1f} needed)",
                 "turn the base by 20 degrees or more between some stations",
             )
         )
@@ -99,8 +100,8 @@ def gaps_between(
         gaps.append(
             Gap(
                 ("common scale of radius_right, radius_left, separation",),
-                f"the base only turns on the spot: the wheels' mean rotation is at most "
-                f"{np.degrees(driven):.1f} degrees between stations",
+                f"the base only turns in place: the mean rotation of the two wheels is at most "
+                f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive forward or back by 20 cm or more between some stations",
             )
         )
@@ -108,10 +109,10 @@ def gaps_between(
 
 
 def require_stations(extraction: Extraction) -> None:
-    """Refuse an extraction of too few stations.
+    """Refuse an extraction with too few stations.
 
     Raises:
-        ObservationError: fewer than four stations; says how many, and counts the rejections by reason.
+        ObservationError: fewer than four stations; gives their number, and the rejections by reason.
     """
     have = len(extraction.observations)
     if have < FEWEST_STATIONS:
@@ -120,21 +121,21 @@ def require_stations(extraction: Extraction) -> None:
             reasons[rejection.reason] = reasons.get(rejection.reason, 0) + 1
         counted = ", ".join(f"{n} x {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1]))
         raise ObservationError(
-            f"the board was found at {have} of {extraction.counts.get('stations', have)} stations, "
-            f"{FEWEST_STATIONS} are needed" + (f"; left out: {counted}" if counted else ""),
-            "keep the whole board in both pictures, at rest, in good light, with squares of 7 pixels or more",
+            f"the board was found at {have} of {extraction.counts.get('stations', have)} stations "
+            f"(at least {FEWEST_STATIONS} needed)" + (f"; rejected: {counted}" if counted else ""),
+            "keep the whole board in both images, at rest, in good light, with squares of 7 pixels or more",
         )
 
 
 def require_observable(extraction: Extraction) -> None:
-    """Refuse an extraction that cannot show all nine numbers: for methods that hold nothing at nominal values.
+    """Refuse an extraction with unobservable parameters, for methods that do not use nominal values.
 
     Raises:
-        SolveError: naming the parameters and the motion that would show them.
+        SolveError: names the unobservable parameters and the missing motion.
     """
     gaps = motion_gaps(extraction)
     if gaps:
         raise SolveError(
-            "; ".join(f"not observable: {', '.join(g.parameters)}: {g.because}" for g in gaps),
+            "; ".join(f"unobservable: {', '.join(g.parameters)}, because {g.because}" for g in gaps),
             "; ".join(g.cure for g in gaps),
         )

@@ -26,9 +26,14 @@ def test_enough_motion_has_no_gap(motion):
 @pytest.mark.parametrize(
     ("motion", "parameters", "because", "cure"),
     [
-        ("head_fixed", "t along the vertical", "the head's tilt spans only 0.", "tilt the head up and down"),
+        (
+            "head_fixed",
+            "translation along the vertical",
+            "the head's tilt spans only 0.",
+            "tilt the head up and down",
+        ),
         ("straight", "separation", "only drives straight", "turn the base"),
-        ("spin", "common scale", "only turns on the spot", "drive forward or back"),
+        ("spin", "common scale", "only turns in place", "drive forward or back"),
         (
             "base_fixed",
             "radius_right, radius_left, separation",
@@ -41,7 +46,7 @@ def test_enough_motion_has_no_gap(motion):
 def test_missing_motion_is_named(motion, parameters, because, cure, noise):
     with pytest.raises(SolveError) as caught:
         require_observable(extraction(motion, noise))
-    assert f"not observable: {parameters}" in caught.value.message
+    assert f"unobservable: {parameters}" in caught.value.message
     assert because in caught.value.message
     assert cure in caught.value.hint
 
@@ -50,6 +55,6 @@ def test_too_few_stations_count_the_reasons():
     whole = extraction("standard")
     lost = [Rejection("vision", "blurred", "edge 5 px", 0)] * 5 + [Rejection("vision", "no board", "", 0)] * 4
     few = replace(whole, observations=whole.observations[:3], rejections=tuple(lost))
-    with pytest.raises(ObservationError, match="at 3 of 12 stations, 4 are needed") as caught:
+    with pytest.raises(ObservationError, match=r"at 3 of 12 stations \(at least 4 needed\)") as caught:
         require_stations(few)
-    assert "left out: 5 x blurred, 4 x no board" in caught.value.message
+    assert "rejected: 5 x blurred, 4 x no board" in caught.value.message

@@ -1,1 +1,1 @@
-"""The likelihood of everything that was measured: residuals, derivatives, information (method.md)."""
+"""The likelihood of all measurements: residuals, derivatives, information (method.md)."""

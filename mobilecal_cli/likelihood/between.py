@@ -1,4 +1,4 @@
-"""Several logs of one robot: what each says by itself, and how far they are apart beyond their own noise."""
+"""Several recordings of one robot: the estimate of each, and the spread between them beyond their noise."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mobilecal_cli.likelihood.shared import Layout
 from mobilecal_cli.likelihood.system import linearize
 from mobilecal_cli.model import NINE, BetweenLogs, FloatArray
 
-_SHOWN = 1.0  # a direction that a log knows no better than its scale is not shown by it
-_SHARE = 0.1  # of a number in what is not shown
-_CHANCE = 0.01  # logs that are apart by what chance does once in so many are not taken for different
+_SHOWN = 1.0  # least scale over standard deviation of a direction that is observable in a recording
+_SHARE = 0.1  # limit of a parameter's share in the unobservable directions
+_CHANCE = 0.01  # significance level of a difference between recordings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pooled:
-    """The logs weighed against one another.
+    """Combined estimate of several recordings.
 
     Attributes:
-        between: each log by itself, and the spread between them.
-        step: (named,) from the optimum of all measurements to the estimate that allows for the spread.
+        between: the estimate of each recording, and the spread between them.
+        step: (named,) from the optimum of all measurements to the estimate that includes the spread.
         covariance: (named, named) of that estimate.
     """
 
@@ -36,7 +36,7 @@ class Pooled:
 def one_log(
     problem: Problem, state: State, selection: Selection, leg_covariance: FloatArray, log: int
 ) -> tuple[Problem, State, Selection, FloatArray]:
-    """The part of a problem, its state and its selection that belongs to one log."""
+    """The part of a problem, its state, its selection and its leg covariance that belongs to one recording."""
     mine = problem.log == log
     legs = mine[problem.legs[:, 0]]
     number = np.cumsum(mine) - 1
@@ -72,11 +72,12 @@ def one_log(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Own:
-    """What one log says by itself, in scaled units.
+    """Estimate of one recording, in scaled units.
 
     Attributes:
-        step, std: (named,) from the common optimum, NaN for what the log does not show.
-        distance: how far the common optimum is from it, with so many degrees of freedom as `shown`.
+        step, std: (named,) from the common optimum, NaN for unobservable parameters.
+        distance: chi-squared distance of the common optimum, with `shown` degrees of freedom.
+        shown: number of observable directions.
     """
 
     step: FloatArray
@@ -98,7 +99,7 @@ def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
-    """Variance between groups beyond their own (DerSimonian and Laird's moment estimate); (L,), (L,) → its unit."""
+    """Variance between groups beyond their own (moment estimate of DerSimonian and Laird), from (L,) and (L,)."""
     seen = np.isfinite(values) & (std > 0)
     if seen.sum() < 2:
         return 0.0
@@ -119,17 +120,17 @@ def weigh_logs(
     basis: FloatArray,
     prior: FloatArray,
 ) -> Pooled:
-    """Weigh the logs with the spread between them.
+    """Combine the recordings, with the spread between them in their weights.
 
-    Where chance explains how far the logs are apart (a chi-squared test of all nine together) there is no spread. Else
-    each log's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations of one
-    log do not count for more than one robot's worth of evidence.
+    The spread is zero if the differences are not significant (a chi-squared test of all nine together). Otherwise each
+    recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A includes the spread T, which limits the weight of a
+    recording with many stations.
 
     Args:
         problem, state, selection, noise, leg_covariance: the optimum of all measurements.
         scales: (named,) units.
         basis: (named, F) free directions, orthonormal in units of `scales`.
-        prior: (named,) inverse variances of the priors, which belong to no log.
+        prior: (named,) inverse variances of the priors, which belong to no recording.
     """
     named = problem.layout.named
     parts, logs = [], []

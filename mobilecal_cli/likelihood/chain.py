@@ -1,4 +1,4 @@
-"""Chains of stations, each coupled to the next alone: block tridiagonal matrices of N blocks of size B."""
+"""Block tridiagonal matrices of N blocks of size B, for chains of stations that are coupled to the next only."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from mobilecal_cli.model import FloatArray
 
 
 def chain_covariance(D: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The inverse's blocks on and beside its diagonal, every other station eliminated, and again (cyclic reduction).
+    """Blocks of the inverse on and next to its diagonal, by cyclic reduction (eliminate every other station).
 
-    Given its neighbours a and b, a station o follows them by ``x_o = K_a x_a + K_b x_b`` with
-    ``K_a = -D_o^-1 off_a^T``, ``K_b = -D_o^-1 off_o``, and is spread by D_o^-1 around that.
+    Given its neighbors a and b, a station o has the mean ``x_o = K_a x_a + K_b x_b`` with
+    ``K_a = -D_o^-1 off_a^T``, ``K_b = -D_o^-1 off_o``, and the covariance D_o^-1.
 
     Args:
-        D: (N, B, B) on the diagonal.
+        D: (N, B, B) diagonal blocks.
         off: (N, B, B), off[i] couples i (rows) to i + 1 (columns); the last is not used.
 
     Returns:
-        (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is zero).
+        (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
     """
     count = len(D)
     own, cross = np.empty_like(D), np.zeros_like(D)
@@ -30,7 +30,7 @@ def chain_covariance(D: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatA
     K_a = -inverse @ np.swapaxes(off[0 : 2 * odd : 2], 1, 2)
     K_b = -inverse @ off[1::2]
     if count % 2 == 0:
-        K_b[-1] = 0.0  # the last station has no neighbour after it
+        K_b[-1] = 0.0  # the last station has no next neighbor
     kept = D[0::2].copy()
     kept[:odd] += off[0 : 2 * odd : 2] @ K_a
     after = len(kept) - 1
@@ -51,7 +51,7 @@ def chain_covariance(D: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def banded(D: FloatArray, off: FloatArray) -> FloatArray:
-    """Lower band of the block tridiagonal matrix: D (N, B, B), off[i] couples i (rows) to i + 1 (columns)."""
+    """Lower band of the block tridiagonal matrix with blocks D (N, B, B) and off as in `chain_covariance`."""
     count, size, _ = D.shape
     band = np.zeros((2 * size, count, size))
     for column in range(size):

@@ -1,4 +1,4 @@
-"""Score tests: would the log rather have more numbers free? (Rao's test, from one linearization.)"""
+"""Evidence for additional parameters: Rao's score test, from one linearization."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mobilecal_cli.model import Evidence, FloatArray
 
 
 def _offered(problem: Problem) -> tuple[str, ...]:
-    """Extras that this log may show at all."""
+    """Additional parameters that can be observable in this problem."""
     joints = problem.chain.joints
     unusable = set()
     if not problem.moving.any() or not problem.joint_tracks:
@@ -30,7 +30,7 @@ def _offered(problem: Problem) -> tuple[str, ...]:
 
 
 def measurements(problem: Problem, selection: Selection) -> int:
-    """How many numbers were measured and believed."""
+    """Number of inlier measurements."""
     corners = selection.corners & selection.views[:, None, None]
     return 2 * int(corners.sum()) + 3 * int(selection.legs.sum()) + int(selection.readings.sum())
 
@@ -44,7 +44,7 @@ def evidence(
     prior: FloatArray,
     basis: FloatArray,
 ) -> Iterator[Evidence]:
-    """Evidence for every group of extras at an optimum, one group at a time.
+    """Evidence for every group of additional parameters at an optimum, tested one group at a time.
 
     Args:
         problem, state, selection, noise, leg_covariance: the optimum.
@@ -92,7 +92,7 @@ def _group(
     own = information[np.ix_(columns, columns)] * np.outer(scales, scales)
     schur = own - across.T @ np.linalg.solve(inner, across)
     values, vectors = np.linalg.eigh(schur)
-    if values[0] < 1.0:  # known to no better than its scale, in some direction
+    if values[0] < 1.0:  # the standard deviation exceeds the scale in some direction
         return Evidence(group, dict.fromkeys(names, (0.0, math.inf)), "hidden", 0.0, 0.0)
     covariance = (vectors / values) @ vectors.T
     if estimated:

@@ -1,4 +1,4 @@
-"""How each kind of measurement moves the shared numbers, and a second opinion on the covariance from it."""
+"""Influence of each kind of measurement on the global parameters, and the jackknife covariance from it."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _NO_REDUNDANCY = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Influence:
-    """One kind of measurement in units that are noisy independently of one another: stations, or legs.
+    """Influence of one kind of measurement, in units with independent noise: stations or legs.
 
     Attributes:
-        level: the noise level that it obeys, see `noise.Noise`.
-        by_unit: (n, P, m) how the shared numbers follow each unit's m whitened residuals.
+        level: the name of its noise level, see `noise.Noise`.
+        by_unit: (n, P, m) derivative of the global parameters by each unit's m whitened residuals.
         residual: (n, m) those residuals.
-        taken: (n, m, m) how far the fit follows each unit: its share of the hat matrix.
+        taken: (n, m, m) each unit's block of the hat matrix.
     """
 
     level: str
@@ -34,12 +34,12 @@ class Influence:
 
     @property
     def covariance(self) -> FloatArray:
-        """(P, P) what this kind's noise makes of the shared numbers, its level taken for true."""
+        """Covariance contribution of this kind of noise, (P, P), for an exactly known noise level."""
         return np.asarray(np.einsum("npm,nqm->pq", self.by_unit, self.by_unit))
 
     @property
     def spread(self) -> FloatArray:
-        """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T."""
+        """Covariance contribution from the residuals, (P, P): sum over units of (K (I - h)^-1/2 r)(...)^T."""
         values, vectors = np.linalg.eigh(np.eye(self.residual.shape[1]) - self.taken)
         usable = values > _NO_REDUNDANCY
         root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
@@ -49,7 +49,7 @@ class Influence:
 
 
 def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    """Square roots R of R R^T = information, and their pseudo-inverses, (n, Q, Q) each."""
     values, vectors = np.linalg.eigh(information)
     size = np.sqrt(np.maximum(values, 0.0))
     sound = size > 1e-9 * size.max(axis=1, keepdims=True).clip(1e-300)
@@ -66,11 +66,11 @@ def influences(
     marginal: Marginals,
     covariance: FloatArray,
 ) -> Iterator[Influence]:
-    """Pictures, joint readings, wheels and encoder readings at an optimum.
+    """Influences of images, joint readings, wheels and encoder readings at an optimum.
 
     Args:
         problem, state, selection, noise, system, marginal: the optimum.
-        covariance: (P, P) of the shared numbers, noise levels taken for true.
+        covariance: (P, P) of the global parameters, for exactly known noise levels.
     """
     views, legs = system.views, system.legs
     root, inverse = _roots(views.information)

@@ -1,4 +1,4 @@
-"""What the wheels say about each leg, against the covariance that their noise makes along the arcs."""
+"""Odometry residuals of each leg, their derivatives, and their covariance propagated along the arcs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mobilecal_cli.model import FloatArray, WheelGeometry
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Legs:
-    """All legs at a state, not whitened: odometry's (x, y, heading) minus the base poses'.
+    """Residuals of all legs at a state, not whitened: (x, y, heading) from odometry minus from the base poses.
 
     Attributes:
         residual: (L, 3) m, m, rad.
-        by_start, by_end: (L, 3, 5) by the station's base twist (x, y, heading) and encoder errors.
+        by_start, by_end: (L, 3, 5) by the first and second station's base twist (x, y, heading) and encoder errors.
         by_wheels: (L, 3, 3) by (rR, rL, b).
         by_time: (L, 3) by the time offset between cameras and wheels.
     """
@@ -31,7 +31,7 @@ class Legs:
     by_time: FloatArray
 
     def by_all_shared(self, layout: Layout) -> FloatArray:
-        """(L, 3, P) by all shared numbers."""
+        """Derivatives by all global parameters, (L, 3, P)."""
         shared = np.zeros((len(self.residual), 3, layout.size))
         shared[:, :, 6:9] = self.by_wheels
         if "time_wheels" in layout.extras:
@@ -47,7 +47,7 @@ def _steps(problem: Problem, state: State) -> Increments:
 
 
 def base_legs(problem: Problem, state: State) -> FloatArray:
-    """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
+    """Second base pose of each leg in the frame of its first, (L, 3): x, y (m) and heading (rad)."""
     i, j = problem.legs.T
     apart = state.base[j] - state.base[i]
     cos, sin = np.cos(state.base[i, 2]), np.sin(state.base[i, 2])
@@ -60,7 +60,7 @@ def _as_rows(motion: LegMotion) -> FloatArray:
 
 
 def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
-    """Residuals of all legs and their derivatives; by encoder errors only where encoders have steps."""
+    """Residuals of all legs and their derivatives; by encoder errors only if `encoders` is true."""
     i, j = problem.legs.T
     steps = _steps(problem, state)
     arcs = Arcs.along(steps, state.parameters.wheels)
@@ -70,7 +70,7 @@ def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
     first = np.searchsorted(steps.leg, np.arange(count))
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
     by_start, by_end = np.zeros((count, 3, 5)), np.zeros((count, 3, 5))
-    # A start that is further on, or turned, sees the end less far on, or turned back.
+    # The residual subtracts the base motion, so moving the start forward or turning it increases the residual.
     by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
     cos, sin = np.cos(between[:, 2]), np.sin(between[:, 2])
@@ -92,7 +92,7 @@ def linearize_legs(problem: Problem, state: State, encoders: bool) -> Legs:
 
 
 def leg_covariance(problem: Problem, wheels: WheelGeometry, noise: Noise) -> FloatArray:
-    """(L, 3, 3) covariance of odometry's (x, y, heading), propagated along the arcs: m^2, m rad, rad^2."""
+    """Covariance of odometry (x, y, heading) of each leg, propagated along the arcs, (L, 3, 3): m^2, m rad, rad^2."""
     steps = problem.steps()
     sensitivity = Arcs.along(steps, wheels).sensitivity()
     right, left = noise.wheel_rad_per_sqrt_rad**2 * np.abs([steps.right_rad, steps.left_rad])

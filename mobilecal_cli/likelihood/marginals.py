@@ -1,4 +1,4 @@
-"""Covariances of what the fit says about each measurement, for redundancies and for outlier tests."""
+"""Marginal covariances of the fitted measurements, for redundancies and outlier tests."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Marginals:
     """Posterior covariances at the optimum.
 
     Attributes:
-        views: (N, Q, Q) of (delta, direct extras): how well the fit knows where each board is seen.
+        views: (N, Q, Q) of (delta, direct extras): board pose in the camera, and camera parameters.
         joints: (N, J, J) of the joint errors.
-        legs: (L, 3, 3) of the legs' residuals.
+        legs: (L, 3, 3) of the fitted leg residuals.
         encoders: (N, 2) variances of the encoder errors.
         bases: (N, 3, 3) of the base poses, as body twists (x, y, heading).
     """
@@ -40,7 +40,7 @@ def marginals(problem: Problem, system: System, shared_covariance: FloatArray) -
 
     Args:
         problem, system: at the optimum, without damping.
-        shared_covariance: (P, P) of the shared numbers.
+        shared_covariance: (P, P) of the global parameters.
     """
     own, cross = system.base_covariance()
     follow = system.base_by_shared

@@ -1,4 +1,4 @@
-"""How noisy each kind of measurement is, and which measurements are used at all."""
+"""Noise level of each kind of measurement, and the selection of inlier measurements."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from mobilecal_cli.likelihood.problem import Problem
 from mobilecal_cli.model import BoolArray
 
-SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a sound wheel on a firm floor
-STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # a leg that does not move still ends where it began only so well
-FREE_JOINT = 1.0  # rad or m: sigma of a reading that is not believed
-LOST_BASE = 1e2  # m, rad: sigma of a base pose that may hang on nothing
+SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, for a wheel without slip on a firm floor
+STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # sigma of a leg without motion
+FREE_JOINT = 1.0  # rad or m: sigma of an excluded reading
+LOST_BASE = 1e2  # m, rad: sigma of a base pose that may have no other constraint
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations.
+    """Standard deviation of each kind of measurement.
 
     Attributes:
-        pixel_px: of one corner coordinate (root mean square over the stations, whose pictures differ).
-        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading; 0 where the encoders have no steps.
-        joint_rad: of one joint reading (a sliding joint: of 0.1 m).
+        pixel_px: of one corner coordinate (root mean square over the stations).
+        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance is proportional to the rotation.
+        encoder_rad: of one encoder reading; 0 for encoders without steps.
+        joint_rad: of one joint reading (prismatic joint: per 0.1 m).
     """
 
     pixel_px: float
@@ -34,11 +34,11 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """What is believed.
+    """Inlier measurements.
 
     Attributes:
-        corners: (N, 2, M) corners of each camera, among those that it saw.
-        views: (N,) stations whose pictures are used.
+        corners: (N, 2, M) corners of each camera, a subset of the detected ones.
+        views: (N,) stations whose images are used.
         legs: (L,) legs whose wheels are used.
         readings: (N, J) joint readings that are used.
     """
@@ -50,7 +50,7 @@ class Selection:
 
     @classmethod
     def everything(cls, problem: Problem) -> Selection:
-        """Believe all that was measured."""
+        """Selection of all measurements."""
         return cls(
             problem.seen,
             np.ones(problem.stations, dtype=np.bool_),
@@ -59,7 +59,7 @@ class Selection:
         )
 
     def same(self, other: Selection) -> bool:
-        """Whether both believe the same."""
+        """Whether both selections are equal."""
         return all(
             np.array_equal(getattr(self, name), getattr(other, name))
             for name in ("corners", "views", "legs", "readings")

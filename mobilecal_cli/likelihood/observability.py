@@ -1,4 +1,4 @@
-"""Which directions of the shared numbers the measurements show (method.md, last table)."""
+"""Observable and unobservable directions of the global parameters (method.md, last table)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import numpy as np
 from mobilecal_cli.likelihood.shared import WHEEL_SCALE, Layout
 from mobilecal_cli.model import BoolArray, FloatArray
 
-_HELD_ERROR = 0.1  # what is held may be wrong by this share of its scale: 10 mm, 1.1 degrees, 2 % of a wheel
+_HELD_ERROR = (
+    0.1  # assumed error of a fixed direction, as a share of its scale: 10 mm, 1.1 degrees, 2 % of a wheel
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Singular values and directions of the whitened, column-scaled Jacobian of the named shared numbers.
+    """Singular values and directions of the whitened, column-scaled Jacobian of the named global parameters.
 
     Attributes:
         names: (named,) the columns.
-        scales: (named,) units: what a number would be known to without the log.
-        singular_values: (named,) falling: scale over standard deviation along each direction.
+        scales: (named,) units: the accuracy of a parameter without any recording.
+        singular_values: (named,) in decreasing order: scale over standard deviation along each direction.
         directions: (named, named) rows, orthonormal, in units of `scales`.
-        least: a singular value under this is none: the log tells less than a drawing, or no more than noise alone
-            would feign.
+        least: directions with a smaller singular value are unobservable: nominal values are more accurate, or noise
+            alone gives as much.
     """
 
     names: tuple[str, ...]
@@ -33,25 +35,25 @@ class Directions:
 
     @property
     def hidden(self) -> FloatArray:
-        """(K, named) directions that the log does not show."""
+        """Unobservable directions, (K, named)."""
         return self.directions[self.singular_values < self.least]
 
 
 def directions(
     information: FloatArray, layout: Layout, wheels_m: FloatArray, free: FloatArray, legs: int
 ) -> Directions:
-    """Singular directions of the information about the named numbers, the boards eliminated.
+    """Singular directions of the information about the named parameters, with the boards eliminated.
 
-    Noisy readings look like a little motion: a leg that does not turn still seems to turn by as much as its own
-    noise, and so seems to show the separation to 100 %. Over n such legs that makes a singular value of
-    ``WHEEL_SCALE sqrt(n)``; what is not three times as large is not believed.
+    Noisy readings resemble a small motion: a leg without a turn seems to turn by its own noise, and so to determine
+    the wheel separation to 100 %. Over n such legs this gives a singular value of ``WHEEL_SCALE sqrt(n)``. The limit
+    `least` is three times this value.
 
     Args:
-        information: (P, P) of the shared numbers.
+        information: (P, P) of the global parameters.
         layout: names its columns.
         wheels_m: (3,) scales of the wheels.
-        legs: how many legs there are.
-        free: (named, F) basis of what is not fixed by the user, in units of the scales; others are left out.
+        legs: number of legs.
+        free: (named, F) basis of the directions not fixed by the user, in units of the scales.
     """
     n, scales = layout.named, layout.scales(wheels_m)
     S_ab, S_bb = information[:n, n:], information[n:, n:]
@@ -64,12 +66,12 @@ def directions(
 
 
 def tainted(held: FloatArray, scales: FloatArray, std: FloatArray) -> BoolArray:
-    """Which numbers a plausible error of the held directions would shift by more than their own sigma.
+    """Parameters that a plausible error of the fixed directions shifts by more than their own sigma, (named,).
 
     Args:
-        held: (K, named) directions in units of `scales`.
+        held: (K, named) fixed directions in units of `scales`.
         scales: (named,) units.
-        std: (named,) standard deviations with the directions held.
+        std: (named,) standard deviations with these directions fixed.
     """
     if not len(held):
         return np.zeros(len(scales), dtype=np.bool_)

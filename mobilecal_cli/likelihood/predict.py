@@ -1,4 +1,4 @@
-"""What the covariance means for a robot at work: errors of the camera's pose and of dead reckoning."""
+"""Expected errors of the camera's pose and of dead reckoning, from the covariance."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, Parameters
 
-#: How far ahead a point is whose shift is told, m.
+#: Distance of the point ahead of the camera whose position error is predicted, m.
 AHEAD_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """Standard deviations to expect.
+    """Expected standard deviations.
 
     Attributes:
-        camera_m, camera_rad: of the left camera's place and direction on the head, over all directions.
-        point_m: of where a point is that the camera sees two metres ahead.
-        along_m_per_m, heading_rad_per_m: of dead reckoning straight on: distance, and heading.
-        sideways_m_per_m: of its place sideways after one metre.
-        heading_rad_per_turn: of a full turn on the spot.
+        camera_m, camera_rad: position and rotation of the left camera on the head, over all directions.
+        point_m: position of a point two meters ahead of the camera.
+        along_m_per_m, heading_rad_per_m: distance and heading by dead reckoning in straight driving.
+        sideways_m_per_m: sideways position after one meter of straight driving.
+        heading_rad_per_turn: heading per full turn in place.
     """
 
     camera_m: float
@@ -35,10 +35,10 @@ class Predicted:
 
 
 def predicted(parameters: Parameters, covariance: FloatArray) -> Predicted:
-    """Propagate the nine numbers' covariance, (9, 9) in the order of `NINE`, to first order.
+    """Expected errors from the covariance of the nine parameters, (9, 9) in the order of `NINE`, to first order.
 
-    Straight on for s metres: both wheels turn by s / r, so each radius' error moves its wheel by s dr / r. A turn by
-    psi on the spot: psi = (rR phiR - rL phiL) / b with rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
+    Straight driving over s meters: both wheels turn by s / r, so a radius error moves its wheel by s dr / r. Turn in
+    place by psi: psi = (rR phiR - rL phiL) / b with rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
     """
     wheels = parameters.wheels
     rR, rL, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m

@@ -1,4 +1,4 @@
-"""What is given to the likelihood, and the point at which it is evaluated."""
+"""Input of the likelihood: the measurements, and the state at which it is evaluated."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-_SLOPE_S = 0.04  # the time over which a rate is taken
-_LEAST_CLAIM_PX = 0.01  # what several pictures agree on to less is not better than the camera model
-_LEAST_VARIANCE = 1e-6  # of a corner beside a usual one
+_SLOPE_S = 0.04  # time interval of a finite-difference rate
+_LEAST_CLAIM_PX = 0.01  # error of the camera model, which averaging over images does not reduce
+_LEAST_VARIANCE = 1e-6  # relative to a typical corner
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,23 +38,23 @@ class Problem:
     """The measurements of N stations, as arrays.
 
     Attributes:
-        cameras, chain: the known geometry.
+        cameras, chain: stereo pair and head, from the robot description.
         points_k: (M, 3) corners on the board, m.
         pixels: (N, 2, M, 2) corners, left then right, px.
-        seen: (N, 2, M) those that were seen; the others are no measurements.
+        seen: (N, 2, M) detected corners.
         whitening: (N, 2, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
-            the noise level: the claims of all stations' usual corners have rms 1.
+            the noise level: the stated sigmas of all stations' typical corners have rms 1.
         joints: (N, J) readings.
-        joint_tracks: the head's joints over time, one tuple a log; empty where they are not known.
-        moving: (N,) stations that are not at rest: there, a clock's offset matters.
-        joint_sides: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
-        log: (N,) the log of each station.
-        board: (N,) the board pose that each station sees.
-        legs: (L, 2) consecutive stations of one log.
-        tracks: wheels of each log.
+        joint_tracks: joint readings over time, one tuple per recording; empty if unknown.
+        moving: (N,) stations that are not at rest, where time offsets matter.
+        joint_sides: (N, J) the direction of each joint's last motion, +1 or -1; 0 if unknown.
+        log: (N,) the recording of each station.
+        board: (N,) the index of the board pose at each station.
+        legs: (L, 2) consecutive stations of one recording.
+        tracks: wheels of each recording.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: resolution of the encoders; 0 for none.
-        layout: the shared unknowns.
+        layout: the global parameters.
     """
 
     cameras: StereoRig
@@ -88,17 +88,17 @@ class Problem:
 
     @property
     def first(self) -> BoolArray:
-        """(N,) the first station of each log, whose base pose is the world's origin."""
+        """First stations of the recordings, (N,); their base poses are the world's origin."""
         first = np.ones(self.stations, dtype=np.bool_)
         first[self.legs[:, 1]] = False
         return first
 
     def stamps_ns(self, time_offset_s: float) -> IntArray:
-        """(N,) when each picture was taken by another clock; at rests it does not matter, and stays."""
+        """Image stamps shifted by a time offset, (N,); unchanged at rest."""
         return np.asarray(self.times_ns + self.moving * round(time_offset_s * 1e9), dtype=np.int64)
 
     def joint_shift(self, time_offset_s: float) -> FloatArray:
-        """(N, J) how far the joints move in a time, from each station's stamp on."""
+        """Joint motion from each station's stamp to the stamp shifted by a time offset, (N, J)."""
         shift = np.zeros_like(self.joints)
         for number, tracks in enumerate(self.joint_tracks):
             mine = self.log == number
@@ -108,12 +108,12 @@ class Problem:
         return shift
 
     def joint_rates(self, time_offset_s: float) -> FloatArray:
-        """(N, J) rates of change at the stations, 0 at rests, rad/s."""
+        """Joint rates at the stations, (N, J), rad/s; 0 at rest."""
         late, early = time_offset_s + _SLOPE_S / 2, time_offset_s - _SLOPE_S / 2
         return np.asarray((self.joint_shift(late) - self.joint_shift(early)) / _SLOPE_S)
 
     def wheel_rates(self, time_offset_s: float) -> FloatArray:
-        """(N, 2) rates of the right and left wheel at the stations, 0 at rests, rad/s."""
+        """Rates of the right and left wheel at the stations, (N, 2), rad/s; 0 at rest."""
         rates = np.zeros((self.stations, 2))
         for number, track in enumerate(self.tracks):
             mine = self.log == number
@@ -124,7 +124,7 @@ class Problem:
         return rates
 
     def steps(self, time_offset_s: float = 0.0) -> Increments:
-        """Wheel rotations of the legs between the stations, their stamps moved by an offset."""
+        """Wheel rotations along the legs, with the stations' stamps shifted by a time offset."""
         if time_offset_s == 0 or not self.moving.any():
             return self._steps_as_stamped
         return self._cut(self.stamps_ns(time_offset_s))
@@ -142,21 +142,21 @@ class Problem:
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
     def with_extras(self, extras: tuple[str, ...]) -> Problem:
-        """The same measurements with other free extras."""
+        """The same measurements with other additional parameters."""
         return replace(self, layout=Layout(extras, self.layout.boards))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """A value of every unknown.
+    """Values of all unknowns.
 
     Attributes:
-        parameters: the nine numbers.
-        extras: (len(EXTRAS),) all extras, 0 where not free.
-        T_w_k: (B, 4, 4) board poses; w is the base at the first station of the board's log.
+        parameters: the nine parameters.
+        extras: (len(EXTRAS),) all additional parameters, 0 if not estimated.
+        T_w_k: (B, 4, 4) board poses; w is the base at the first station of the board's recording.
         base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
-        joint_errors: (N, J) to be added to the readings.
-        encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
+        joint_errors: (N, J) corrections added to the readings.
+        encoder_errors: (N, 2) corrections added to the readings of the right and left wheel, rad.
     """
 
     parameters: Parameters
@@ -167,18 +167,18 @@ class State:
     encoder_errors: FloatArray
 
     def extra(self, name: str) -> float:
-        """Value of one extra."""
+        """Value of one additional parameter."""
         return float(self.extras[INDEX[name]])
 
     @property
     def T_w_v(self) -> FloatArray:
-        """(N, 4, 4) base in the world."""
+        """Base poses in the world, (N, 4, 4)."""
         flat = np.concatenate([self.base[:, :2], np.zeros((len(self.base), 1))], axis=1)
         return se3.transform(se3.rotation_z(self.base[:, 2]), flat)
 
 
 def joints_at(problem: Problem, state: State) -> FloatArray:
-    """(N, J) the true joint positions: readings, their errors, the clock, backlash and the pan's zero."""
+    """True joint positions, (N, J): readings corrected for errors, time offset, backlash and pan zero."""
     joints = problem.joints + state.joint_errors
     if state.extra("time_joints"):
         joints += problem.joint_shift(state.extra("time_joints"))
@@ -193,7 +193,7 @@ def joints_at(problem: Problem, state: State) -> FloatArray:
 
 
 def head_at(problem: Problem, state: State) -> FloatArray:
-    """(N, 4, 4) T_v_h of every station."""
+    """Head pose T_v_h of every station, (N, 4, 4)."""
     T_v_h = head_pose(problem.chain, joints_at(problem, state)).copy()
     T_v_h[:, 0, 3] += state.extra("mount_x")
     T_v_h[:, 1, 3] += state.extra("mount_y")
@@ -201,16 +201,16 @@ def head_at(problem: Problem, state: State) -> FloatArray:
 
 
 def cameras_at(problem: Problem, state: State) -> StereoRig:
-    """The stereo pair with the extras that change it."""
+    """The stereo pair with the estimated corrections of a state."""
     return cameras_with(problem.cameras, dict(zip(EXTRA_NAMES, state.extras.tolist(), strict=True)))
 
 
 def cameras_with(rig: StereoRig, extras: Mapping[str, float]) -> StereoRig:
-    """A stereo pair with what was estimated of it; the same object where nothing was.
+    """A stereo pair with estimated corrections; the same object if there are none.
 
     Args:
-        rig: as stated.
-        extras: name → value in the unit of `EXTRAS`; those that are not there are zero.
+        rig: the stereo pair of the robot description.
+        extras: name → value in the unit of `EXTRAS`; missing ones are zero.
     """
     changing = EXTRA_NAMES[INDEX["stereo_r_x"] : INDEX["square_scale"]]
     value = {name: extras.get(name, 0.0) for name in changing}
@@ -232,16 +232,16 @@ def cameras_with(rig: StereoRig, extras: Mapping[str, float]) -> StereoRig:
 
 
 def no_extras() -> FloatArray:
-    """All extras at zero."""
+    """All additional parameters at zero, (len(EXTRAS),)."""
     return np.zeros(len(EXTRA_NAMES))
 
 
 def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
-    """Gather the measurements of an extraction.
+    """The measurements of an extraction as arrays.
 
     Args:
         extraction: at least one observation.
-        extras: names of the free extras; the squares' size is always one of them where the board does not state it.
+        extras: names of the additional parameters; the square size is always added if the board does not state it.
     """
     seen = extraction.observations
     log = np.array([o.log for o in seen])
@@ -260,7 +260,9 @@ def problem_of(extraction: Extraction, extras: tuple[str, ...] = ()) -> Problem:
     )
     moving = np.array([not o.at_rest for o in seen])
     tracks = extraction.wheels
-    if step and moving.any():  # at rests a reading is as good as its step; in motion its changes tell more
+    if (
+        step and moving.any()
+    ):  # in motion, the times of the step changes give a better resolution than one step
         tracks = tuple(between_steps(track) for track in tracks)
     logs, board = np.unique(log, return_inverse=True)
     claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
@@ -298,15 +300,15 @@ def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> Float
 
 
 def moved(problem: Problem, state: State, shared: FloatArray, base: FloatArray, errors: FloatArray) -> State:
-    """The state after a step.
+    """State after a step.
 
     Args:
         problem: gives the layout.
-        state: where the step starts.
-        shared: (layout.size,) by the nine (small rotation vector and translation in the head's frame), the
-            extras and the boards (body twists).
-        base: (N, 5) base poses as body twists (x, y, heading) and encoder errors, right and left.
-        errors: (N, J) joint errors.
+        state: start of the step.
+        shared: (layout.size,) step of the nine parameters (small rotation vector and translation in the head's frame),
+            the additional parameters and the boards (body twists).
+        base: (N, 5) step of the base poses as body twists (x, y, heading) and of the encoder errors, right and left.
+        errors: (N, J) step of the joint errors.
     """
     layout, X, wheels = problem.layout, state.parameters.T_h_c, state.parameters.wheels
     T_h_c = se3.transform(se3.exp_so3(shared[:3]) @ X[:3, :3], X[:3, 3] + shared[3:6])

@@ -1,4 +1,4 @@
-"""The numbers that all stations share: the nine, and those that may be estimated beside them."""
+"""Global parameters, common to all stations: the nine parameters and the optional additional ones."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from mobilecal_cli.model import NINE, FloatArray
 
-# What a drawing or a ruler tells without any log. A direction in which the log tells less is not observable.
-NINE_SCALES = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: `WHEEL_SCALE` of themselves
+# Accuracy of nominal values from a drawing or a ruler. A direction is observable if the recording is more accurate.
+NINE_SCALES = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: share `WHEEL_SCALE` of the value
 WHEEL_SCALE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Extra:
-    """A number that may be estimated beside the nine; zero where it is not.
+    """An additional parameter that may be estimated with the nine; zero otherwise.
 
     Attributes:
-        name: as `--estimate` takes it.
-        group: a name for several at once.
+        name: for `--estimate`.
+        group: name of its group, also for `--estimate`.
         unit: "s", "rad", "m", "px" or "1".
-        scale: a value that would be large, in that unit.
-        meaning: in words.
+        scale: a large value, in that unit.
+        meaning: description for the report.
     """
 
     name: str
@@ -38,44 +38,52 @@ EXTRAS = (
         "time_offsets",
         "s",
         0.2,
-        "to be added to the cameras' stamps, to be on the joints' clock",
+        "time offset added to camera stamps to match the joint clock",
     ),
     Extra(
         "time_wheels",
         "time_offsets",
         "s",
         0.2,
-        "to be added to the cameras' stamps, to be on the wheels' clock",
+        "time offset added to camera stamps to match the wheel clock",
     ),
-    Extra("pan_zero", "pan_zero", "rad", 0.2, "what the pan joint really stands at when it reads zero"),
-    Extra("mount_x", "mount", "m", 0.1, "the head's mount further forward than the chain says"),
-    Extra("mount_y", "mount", "m", 0.1, "the head's mount further to the left than the chain says"),
-    Extra("backlash_pan", "backlash", "rad", 0.05, "play of the pan joint between its two directions"),
-    Extra("backlash_tilt", "backlash", "rad", 0.05, "play of the tilt joint between its two directions"),
-    Extra("stereo_r_x", "stereo", "rad", 0.05, "turn of the right camera about the left one's x"),
-    Extra("stereo_r_y", "stereo", "rad", 0.05, "turn of the right camera about the left one's y"),
-    Extra("stereo_r_z", "stereo", "rad", 0.05, "turn of the right camera about the left one's z"),
-    Extra("baseline_scale", "stereo", "1", 0.1, "the stereo baseline longer than camera_info says"),
-    Extra("focal_left", "focal_length", "px", 50.0, "the left focal length longer than camera_info says"),
-    Extra("focal_right", "focal_length", "px", 50.0, "the right focal length longer than camera_info says"),
-    Extra("principal_left_x", "principal_point", "px", 50.0, "the left principal point further right"),
-    Extra("principal_left_y", "principal_point", "px", 50.0, "the left principal point further down"),
-    Extra("principal_right_x", "principal_point", "px", 50.0, "the right principal point further right"),
-    Extra("principal_right_y", "principal_point", "px", 50.0, "the right principal point further down"),
-    Extra("square_scale", "square_scale", "1", 0.1, "the board's squares larger than stated"),
+    Extra("pan_zero", "pan_zero", "rad", 0.2, "pan joint angle at a reading of zero"),
+    Extra("mount_x", "mount", "m", 0.1, "forward correction of the head mount"),
+    Extra("mount_y", "mount", "m", 0.1, "leftward correction of the head mount"),
+    Extra("backlash_pan", "backlash", "rad", 0.05, "backlash of the pan joint"),
+    Extra("backlash_tilt", "backlash", "rad", 0.05, "backlash of the tilt joint"),
+    Extra(
+        "stereo_r_x", "stereo", "rad", 0.05, "rotation correction of the right camera about the left x axis"
+    ),
+    Extra(
+        "stereo_r_y", "stereo", "rad", 0.05, "rotation correction of the right camera about the left y axis"
+    ),
+    Extra(
+        "stereo_r_z", "stereo", "rad", 0.05, "rotation correction of the right camera about the left z axis"
+    ),
+    Extra("baseline_scale", "stereo", "1", 0.1, "relative correction of the stereo baseline"),
+    Extra("focal_left", "focal_length", "px", 50.0, "correction of the left focal length"),
+    Extra("focal_right", "focal_length", "px", 50.0, "correction of the right focal length"),
+    Extra("principal_left_x", "principal_point", "px", 50.0, "correction of the left principal point, x"),
+    Extra("principal_left_y", "principal_point", "px", 50.0, "correction of the left principal point, y"),
+    Extra("principal_right_x", "principal_point", "px", 50.0, "correction of the right principal point, x"),
+    Extra("principal_right_y", "principal_point", "px", 50.0, "correction of the right principal point, y"),
+    Extra("square_scale", "square_scale", "1", 0.1, "relative correction of the square size"),
 )
 EXTRA_NAMES = tuple(extra.name for extra in EXTRAS)
 INDEX = {name: i for i, name in enumerate(EXTRA_NAMES)}
-POSE_EXTRAS = frozenset(EXTRA_NAMES[:7])  # they move the camera; the others change what it sees
+POSE_EXTRAS = frozenset(
+    EXTRA_NAMES[:7]
+)  # change the camera's pose; the others change the cameras or the board
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which shared numbers are unknown, and in which column each stands: the nine, the extras, the boards.
+    """Columns of the global parameters: the nine, the additional parameters, the boards.
 
     Attributes:
-        extras: names of the free extras, in the order of `EXTRAS`.
-        boards: how many board poses there are, six columns each.
+        extras: names of the estimated additional parameters, in the order of `EXTRAS`.
+        boards: number of board poses, six columns each.
     """
 
     extras: tuple[str, ...]
@@ -97,16 +105,16 @@ class Layout:
         return self.named + 6 * self.boards
 
     def scales(self, wheels_m: FloatArray) -> FloatArray:
-        """(named,) the size at which a number would be no better than a drawing's; wheels_m: (3,)."""
+        """Accuracy of each named parameter without a recording, (named,); wheels_m: (3,)."""
         extras = [EXTRAS[INDEX[name]].scale for name in self.extras]
         return np.concatenate([NINE_SCALES, WHEEL_SCALE * np.abs(wheels_m), extras])
 
 
 def extras_of(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The extras that some names or group names stand for, in the order of `EXTRAS`.
+    """Additional parameters selected by names or group names, in the order of `EXTRAS`.
 
     Raises:
-        KeyError: an unknown name.
+        KeyError: unknown name.
     """
     known = {extra.name for extra in EXTRAS} | {extra.group for extra in EXTRAS}
     for name in names:

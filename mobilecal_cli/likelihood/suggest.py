@@ -1,4 +1,4 @@
-"""What to record next: the stop after the log's last that would tell most, from the information matrix."""
+"""Suggested next stops: the stops that would add the most information after the recording's last station."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from mobilecal_cli.likelihood.system import System
 from mobilecal_cli.likelihood.views import linearize_views
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelTrack
 
-# The precision that a robot's work wants: what is worst is worst against these.
+# Target accuracy. The least certain parameter is the one with the largest standard deviation relative to it.
 WANTED = np.array(
     [0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003]
-)  # rad, m; wheels: of themselves
+)  # rad, m; wheels: share of the value
 _TURNS_DEG = (0, -50, -25, 25, 50)
 _DRIVES_M = (0.0, 0.3, -0.3, 0.6)
 _LOOKS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.3), (0.25, 0.7), (0.75, 0.7), (0.5, 0.2), (0.5, 0.8))
-_MARGIN = 0.02  # of the picture's size
-_ROOM = 1.2  # range of distances: the log's own, so much wider
-_REACH_RAD = 0.35  # beyond the joints' range in the log
+_MARGIN = 0.02  # of the image size
+_ROOM = 1.2  # factor by which the range of board distances may exceed the recording's
+_REACH_RAD = 0.35  # beyond the joints' range in the recording
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 20
 _LEAST_DEPTH_M = 0.1
@@ -33,12 +33,12 @@ _LEAST_DEPTH_M = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stops:
-    """Stops to choose from, C of them.
+    """C candidate stops.
 
     Attributes:
-        turn_rad, drive_m: (C,) the base's way from the log's last station.
-        base: (C, 3) where it ends, in the world.
-        joints: (C, J) where the head's joints stand.
+        turn_rad, drive_m: (C,) turn and path of the base from the recording's last station.
+        base: (C, 3) base pose at the stop, in the world.
+        joints: (C, J) head joint positions.
     """
 
     turn_rad: FloatArray
@@ -51,7 +51,7 @@ class _Stops:
 
 
 def _boards(problem: Problem, state: State, base: FloatArray, joints: FloatArray) -> FloatArray:
-    """T_c_k from base poses (C, 3) and joints (C, J): (C, 4, 4)."""
+    """Board poses T_c_k for base poses (C, 3) and joints (C, J), (C, 4, 4)."""
     flat = np.concatenate([base[:, :2], np.zeros((len(base), 1))], axis=1)
     T_w_v = se3.transform(se3.rotation_z(base[:, 2]), flat)
     T_w_c = T_w_v @ head_pose(problem.chain, joints) @ state.parameters.T_h_c
@@ -60,7 +60,7 @@ def _boards(problem: Problem, state: State, base: FloatArray, joints: FloatArray
 
 
 def _aimed(problem: Problem, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
-    """The stops with joints that bring the board's middle to pixels (C, 2) of the left camera, and where that works."""
+    """The stops with joints that move the board's center to target pixels (C, 2) in the left camera, and success."""
     rig, X = cameras_at(problem, state), state.parameters.T_h_c
     middle = problem.points_k.mean(axis=0)
     joints = stops.joints
@@ -80,7 +80,7 @@ def _aimed(problem: Problem, state: State, stops: _Stops, target: FloatArray) ->
 
 
 def _seen_whole(problem: Problem, T_c_k: FloatArray, rig: StereoRig, distances: FloatArray) -> BoolArray:
-    """(C,) whether both cameras see the whole board well."""
+    """Whether both cameras see the whole board well, (C,)."""
     points_c = se3.act(T_c_k, problem.points_k)
     reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
     middle = points_c.mean(axis=1)
@@ -96,7 +96,7 @@ def _seen_whole(problem: Problem, T_c_k: FloatArray, rig: StereoRig, distances: 
 
 
 def _reachable(problem: Problem, state: State) -> _Stops:
-    """Stops a turn and a drive away from the last, from which the whole board is seen."""
+    """Candidate stops one turn and one drive after the last station, with the whole board in view."""
     rig = cameras_at(problem, state)
     T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
     distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[problem.board])[:, :3, 3], axis=1)
@@ -115,7 +115,7 @@ def _reachable(problem: Problem, state: State) -> _Stops:
 
 
 def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem, State]:
-    """A problem of the last station and, each reached from it, all the stops."""
+    """A problem of the last station and all stops, each with a leg from the last station."""
     count, J = len(stops.turn_rad), problem.joints.shape[1]
     wide = replace(
         problem,
@@ -143,7 +143,7 @@ def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem,
 def _leg(
     problem: Problem, state: State, noise: Noise, turn_rad: float, drive_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """One leg that turns and then drives: (3, P + 10) by the shared numbers and both base blocks, and its weight."""
+    """One leg with a turn, then a drive: (3, P + 10) by global parameters and both base blocks, and its weight."""
     wheels = state.parameters.wheels
     turn = turn_rad * wheels.separation_m / 2
     sides = ((turn, wheels.radius_right_m), (-turn, wheels.radius_left_m))
@@ -156,14 +156,14 @@ def _leg(
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     legs = linearize_legs(pair, there, noise.encoder_rad > 0)
     by_start = legs.by_start[0].copy()
-    # The start is a station like any other here, not the origin of the world.
+    # The start is not the world's origin here, so its base pose has derivatives too.
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
     rows = np.concatenate([legs.by_all_shared(problem.layout)[0], by_start, legs.by_end[0]], axis=1)
     return rows, np.linalg.inv(leg_covariance(pair, wheels, noise))[0]
 
 
 def _informations(problem: Problem, state: State, noise: Noise, stops: _Stops) -> FloatArray:
-    """(C, P + 5, P + 5) information of each stop about the shared numbers and the last station's base block."""
+    """Information of each stop about the global parameters and the last station's base block, (C, P + 5, P + 5)."""
     wide, there = _with_stops(problem, state, stops)
     views = linearize_views(wide, there, Selection.everything(wide), noise)
     count, P, J = len(stops.turn_rad), problem.layout.size, problem.joints.shape[1]
@@ -173,7 +173,7 @@ def _informations(problem: Problem, state: State, noise: Noise, stops: _Stops) -
         if way not in legs:
             legs[way] = _leg(problem, state, noise, *way)
         driven, weight = legs[way]
-        H = np.zeros((P + 10 + J, P + 10 + J))  # shared, last base, new base, new joints
+        H = np.zeros((P + 10 + J, P + 10 + J))  # global parameters, last base, new base, new joints
         by_last = np.zeros((views.by_shared.shape[1], 5))
         seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_joints[c + 1]]
         A = np.concatenate(seen, axis=1)
@@ -197,14 +197,14 @@ def suggestions(
     scales: FloatArray,
     most: int = 5,
 ) -> tuple[Suggestion, ...]:
-    """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
+    """Stops that would reduce the largest standard deviation most, best first, one per turn and drive.
 
     Args:
         problem, state, noise, system: the optimum.
-        covariance: (P, P) of the shared numbers.
-        held: (K, named) directions that the log does not show, in units of `scales`: known to one scale each.
+        covariance: (P, P) of the global parameters.
+        held: (K, named) unobservable directions in units of `scales`, with a standard deviation of one scale each.
         scales: (named,) units.
-        most: how many at most.
+        most: maximum number of suggestions.
     """
     P, named = problem.layout.size, problem.layout.named
     wide = covariance.copy()

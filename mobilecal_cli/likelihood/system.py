@@ -1,7 +1,7 @@
-"""The normal equations, stations and legs eliminated: cost linear in the number of stations.
+"""Normal equations with the stations eliminated; computing time linear in the number of stations.
 
-Joint errors belong to one station each and go first, station by station. Base poses and encoder errors form a
-chain along the legs: a banded matrix. What is left is a small dense system for the shared numbers.
+Joint errors belong to one station each and are eliminated first, per station. Base poses and encoder errors form a
+chain along the legs, a banded matrix. A small dense system for the global parameters remains.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ _B = 5  # base pose and encoder errors of one station
 
 
 def joint_sigmas(problem: Problem, selection: Selection, noise: Noise) -> FloatArray:
-    """(N, J) sigma of each reading, rad or m."""
+    """Standard deviation of each joint reading, (N, J), rad or m."""
     unit = np.array([1.0 if kind == "revolute" else 0.1 for kind in problem.joint_kinds])
     return np.where(selection.readings, noise.joint_rad * unit, FREE_JOINT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
-    """The sum of squares at a state, term by term, with derivatives; nothing eliminated yet.
+    """Terms of the sum of squares at a state, with derivatives, before elimination.
 
     Attributes:
-        problem, state, selection, noise, leg_covariance: where.
-        views, legs: the parts.
-        leg_weight: (L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed.
+        problem, state, selection, noise, leg_covariance: point of evaluation.
+        views, legs: terms of the images and of the wheels.
+        leg_weight: (L, 3, 3) inverse covariance of each leg, 0 for excluded legs.
         cost: sum of squares of all whitened residuals.
     """
 
@@ -51,13 +51,13 @@ class Terms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """Normal equations at a state: H d = -gradient, with stations eliminated.
+    """Normal equations H d = -gradient at a state, with the stations eliminated.
 
     Attributes:
-        terms: what they are made of.
-        S: (P, P) information of the shared numbers, all others eliminated.
-        s: (P,) their gradient, the same way.
-        gain: how much the cost would fall, to second order, if the stations alone took their best step.
+        terms: the terms before elimination.
+        S: (P, P) information of the global parameters, all others eliminated.
+        s: (P,) their gradient, all others eliminated.
+        gain: decrease of the cost, to second order, by the best step of the stations alone.
     """
 
     terms: Terms
@@ -80,21 +80,21 @@ class System:
 
     @property
     def views(self) -> Views:
-        """The pictures' part."""
+        """Terms of the images."""
         return self.terms.views
 
     @property
     def legs(self) -> Legs:
-        """The wheels' part."""
+        """Terms of the wheels."""
         return self.terms.legs
 
     @property
     def leg_weight(self) -> FloatArray:
-        """(L, 3, 3) inverse covariance of each leg, 0 where its wheels are not believed."""
+        """Inverse covariance of each leg, (L, 3, 3), 0 for excluded legs."""
         return self.terms.leg_weight
 
     def back(self, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The stations' steps that go with a step of the shared numbers: (P,) → (N, 5), (N, J)."""
+        """Back substitution: steps of the stations for a step of the global parameters, (P,) → (N, 5), (N, J)."""
         base = (-self._y - self._Y @ shared).reshape(-1, _B)
         coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
         return base, -np.einsum("njk,nk->nj", self._E_inverse, coupled)
@@ -102,16 +102,13 @@ class System:
     def onto_shared(
         self, station: IntArray, base: FloatArray, joints: FloatArray, shared: FloatArray
     ) -> FloatArray:
-        """What gradients at single stations amount to for the shared numbers, all else eliminated.
+        """Gradients of single stations reduced to the global parameters, (n, P, m).
 
         Args:
-            station: (n,) where each gradient acts.
+            station: (n,) station of each gradient.
             base: (n, 5, m) by the station's base block.
             joints: (n, J, m) by its joint errors.
-            shared: (n, P, m) by the shared numbers.
-
-        Returns:
-            (n, P, m).
+            shared: (n, P, m) by the global parameters.
         """
         E_inverse, E_base, E_shared = (
             part[station] for part in (self._E_inverse, self._E_base, self._E_shared)
@@ -123,32 +120,32 @@ class System:
         return out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Covariance of the stations' base block for known shared numbers.
+        """Conditional covariance of the stations' base blocks for known global parameters.
 
         Returns:
-            (N, 5, 5) of each station, and (N, 5, 5) of each station with the one after it (the last is empty).
+            (N, 5, 5) of each station, and (N, 5, 5) of each station with the next one (the last is zero).
         """
         return chain_covariance(self._diagonal, self._off)
 
     def joint_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Joint errors for a known rest: covariance (N, J, J), slopes by base (N, J, 5) and shared (N, J, P)."""
+        """Conditional joint errors: covariance (N, J, J), slopes by base (N, J, 5) and global parameters (N, J, P)."""
         return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
 
     @property
     def base_by_shared(self) -> FloatArray:
-        """(N, 5, P) how the stations' base blocks follow the shared numbers."""
+        """Derivatives of the stations' base blocks by the global parameters, (N, 5, P)."""
         return -self._Y.reshape(-1, _B, self._Y.shape[1])
 
 
 def leg_weights(covariance: FloatArray, selection: Selection) -> FloatArray:
-    """(L, 3, 3) inverse covariances; zero for legs that are not believed."""
+    """Inverse covariance of each leg, (L, 3, 3), 0 for excluded legs."""
     return np.asarray(np.linalg.inv(covariance) * selection.legs[:, None, None], dtype=np.float64)
 
 
 def terms_at(
     problem: Problem, state: State, selection: Selection, noise: Noise, leg_covariance: FloatArray
 ) -> Terms:
-    """Evaluate all residuals at a state; leg_covariance: (L, 3, 3), see `legs.leg_covariance`."""
+    """Terms of the sum of squares at a state; leg_covariance: (L, 3, 3), see `legs.leg_covariance`."""
     views = linearize_views(problem, state, selection, noise)
     legs = linearize_legs(problem, state, noise.encoder_rad > 0)
     weight = leg_weights(leg_covariance, selection)
@@ -162,22 +159,22 @@ def terms_at(
 def linearize(
     problem: Problem, state: State, selection: Selection, noise: Noise, leg_covariance: FloatArray
 ) -> System:
-    """Build the normal equations at a state and eliminate the stations."""
+    """Reduced normal equations at a state, with the stations eliminated."""
     return eliminated(terms_at(problem, state, selection, noise, leg_covariance))
 
 
 def eliminated(terms: Terms, damping: float = 0.0) -> System:
-    """Build the normal equations and eliminate the stations.
+    """Reduced normal equations, with the stations eliminated.
 
     Args:
-        terms: where.
-        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+        terms: the terms at a state.
+        damping: relative increase of each diagonal element (Levenberg-Marquardt).
     """
     problem, state, selection, noise = terms.problem, terms.state, terms.selection, terms.noise
     views, legs, weight = terms.views, terms.legs, terms.leg_weight
     count, P = problem.stations, problem.layout.size
 
-    # Joint errors, eliminated station by station.
+    # Joint errors, eliminated per station.
     sigma = joint_sigmas(problem, selection, noise)
     GJ = views.information @ views.by_joints
     JtG = np.swapaxes(GJ, 1, 2)
@@ -202,7 +199,7 @@ def eliminated(terms: Terms, damping: float = 0.0) -> System:
     Ws = weight @ shared
     We = np.einsum("lab,lb->la", weight, legs.residual)
     it, jt = np.swapaxes(legs.by_start, 1, 2), np.swapaxes(legs.by_end, 1, 2)
-    D[i] += it @ Wi  # a station starts one leg and ends one at most
+    D[i] += it @ Wi  # += is safe: a station starts at most one leg and ends at most one
     D[j] += jt @ Wj
     off[i] += it @ Wj
     C[i] += it @ Ws
@@ -251,7 +248,7 @@ def eliminated(terms: Terms, damping: float = 0.0) -> System:
 def _weak_terms(
     problem: Problem, state: State, selection: Selection, noise: Noise, D: FloatArray, b: FloatArray
 ) -> None:
-    """What keeps the base blocks regular: the gauge, encoder errors, and bases that nothing holds."""
+    """Add terms that keep the base blocks regular: gauge, encoder errors, and unconstrained base poses."""
     first = problem.first
     gauge = np.arange(3)
     D[np.ix_(first, gauge, gauge)] += np.eye(3)

@@ -1,8 +1,8 @@
-"""What the cameras see at each station: reprojection residuals in raw pixels, and their derivatives.
+"""Reprojection residuals of each station in raw pixels, and their derivatives.
 
-Everything that moves camera or board moves the board in the left camera's frame, T_c_k → exp(delta) T_c_k:
-six numbers a station stand between the pixels and all poses. Extras that change the cameras or the board
-themselves have columns of their own.
+All unknowns that move camera or board change the board's pose in the left camera, T_c_k → exp(delta) T_c_k. The
+derivatives pass through these six numbers per station. Additional parameters that change the cameras or the board
+itself ("direct" extras) have their own columns.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _BLOCK = 500  # stations: 10 MB of derivatives for 54 corners
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """All stations' pictures at a state, whitened.
+    """Whitened reprojection residuals of all stations at a state.
 
     Attributes:
-        residual_px: (N, 2, M, 2) predicted minus seen.
-        information: (N, Q, Q) of (delta, direct extras): J^T J of the whitened, believed residuals.
+        residual_px: (N, 2, M, 2) predicted minus detected.
+        information: (N, Q, Q) of (delta, direct extras): J^T J of the whitened inlier residuals.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (nothing).
+        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (zero).
         by_joints: (N, Q, J) delta by joint errors.
-        by_shared: (N, Q, P) delta and direct extras by the shared numbers.
+        by_shared: (N, Q, P) delta and direct extras by the global parameters.
     """
 
     residual_px: FloatArray
@@ -47,14 +47,14 @@ class Views:
 
 
 def board_in_camera(problem: Problem, state: State) -> FloatArray:
-    """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
+    """Predicted board pose of each station, T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k, (N, 4, 4)."""
     T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
     T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[problem.board]
     return T
 
 
 def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
-    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, by the corners' whitening, lower triangles W."""
+    """Corner residuals or derivatives (N, 2, M, 2, ...) px, multiplied by the lower triangular whitening W."""
     W = W.reshape(*W.shape, *[1] * (values.ndim - 4))
     result = np.empty_like(values)
     np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
@@ -64,17 +64,17 @@ def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def blocks_of(stations: int) -> Iterator[slice]:
-    """The stations cut into blocks, so that the derivatives of their corners take a few MB however many there are."""
+    """Blocks of stations, which limit the memory for the corner derivatives to a few MB."""
     yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
 
 
 def corner_residuals(
     problem: Problem, state: State, T_c_k: FloatArray, stations: slice = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus seen pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
+    """Predicted minus detected corners of some stations for board poses T_c_k, and their derivatives.
 
     Returns:
-        The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
+        (N, 2, M, 2) residuals, px, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
     """
     rig = cameras_at(problem, state)
     scale = 1 + state.extra("square_scale")
@@ -104,7 +104,7 @@ def corner_residuals(
                 shift = T_r_c[:3, :3] @ problem.cameras.T_c_r[:3, 3]
                 J[:, k, :, :, column] = -J_p @ shift
             elif name.startswith("stereo_r_") and k == 1:
-                # R_c_r → exp(rho) R_c_r: the point turns the other way about c, as seen from r's origin.
+                # R_c_r → exp(rho) R_c_r rotates the point by -rho about r's origin, in axes of c.
                 arm = points_c - rig.T_c_r[:3, 3]
                 axis = turning[:, "xyz".index(name[-1])]
                 J[:, k, :, :, column] = -np.einsum("nmab,nmb->nma", J_c, np.cross(axis, arm))
@@ -151,7 +151,7 @@ def _pose_columns(
 
 
 def linearize_views(problem: Problem, state: State, selection: Selection, noise: Noise) -> Views:
-    """Residuals and information of all stations' pictures."""
+    """Residuals and information of all stations' images."""
     T_c_k = board_in_camera(problem, state)
     believed = selection.corners & selection.views[:, None, None]
     root_weight = np.where(believed, 1 / noise.pixel_px, 0.0)

@@ -1,4 +1,4 @@
-"""From observations to the nine numbers: the iterative linear method, its refinements, maximum likelihood."""
+"""Estimate the nine parameters: the iterative linear method, its refinements, and maximum likelihood."""
 
 from mobilecal_cli.solvers.asked import Asked, asked_of
 from mobilecal_cli.solvers.evaluate import evaluate

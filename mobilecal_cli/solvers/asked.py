@@ -1,4 +1,4 @@
-"""What the user binds and asks for: --fix, --prior and --estimate."""
+"""Constraints, priors and additional parameters that the user requests: --fix, --prior and --estimate."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What the user binds and asks for.
+    """Fixed parameters, priors and additional parameters that the user requests.
 
     Attributes:
-        fixed: name → value, None for the nominal one. Rotations count from the nominal rotation, rad.
+        fixed: name → value, None for the nominal value. Rotations are relative to the nominal rotation, rad.
         priors: name → (value, sigma).
-        extras: names of extras to estimate.
+        extras: names of the additional parameters to estimate.
     """
 
     fixed: Mapping[str, float | None] = field(default_factory=dict)
@@ -40,26 +40,26 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, known, 1)
     meant = f"did you mean {near[0]}? " if near else ""
     if name.startswith("tilt_zero") or name == "tilt":
-        meant = "a zero offset of the tilt joint is the same as another head-eye rotation and cannot be told from it; "
-    return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known: {', '.join(known)}")
+        meant = "a tilt zero offset is equivalent to a head-eye rotation and cannot be estimated separately; "
+    return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known parameters: {', '.join(known)}")
 
 
 def _value(flag: str, text: str, number: str) -> float:
     if not re.fullmatch(_NUMBER, number.strip()):
-        raise ConfigError(f"{flag} {text}: {number!r} is not a number", "lengths in m, angles in rad")
+        raise ConfigError(f"{flag} {text}: {number!r} is not a number", "give lengths in m and angles in rad")
     return float(number)
 
 
 def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Asked:
-    """Read the flags.
+    """Parse the values of --fix, --prior and --estimate.
 
     Args:
-        fix: NAME or NAME=VALUE; names of the nine, of groups of them, or of extras.
+        fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of an additional one.
         prior: NAME=VALUE±SIGMA (or +-).
-        estimate: names of extras or of groups, several separated by commas.
+        estimate: names of additional parameters or groups, separated by commas.
 
     Raises:
-        ConfigError: an unknown name, or a text that is none of these.
+        ConfigError: unknown name or wrong format.
     """
     extras = [name.strip() for text in estimate for name in text.split(",") if name.strip()]
     offered = [*dict.fromkeys(extra.group for extra in EXTRAS), *EXTRA_NAMES]
@@ -75,7 +75,8 @@ def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) 
             raise _unknown("--fix", name, known)
         if given and name in _GROUPS:
             raise ConfigError(
-                f"--fix {text}: {name} is several numbers", f"give it without a value, or fix {_GROUPS[name]}"
+                f"--fix {text}: {name} is a group of parameters and takes no value",
+                f"omit the value, or fix one of {', '.join(_GROUPS[name])}",
             )
         for member in _GROUPS.get(name, (name,)):
             fixed[member] = _value("--fix", text, number) if given else None
@@ -87,7 +88,8 @@ def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) 
         match = _PRIOR.fullmatch(rest.replace(" ", ""))
         if match is None or float(match[2]) <= 0:
             raise ConfigError(
-                f"--prior {text}: not NAME=VALUE±SIGMA", f"such as --prior {name}=0.1±0.002 (m, rad)"
+                f"--prior {text}: not in the format NAME=VALUE±SIGMA",
+                f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad",
             )
         priors[name] = (float(match[1]), float(match[2]))
     return Asked(fixed, priors, free)

@@ -1,4 +1,4 @@
-"""Eq. 18: a station's points carried into the one before it by the parameters alone; eq. 19's cost."""
+"""Prediction of each station's corners from the next station (eq. 18), and the transfer error (eq. 19)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mobilecal_cli.solvers.loops import Loops
 
 
 def base_motion(motion: LegMotion) -> FloatArray:
-    """T_vi_vj of each leg: (L, 4, 4)."""
+    """Base motion T_vi_vj of each leg, (L, 4, 4)."""
     t = np.concatenate([motion.t_m, np.zeros((len(motion.t_m), 1))], axis=1)
     return se3.transform(se3.rotation_z(motion.psi_rad), t)
 
 
 def camera_motion(loops: Loops, parameters: Parameters) -> FloatArray:
-    """T_ci_cj = X^-1 T_v_hi^-1 T_vi_vj T_v_hj X of each leg (the matrix of eq. 18): (L, 4, 4)."""
+    """Camera motion T_ci_cj = X^-1 T_v_hi^-1 T_vi_vj T_v_hj X of each leg (eq. 18), (L, 4, 4)."""
     i, j = loops.legs.T
     T_vi_vj = base_motion(integrate(loops.steps, parameters.wheels))
     X = parameters.T_h_c
@@ -28,7 +28,7 @@ def camera_motion(loops: Loops, parameters: Parameters) -> FloatArray:
 
 
 def residuals_m(loops: Loops, parameters: Parameters) -> FloatArray:
-    """Carried minus seen corners of each leg, p^_i,f - p_i,f: (L, M, 3), m, in frame ci."""
+    """Predicted minus measured corners of each leg, p^_i,f - p_i,f, in frame ci, (L, M, 3), m."""
     i, j = loops.legs.T
     carried = se3.act(camera_motion(loops, parameters), loops.points_c[j])
     residuals: FloatArray = carried - loops.points_c[i]
@@ -36,21 +36,21 @@ def residuals_m(loops: Loops, parameters: Parameters) -> FloatArray:
 
 
 def rms_m(residuals: FloatArray) -> float:
-    """Square root of eq. 19: root of the mean squared length, (..., 3) → m."""
+    """Root mean square length of residual vectors (square root of eq. 19), (..., 3) → m."""
     return math.sqrt(float(np.mean(np.sum(residuals**2, axis=-1))))
 
 
 def point_rms_m(loops: Loops, parameters: Parameters) -> float:
-    """Square root of eq. 19 at some parameters, m: the "Error" of the paper's Table 1."""
+    """Point error of the given parameters, m: the square root of eq. 19, "Error" in the paper's Table 1."""
     return rms_m(residuals_m(loops, parameters))
 
 
 def residuals_with_jacobian(loops: Loops, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """`residuals_m` and their derivatives.
+    """Residuals of `residuals_m` and their derivatives.
 
     Returns:
-        (L, M, 3) residuals and (L, M, 3, 9) derivatives by (delta, rR, rL, b), where the six numbers delta
-        turn and move the camera in its own frame: X exp(delta), tangent order of `se3`.
+        (L, M, 3) residuals and (L, M, 3, 9) derivatives by (delta, rR, rL, b). The twist delta (6) moves the camera
+        in its own frame: X exp(delta), tangent order of `se3`.
     """
     i, j = loops.legs.T
     motion, d_psi, d_t = integrate_with_jacobian(loops.steps, parameters.wheels)
@@ -62,11 +62,11 @@ def residuals_with_jacobian(loops: Loops, parameters: Parameters) -> tuple[Float
     carried = se3.act(T_ci_vj @ T_vj_cj, points_j)
 
     J = np.empty((*carried.shape, 9))
-    # X exp(delta) on the right moves the point in cj; exp(-delta) on the left moves the carried point in ci.
+    # X exp(delta) on the right moves the point in cj; exp(-delta) on the left moves the predicted point in ci.
     R_ci_cj = (T_ci_vj @ T_vj_cj)[:, None, :3, :3]
     J[..., :3] = se3.skew(carried) - R_ci_cj @ se3.skew(points_j)
     J[..., 3:6] = R_ci_cj - np.eye(3)
-    # A larger psi turns the point about vi's z axis after it is at vj: d(Rz p)/dpsi = z x (Rz p).
+    # psi rotates the point about the z axis of vi: d(Rz p)/dpsi = z x (Rz p).
     points_vj = se3.act(T_vj_cj, points_j)
     Rz = se3.rotation_z(motion.psi_rad)
     turned = np.einsum("lab,lmb->lma", Rz, points_vj)
@@ -78,7 +78,7 @@ def residuals_with_jacobian(loops: Loops, parameters: Parameters) -> tuple[Float
 
 
 def moved(parameters: Parameters, delta: FloatArray) -> Parameters:
-    """The parameters after a step (9,) in the order of `residuals_with_jacobian`."""
+    """Parameters after a step (9,) in the order of `residuals_with_jacobian`."""
     wheels = parameters.wheels
     return Parameters(
         parameters.T_h_c @ se3.exp(delta[:6]),

@@ -1,4 +1,4 @@
-"""A start that bad stations and slips cannot pull: the few legs on which most others agree."""
+"""Robust initial estimate: the subset of legs with which most other legs are consistent."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from mobilecal_cli.solvers.loops import Loops
 
 _DRAWN_LEGS = 4
 _DRAWS = 300
-_AGREEING = 0.45  # a fifth of bad stations and a slip spoil up to half of the legs
-_USUAL = 5.3  # the median of chi-squared with six degrees of freedom; 0.45 of all is more of the good ones
+_AGREEING = 0.45  # share of consistent legs: a fifth of bad stations and a slip affect up to half of the legs
+_USUAL = 5.3  # median of chi-squared with six degrees of freedom
 _BAD_LEG = 30.0  # chi-squared with six degrees of freedom exceeds it once in 25,000
 _POLISH = 3
-_FEW_DRAWS, _GOOD_ENOUGH = 20, 2.0  # a start this good (in variance) after so many draws ends the search
+_FEW_DRAWS, _GOOD_ENOUGH = 20, 2.0  # stop after this many draws if the variance ratio is below this limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
-    """What most legs agree on.
+    """Parameters with which most legs are consistent.
 
     Attributes:
-        parameters: fitted to the agreeing legs.
-        bad: (L,) legs that do not agree.
-        noise_factor: how many times noisier than supposed the agreeing legs are.
+        parameters: fitted to the consistent legs.
+        bad: (L,) inconsistent legs.
+        noise_factor: noise of the consistent legs over the assumed noise.
     """
 
     parameters: Parameters
@@ -46,11 +46,11 @@ class Consensus:
 def leg_spread(
     problem: Problem, loops: Loops, parameters: Parameters, noise: Noise, pose_cov: FloatArray
 ) -> FloatArray:
-    """Covariance of each leg's disagreement between wheels and cameras: (L, 6, 6), left twists in the first camera.
+    """Covariance of each leg's difference between wheels and cameras, (L, 6, 6), left twists in the first camera.
 
     Args:
         problem, loops: the legs.
-        parameters: roughly right.
+        parameters: initial estimate.
         noise: of wheels and joints.
         pose_cov: (N, 6, 6) of T_c_k.
     """
@@ -74,7 +74,7 @@ def leg_spread(
 
 
 def disagreement(loops: Loops, parameters: Parameters, weight: FloatArray) -> FloatArray:
-    """(L,) squared distance between wheels and cameras over each leg, in units of the spread."""
+    """Squared Mahalanobis distance between wheels and cameras over each leg, (L,)."""
     i, j = loops.legs.T
     seen = loops.T_c_k[i] @ se3.inverse(loops.T_c_k[j])
     delta = se3.log(camera_motion(loops, parameters) @ se3.inverse(seen))
@@ -100,17 +100,17 @@ def agreed(
     pose_cov: FloatArray,
     fit: Callable[[Loops], Parameters],
 ) -> Consensus:
-    """The parameters on which the largest share of legs agree best (least quantile of squares).
+    """Consensus of the legs by least quantile of squares over random subsets.
 
     Args:
         problem, loops: all legs.
-        rough: parameters at which the spread is worked out; they may be pulled.
-        noise: supposed.
+        rough: parameters at which the covariances are evaluated; outliers may bias them.
+        noise: assumed noise levels.
         pose_cov: (N, 6, 6) of T_c_k.
-        fit: parameters from a few legs.
+        fit: estimates parameters from a subset of the legs.
 
     Raises:
-        SolveError: no few legs give any parameters.
+        SolveError: no subset gives a solution.
     """
     spread = leg_spread(problem, loops, rough, noise, pose_cov)
     weight = np.asarray(np.linalg.inv(spread), dtype=np.float64)
@@ -132,7 +132,10 @@ def agreed(
         if number >= _FEW_DRAWS and best is not None and best[0] < _GOOD_ENOUGH * _USUAL:
             break
     if best is None:
-        raise SolveError("no four legs between stations give an answer", "see --method linear")
+        raise SolveError(
+            "no subset of four legs between stations gives a solution",
+            "check the residuals of --method linear",
+        )
     for _ in range(_POLISH):
         distance = disagreement(loops, best[1], weight)
         factor = max(best[0] / _USUAL, 1e-6)

@@ -1,4 +1,4 @@
-"""Which measurements are believed: what is left out, what is taken back, one by one (in long logs a few at a time)."""
+"""Outlier decisions: exclude or restore measurements one by one (in long recordings several at a time)."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from mobilecal_cli.solvers.robust import (
 )
 from mobilecal_cli.solvers.variance import guess_worth
 
-_CONSENSUS_REDUNDANCY = 20.0  # of the noise that the agreeing legs show
+_CONSENSUS_REDUNDANCY = 20.0  # assumed redundancy of noise levels from the consistent legs
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
-_STRIKING = 0.2  # chance that any sound measurement of a kind is looked at more closely
+_STRIKING = 0.2  # chance that a consistent measurement of a kind becomes an outlier candidate
 _FEWEST_VIEWS = 4
-# Measurements that are judged at once, one more for every `LONG_LOG` stations, lie so many stations apart that none is
-# blamed for another.
+# Candidates tested at the same time (one more per `LONG_LOG` stations) are more than this many stations apart, so
+# that they do not affect one another.
 _APART = 5
-_LOUD = 4.0  # noise this many times (in variance) above what is supposed makes a consensus worth its time
+_LOUD = 4.0  # a variance ratio above this limit starts the search for a consensus
 
 
 class Decisions:
-    """Judges fits of one extraction."""
+    """Outlier decisions for the fits of one extraction."""
 
     def __init__(self, fitter: Fitter) -> None:
         self._fitter = fitter
         self.problem = fitter.problem
 
     def sound(self, fit: Fit) -> bool:
-        """Whether a first fit of everything, with supposed noise, shows nothing odd."""
+        """Whether a first fit of all measurements, at the assumed noise levels, contains no outlier candidate."""
         stats = believed_statistics(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
         bound = 1.0 if self._fitter.given >= set(fit.components) else _LOUD
         views = stats.views.max(initial=0) / limit(self.problem.stations, 6, 1e6)
@@ -48,7 +48,7 @@ class Decisions:
         return bool(max(views, legs, readings) < bound and fit.selection.views.all())
 
     def taken_back(self, fit: Fit) -> Fit:
-        """Believe again what agrees with the rest: legs first, for a bad station breaks both of its legs."""
+        """Restore measurements consistent with the inliers: legs first, since a bad station affects both its legs."""
         for _ in range(2 * len(self.problem.legs)):
             out = ~fit.selection.legs
             if not out.any():
@@ -66,10 +66,10 @@ class Decisions:
         return self._fitter.fit(fit.optimum.state, fit.selection, fit.noise)
 
     def _agreeing(self, selection: Selection, statistic: FloatArray) -> BoolArray | None:
-        """Legs with those believed again that agree; None where none does.
+        """Inlier legs with consistent legs restored; None if no leg is consistent.
 
-        Legs along a stretch where no picture is believed agree with anything one by one, until the last of them
-        closes the stretch: only one of them is taken at a time.
+        A leg at a station without inlier images is not constrained until the last leg closes the gap: only one such
+        leg is restored at a time.
         """
         legs, one_taken = selection.legs.copy(), False
         for leg in np.argsort(statistic):
@@ -81,7 +81,7 @@ class Decisions:
         return None if np.array_equal(legs, selection.legs) else legs
 
     def _view_back(self, fit: Fit, redundancy: float) -> Selection | None:
-        """The selection with a station's pictures believed again, as read or with one reading doubted instead."""
+        """The selection with a station's images restored, as read or with one joint reading excluded instead."""
         selection = fit.selection
         usable = np.all(selection.corners.sum(axis=2) > 0.5 * self.problem.seen.sum(axis=2), axis=1)
         out = ~selection.views & usable
@@ -100,7 +100,7 @@ class Decisions:
         return None
 
     def _candidates(self, fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
-        """Believed measurements that stand out, of each kind the most striking: (by how much, kind, indices)."""
+        """Outlier candidates of each kind, the largest statistic first: (statistic over limit, kind, indices)."""
         stats = believed_statistics(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
         found = []
         for kind, dof in _DEGREES.items():
@@ -113,7 +113,7 @@ class Decisions:
         return sorted(found, reverse=True)
 
     def _some(self, places: IntArray) -> list[tuple[int, ...]]:
-        """The first of some places, (n, indices), that are far from one another: one, but for long logs."""
+        """The first of the places (n, indices) that are far apart: a single one except in long recordings."""
         most, some = 1 + self.problem.stations // LONG_LOG, list[tuple[int, ...]]()
         for at in places:
             if len(some) == most:
@@ -123,7 +123,7 @@ class Decisions:
         return some
 
     def _at_peace(self, fit: Fit) -> bool:
-        """Whether nothing that is believed stands out, at the present noise."""
+        """Whether all inliers are consistent at the present noise levels."""
         stats = believed_statistics(self.problem, fit.optimum, fit.marginal, fit.selection, fit.noise)
         count = self.problem.stations
         return all(
@@ -132,7 +132,7 @@ class Decisions:
         )
 
     def _external(self, fit: Fit, kind: str) -> FloatArray:
-        """How far beyond its limit each measurement is that a fit does not believe; the noise is that of the others."""
+        """Held-out statistic of each excluded measurement over its limit, at the noise levels of the inliers."""
         count = self.problem.stations
         wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
         if kind == "legs":
@@ -147,17 +147,17 @@ class Decisions:
         return np.asarray(statistic / limit(count, _DEGREES[kind], redundancy))
 
     def _known_by(self, level: str, redundancy: float) -> float:
-        """How many residuals a noise level rests on: very many where it is given."""
+        """Effective number of residuals behind a noise level: very large for a given level."""
         return _MANY if level in self._fitter.given else redundancy + guess_worth(redundancy)
 
     def swapped(self, fit: Fit) -> Fit | None:
-        """A station's pictures believed again with one leg beside it left out instead: a slip looks like both."""
+        """A fit with a station's images restored and an adjacent leg excluded instead: a slip resembles both."""
         selection, legs = fit.selection, self.problem.legs
         for station in np.flatnonzero(~selection.views):
             beside = np.flatnonzero((legs == station).any(axis=1))
             neighbours = np.setdiff1d(legs[beside], [station])
             if len(beside) == 2 and selection.legs[beside].all() and selection.views[neighbours].all():
-                continue  # two legs from stations in sight agree about this one: they speak against its pictures
+                continue  # both adjacent legs are consistent, so the outlier is this station's images
             for slipped in beside:
                 views, driven = selection.views.copy(), selection.legs.copy()
                 views[station], driven[beside], driven[slipped] = True, True, False
@@ -175,7 +175,7 @@ class Decisions:
         return None
 
     def decided(self, fit: Fit) -> Fit | None:
-        """Measurements taken back or left out; None where all is well."""
+        """A fit with measurements restored or excluded; None if no change is needed."""
         selection = fit.selection
         wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
         back = self._view_back(fit, self._known_by("joint_rad", wheels.redundancy + joints.redundancy))
@@ -196,18 +196,18 @@ class Decisions:
                 if wrong and len(wrong) < len(places):
                     trial = self._levelled(trial, _changed(selection, kind, wrong, believed=False))
             except SolveError:
-                continue  # without them the rest hangs on too little
+                continue  # the remaining measurements do not determine the parameters
             if wrong:
                 return trial
         return None
 
     def _levelled(self, fit: Fit, selection: Selection) -> Fit:
-        """A fit of another selection, from where an earlier one ended."""
+        """A fit of another selection with estimated noise levels, starting from an earlier fit."""
         return self._fitter.levelled(self._fitter.fit(fit.optimum.state, selection, fit.noise))
 
 
 def _changed(selection: Selection, kind: str, places: list[tuple[int, ...]], believed: bool) -> Selection:
-    """The selection with some measurements of a kind believed, or not."""
+    """The selection with some measurements of a kind included or excluded."""
     values = getattr(selection, kind).copy()
     for at in places:
         values[at] = believed

@@ -1,4 +1,4 @@
-"""The likelihood's maximum, by Levenberg-Marquardt on the eliminated normal equations."""
+"""Maximize the likelihood by Levenberg-Marquardt on the reduced normal equations."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ _MAX_STEPS = 120
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
-_CREEPING = 1e-6  # of the cost: a descent that still gains less than that after so many steps has arrived
-# Readings between which others are interpolated give the cost kinks along the clocks' offsets, on which a descent
-# would creep for long: it ends where steps gain less than this, and no longer ever less by leaps.
+_CREEPING = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
+# Interpolated readings make the cost non-smooth in the time offsets, where the steps shrink slowly: stop where a step
+# gains less than the first value and more than the second share of the step before.
 _KINKED, _LEAP = 1e-4, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ties:
-    """What binds the named shared numbers beside the measurements.
+    """Constraints and priors on the named global parameters.
 
-    All speak of the displacement from an anchor: small rotation vector in the head's frame, translation,
-    wheels, and the extras as they are.
+    Both refer to the displacement from an anchor: small rotation vector in the head's frame, translation,
+    wheels, and the additional parameters themselves.
 
     Attributes:
-        anchor: the point that displacements count from.
-        held: (K, named) directions along which the displacement is `held_at`, orthonormal in units of `scales`.
+        anchor: the origin of displacements.
+        held: (K, named) fixed directions, along which the displacement is `held_at`, orthonormal in units of `scales`.
         held_at: (K,) in those units.
         scales: (named,) units.
         prior: (named,) expected displacement.
@@ -50,7 +50,7 @@ class Ties:
     prior_weight: FloatArray
 
     def displacement(self, problem: Problem, state: State) -> FloatArray:
-        """(named,) rad, m, and the extras' units."""
+        """Displacement of a state from the anchor, (named,), rad, m, and the units of the additional parameters."""
         found, anchor = state.parameters, self.anchor
         turn = se3.log_so3(found.T_h_c[:3, :3] @ anchor.T_h_c[:3, :3].T)
         a, b = found.wheels, anchor.wheels
@@ -63,14 +63,14 @@ class Ties:
         return np.concatenate([turn, found.T_h_c[:3, 3] - anchor.T_h_c[:3, 3], wheels, extras])
 
     def named_basis(self) -> FloatArray:
-        """(named, named - K) directions in which the named numbers may go, orthonormal in units of `scales`."""
+        """Free directions of the named parameters, (named, named - K), orthonormal in units of `scales`."""
         if not len(self.held):
             return np.eye(len(self.scales))
         _, _, Vt = np.linalg.svd(self.held, full_matrices=True)
         return np.asarray(Vt[len(self.held) :].T)
 
     def free_basis(self, size: int) -> FloatArray:
-        """(P, P - K) directions in which a step may go."""
+        """Free directions of a step, (P, P - K)."""
         named = len(self.scales)
         basis = np.zeros((size, size - len(self.held)))
         free = named - len(self.held)
@@ -79,7 +79,7 @@ class Ties:
         return basis
 
     def onto(self, problem: Problem, state: State) -> FloatArray:
-        """(P,) the shortest step that brings a state onto the held values."""
+        """Shortest step from a state to the fixed values, (P,)."""
         step = np.zeros(problem.layout.size)
         if len(self.held):
             off = self.held_at - self.held @ (self.displacement(problem, state) / self.scales)
@@ -87,7 +87,7 @@ class Ties:
         return step
 
     def prior_terms(self, problem: Problem, state: State) -> tuple[FloatArray, FloatArray, float]:
-        """The priors' information (P,), on the diagonal, their gradient (P,) and their sum of squares."""
+        """Diagonal information of the priors (P,), their gradient (P,) and their sum of squares."""
         information, gradient = np.zeros(problem.layout.size), np.zeros(problem.layout.size)
         named = len(self.scales)
         if not np.any(self.prior_weight):
@@ -100,16 +100,16 @@ class Ties:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimum:
-    """Where the descent ended.
+    """Result of the optimization.
 
     Attributes:
         state: the maximum of the likelihood.
         system: normal equations there, without damping.
-        information: (P, P) of the shared numbers, priors included.
+        information: (P, P) of the global parameters, priors included.
         basis: (P, F) free directions.
         leg_covariance: (L, 3, 3) as used.
         cost: sum of squares there.
-        history: (n,) costs from the start on.
+        history: (n,) cost at the start and after each step.
     """
 
     state: State
@@ -122,7 +122,7 @@ class Optimum:
 
     @property
     def covariance(self) -> FloatArray:
-        """(P, P) of the shared numbers, 0 in held directions: the Cramer-Rao bound."""
+        """Covariance of the global parameters, (P, P), 0 in fixed directions: the Cramer-Rao bound."""
         reduced = self.basis.T @ self.information @ self.basis
         scale = 1 / np.sqrt(np.diag(reduced))
         inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -131,13 +131,13 @@ class Optimum:
 
 
 def terms_before(problem: Problem, state: State, selection: Selection, noise: Noise) -> Terms:
-    """The sum of squares at a start, the legs' covariance that of its wheels."""
+    """Terms of the sum of squares at a state, with the legs' covariance evaluated for its wheels."""
     covariance = leg_covariance(problem, state.parameters.wheels, noise)
     return terms_at(problem, state, selection, noise, covariance)
 
 
 def _creeps(history: list[float]) -> bool:
-    """Whether the last two steps gained little, and the last not much less than the one before."""
+    """Whether the last step gained little, and not much less than the one before."""
     if len(history) < 3:
         return False
     before, last = history[-3] - history[-2], history[-2] - history[-1]
@@ -149,24 +149,24 @@ def _solved(S: FloatArray, s: FloatArray) -> FloatArray:
         return np.asarray(cho_solve(cho_factor(S), s))
     except np.linalg.LinAlgError as error:
         raise SolveError(
-            "the measurements that are believed leave the numbers open",
-            "record more stations, with the whole board in both pictures",
+            "the inlier measurements do not determine all parameters",
+            "record more stations, with the whole board in both images",
         ) from error
 
 
 def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
-    """Minimise the sum of squares of everything that is believed.
+    """Minimize the sum of squares of all inlier measurements by Levenberg-Marquardt.
 
-    The legs' covariance stays that of the start; call again from the result to renew it.
+    The legs' covariance stays that of the start; call again from the result to update it.
 
     Args:
-        start: see `terms_before`; where something is held the descent starts beside it, on the held values.
-        ties: what binds the named shared numbers.
-        near: a step that would gain less of the sum of squares is not taken: where the descent ends lies about the
+        start: see `terms_before`; fixed directions are first moved to their fixed values.
+        ties: constraints and priors on the named global parameters.
+        near: a step that would reduce the sum of squares by less is not taken: the result is within about the square
             root of this from the minimum, in standard deviations.
 
     Raises:
-        SolveError: no minimum within 120 steps, or none at all.
+        SolveError: did not converge within 120 steps, or the normal equations are singular.
     """
     problem, selection, noise, terms = start.problem, start.selection, start.noise, start
     basis = ties.free_basis(problem.layout.size)
@@ -203,10 +203,10 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
         else:
             damping = max(damping * 10, 1e-6)
             if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
-                arrived, damping = True, 0.0  # no step helps any more: the minimum, to rounding
+                arrived, damping = True, 0.0  # no step reduces the cost: converged to rounding error
                 history.append(cost)
         system = eliminated(terms, damping)
     raise SolveError(
         f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
-        "see the residuals of --method linear",
+        "check the residuals of --method linear",
     )

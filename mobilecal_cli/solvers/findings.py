@@ -1,4 +1,4 @@
-"""What a fit tells beside the nine numbers, as the report takes it."""
+"""Findings of a fit for the report: evidence, scale check, jackknife, spread between recordings, suggestions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck, Suggestion
 from mobilecal_cli.solvers.fit import Fit
 
-_APART_CHI2 = 16.0  # two scales that differ by four sigma do not agree
+_APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
 def evidence_of(fit: Fit) -> tuple[Evidence, ...]:
-    """Evidence for every group of extras."""
+    """Evidence for every group of additional parameters."""
     optimum = fit.optimum
     prior, _, _ = fit.ties.prior_terms(fit.problem, optimum.state)
     found = evidence(
@@ -27,7 +27,7 @@ def evidence_of(fit: Fit) -> tuple[Evidence, ...]:
 
 
 def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck | None:
-    """Whether squares and baseline agree; None where the squares' size is not stated, or the log does not tell."""
+    """Consistency of square size and stereo baseline; None if no square size is stated or it is unobservable."""
     square_m = extraction.board.square_m
     ratio = next((e for e in found if e.group == "square_scale" and e.state != "hidden"), None)
     if square_m is None or ratio is None:
@@ -37,18 +37,18 @@ def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck 
 
 
 def jackknife_std(fit: Fit) -> FloatArray:
-    """(9,) standard deviations by leaving out stations and legs in turn, rad and m.
+    """Jackknife standard deviations of the nine parameters, (9,), rad and m.
 
-    Each station's pictures, its joint readings and each leg's wheels are units of their own. Each unit's shift is
-    weighted by the root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so that with
-    true noise levels the expected value is the covariance itself.
+    The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
+    is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
+    that with true noise levels the expected value is the covariance itself.
     """
     spread = sum(np.diag(influence.spread)[:9] for influence in fit.influences())
     return np.asarray(np.sqrt(spread))
 
 
 def over_logs(fit: Fit) -> Fit:
-    """The same fit with the spread between logs allowed for; unchanged for a single log."""
+    """The fit with the spread between recordings included; unchanged for a single recording."""
     problem, state = fit.problem, fit.optimum.state
     if len(np.unique(problem.log)) < 2:
         return fit
@@ -75,7 +75,7 @@ def over_logs(fit: Fit) -> Fit:
 
 
 def suggestions_of(fit: Fit) -> tuple[Suggestion, ...]:
-    """What to record next."""
+    """Suggested next stops."""
     return suggestions(
         fit.problem,
         fit.optimum.state,

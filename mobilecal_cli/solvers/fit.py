@@ -1,4 +1,4 @@
-"""A maximum of the likelihood for a given selection, and how one is reached: noise levels, held directions, descent."""
+"""Maximum of the likelihood for a given selection, with noise estimation and fixed unobservable directions."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _OBSERVABILITY_ROUNDS = 4
 
 @dataclass(frozen=True, slots=True)
 class Care:
-    """How exactly a fit is made.
+    """Tolerances of a fit.
 
     Attributes:
-        levels: the noise levels are to stand to this share of themselves before the last fit.
-        enough: levels that stand as well as this need no other fit; None: a last fit is made in any case.
-        near: where a descent ends, see `descend`.
+        levels: relative tolerance of the noise levels, after which the last fit follows.
+        enough: relative tolerance of the noise levels at which no further fit is needed; None: always do a last fit.
+        near: tolerance of the optimization, see `descend`.
     """
 
     levels: float
@@ -52,8 +52,8 @@ class Care:
     near: float
 
 
-#: In logs of so many stations decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
-#: that what they cost does not grow with the log.
+#: From this number of stations on, several outlier decisions are made at once, from fits accurate to 0.03 standard
+#: deviations, to limit the computing time.
 LONG_LOG = 100
 _ROUGH, _QUICK = Care(levels=0.1, enough=None, near=NEAR), Care(levels=0.1, enough=0.02, near=1e-3)
 FINE = Care(levels=0.01, enough=None, near=NEAR)
@@ -61,18 +61,18 @@ FINE = Care(levels=0.01, enough=None, near=NEAR)
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A maximum of the likelihood with all that was decided on the way.
+    """Maximum of the likelihood with its selection, noise levels and constraints.
 
     Attributes:
-        problem, selection, noise, ties: what it is the maximum of.
+        problem, selection, noise, ties: the likelihood, its constraints and priors.
         optimum: the maximum.
-        marginal: covariances there.
-        components: what each noise level rests on.
-        directions: what the data show.
-        held: (K, named) directions that are held because the data do not show them, in units of the scales.
+        marginal: marginal covariances there.
+        components: squares and redundancy of each noise level.
+        directions: observable and unobservable directions.
+        held: (K, named) unobservable directions, which are fixed, in units of the scales.
         given: names of the noise levels that are not estimated.
-        between: the logs one by one, where there are several.
-        over_logs: (named, named) covariance that allows for the spread between them.
+        between: the estimates of the single recordings, if there are several.
+        over_logs: (named, named) covariance that includes the spread between recordings.
     """
 
     problem: Problem
@@ -89,7 +89,7 @@ class Fit:
     over_logs: FloatArray | None = None
 
     def influences(self) -> Iterator[Influence]:
-        """How each kind of measurement moves the shared numbers."""
+        """Influence of each kind of measurement on the global parameters."""
         return influences(
             self.problem,
             self.optimum.state,
@@ -102,10 +102,10 @@ class Fit:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(P, P) of the shared numbers. Where the noise levels rest on few residuals it is wider than the bound.
+        """Covariance of the global parameters, (P, P); larger than the bound if noise levels have few residuals.
 
-        A variance that r residuals show is itself uncertain: its mean is r / (r - 2) times what they show. So much
-        wider is what each kind of noise makes of the shared numbers.
+        A variance estimated from r residuals is itself uncertain: its mean is r / (r - 2) times the estimate. The
+        contribution of each kind of noise is inflated by this factor.
         """
         covariance = self.optimum.covariance.copy()
         if self.over_logs is not None:
@@ -120,14 +120,14 @@ class Fit:
 
 
 def extras_for(extraction: Extraction, asked: Asked) -> tuple[str, ...]:
-    """The numbers beside the nine: those asked for, and the clocks' offsets where stations are not at rest."""
+    """Additional parameters: the requested ones, and the time offsets where stations are not at rest."""
     moving = any(not o.at_rest for o in extraction.observations) and bool(extraction.joint_tracks)
     clocks = ("time_joints", "time_wheels") if moving else ()
     return tuple(name for name in EXTRA_NAMES if name in (*asked.extras, *clocks))
 
 
 def _anchor(extraction: Extraction, asked: Asked, found: Parameters | None) -> Parameters:
-    """Where displacements count from: nominal values where there are any, what was found otherwise."""
+    """Origin of displacements: nominal values if given, the estimate otherwise."""
     nominal, T_c_ref = extraction.rig.nominal, extraction.rig.cameras.T_c_reference
     T_h_c = nominal.T_h_reference @ se3.inverse(T_c_ref) if nominal.T_h_reference is not None else None
     wheels = nominal.wheels
@@ -136,14 +136,14 @@ def _anchor(extraction: Extraction, asked: Asked, found: Parameters | None) -> P
         wheels = found.wheels if wheels is None else wheels
     if T_h_c is None or wheels is None:
         raise SolveError(
-            "a value is to be held at its nominal one, and there is none",
-            "state nominal.head_eye and nominal.wheels in rig.yaml, or give --fix a value",
+            "a parameter must be fixed at its nominal value, but none is given",
+            "set nominal.head_eye and nominal.wheels in rig.yaml, or use --fix NAME=VALUE",
         )
     return Parameters(T_h_c, wheels)
 
 
 class Fitter:
-    """One extraction's problem with what the user bound."""
+    """Fits of one extraction under the user's constraints and priors."""
 
     def __init__(self, extraction: Extraction, asked: Asked) -> None:
         self._extraction = extraction
@@ -159,34 +159,34 @@ class Fitter:
         self.known = Known(T_h_c, nominal.wheels, all(name in fixed for name in NINE[:6]))
         self._levels = extraction.rig.noise.given
         self.given = frozenset(self._levels)
-        #: The care that is enough while it is decided what to believe.
+        #: Tolerances while outliers are searched.
         self.rough = _QUICK if self.problem.stations >= LONG_LOG else _ROUGH
         self._guess = replace(GUESS, encoder_rad=self.problem.encoder_step_rad * UNIFORM)
 
-    # -- where to start ---------------------------------------------------------------------------
+    # -- initial estimate -------------------------------------------------------------------------
 
     @property
     def plain(self) -> bool:
-        """Whether the motion shows all nine, so that the linear method applies as it is."""
+        """Whether all nine parameters are observable, so that the plain linear method applies."""
         seen = self.seen
         return seen.tilts and seen.turns and seen.drives and not self.known.head_eye_fixed
 
     def linear(self) -> Parameters:
-        """Linear parameters from all legs."""
+        """Linear estimate from all legs."""
         if self.plain:
             return linear_estimate(self.loops, self.known.wheels).parameters
         return pulled_start(self.loops, self.known, self.seen)
 
     def fit_few(self, rough: Parameters) -> Callable[[Loops], Parameters]:
-        """What gives parameters from a few legs."""
+        """Function that estimates the parameters from a subset of the legs."""
         if self.plain:
             return lambda loops: linear_from(loops, rough.wheels)
         return lambda loops: pulled_start(loops, self.known, self.seen)
 
-    # -- what binds -------------------------------------------------------------------------------
+    # -- constraints and priors -------------------------------------------------------------------
 
     def ties(self, anchor: Parameters, held: FloatArray) -> Ties:
-        """What the user fixed, what is held, and the priors."""
+        """Parameters fixed by the user, the unobservable directions, and the priors."""
         layout = self.problem.layout
         wheels = np.array(
             [anchor.wheels.radius_right_m, anchor.wheels.radius_left_m, anchor.wheels.separation_m]
@@ -213,24 +213,24 @@ class Fitter:
         )
 
     def free(self) -> FloatArray:
-        """(named, F) unit columns of what the user did not fix."""
+        """Unit columns of the parameters that the user did not fix, (named, F)."""
         layout = self.problem.layout
         kept = [k for k, name in enumerate(layout.names) if name not in self._asked.fixed]
         return np.eye(layout.named)[:, kept]
 
     def shown(self, information: FloatArray, at: WheelGeometry) -> Directions:
-        """What the data show, by the information (P, P) about the shared numbers."""
+        """Observability from the information (P, P) about the global parameters."""
         wheels = np.array([at.radius_right_m, at.radius_left_m, at.separation_m])
         return directions(information, self.problem.layout, wheels, self.free(), len(self.problem.legs))
 
-    # -- the recipe -------------------------------------------------------------------------------
+    # -- fits -------------------------------------------------------------------------------------
 
     def first_noise(self, own_px: FloatArray) -> Noise:
-        """Supposed levels: given ones, the corners' own scatter, and a guess."""
+        """Initial noise levels: given levels, the scatter of the corners, and defaults for the rest."""
         return replace(self._guess, **{"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
 
     def fit(self, state: State, selection: Selection, noise: Noise, care: Care | None = None) -> Fit:
-        """Descend, holding what the data do not show, until that does not change; `rough` by default."""
+        """Optimize with unobservable directions fixed, until the set of them is stable; `rough` by default."""
         problem, near = self.problem, (care or self.rough).near
         for _ in range(_OBSERVABILITY_ROUNDS):
             anchor = _anchor(self._extraction, self._asked, state.parameters)
@@ -249,7 +249,7 @@ class Fitter:
         return self._fitted(optimum, selection, noise, ties, again, held)
 
     def refit(self, fit: Fit, selection: Selection) -> Fit:
-        """Descend roughly from a fit with another selection, holding what that fit holds."""
+        """Optimize roughly with another selection, from a fit and with the same fixed directions."""
         start = terms_before(self.problem, fit.optimum.state, selection, fit.noise)
         optimum = descend(start, fit.ties, self.rough.near)
         return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
@@ -268,7 +268,7 @@ class Fitter:
         return Fit(self.problem, selection, noise, ties, optimum, marginal, found, shown, held, self.given)
 
     def _require_anchor(self, held: FloatArray) -> None:
-        """Refuse to hold what has no nominal value."""
+        """Refuse to fix parameters that have no nominal value."""
         names = self.problem.layout.names
         wanted = {names[k] for k in np.flatnonzero(np.abs(held).max(axis=0, initial=0.0) > 0.3)}
         wanted |= {name for name, value in self._asked.fixed.items() if value is None}
@@ -279,14 +279,14 @@ class Fitter:
             missing.append("nominal.wheels")
         if missing:
             raise SolveError(
-                f"not observable in this log, or fixed: {', '.join(n for n in names if n in wanted)}; and there is no "
-                f"nominal value to hold it at ({', '.join(missing)})",
-                f"state {' and '.join(missing)} in rig.yaml, give --fix {sorted(wanted)[0]}=VALUE, or record the "
+                f"no nominal value ({', '.join(missing)}) for unobservable or fixed parameters: "
+                f"{', '.join(n for n in names if n in wanted)}",
+                f"set {' and '.join(missing)} in rig.yaml, use --fix {sorted(wanted)[0]}=VALUE, or record the "
                 "missing motion",
             )
 
     def levelled(self, fit: Fit, care: Care | None = None) -> Fit:
-        """Noise levels and fit in turn, until the levels stand; `rough` by default."""
+        """Estimate noise levels and parameters in turn until the levels converge; `rough` by default."""
         care = care or self.rough
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(fit.noise, fit.components, self.given, self._guess)

@@ -1,4 +1,4 @@
-"""The iterative linear method (paper, section 3): rotation, wheel ratios, translation, and again."""
+"""The iterative linear method (paper, section 3): solve for rotation, wheel ratios and translation in turn."""
 
 from __future__ import annotations
 
@@ -20,42 +20,42 @@ from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13
 MAX_ROUNDS = 200
-_TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not hold the loop up
+_TRANSLATION_SCALE_M = 0.1  # least scale, so that a translation near zero can converge
 _PAIRS_PER_STATION = 40
 _SCOUT_LEGS = 40
 _SCOUT_ROUNDS = 40
 _SAME_ANSWER = 1e-3
 _CLEARLY_BETTER = 0.5
-_UNAMBIGUOUS_RAD = math.radians(150)  # a guess that is wrong by less than a fifth unwraps it rightly
+_UNAMBIGUOUS_RAD = math.radians(150)  # unwrapped correctly by any guess within a fifth of the true ratios
 _NEAR_NOMINAL = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Wheel ratios (aR, aL) = (rR/b, -rL/b) to start from (eq. 11), and where they come from."""
+    """Initial wheel ratios (aR, aL) = (rR/b, -rL/b) (eq. 11), and their origin."""
 
     ratios: FloatArray
     origin: str
 
 
 def ratios_of(wheels: WheelGeometry) -> FloatArray:
-    """(aR, aL) of eq. 11."""
+    """Wheel ratios (aR, aL) of eq. 11, (2,)."""
     return np.array([wheels.radius_right_m, -wheels.radius_left_m]) / wheels.separation_m
 
 
 def grid_of_starts() -> list[Start]:
-    """Starts over the common scale r/b, from tiny wheels far apart to huge ones close by.
+    """Initial wheel ratios over the common scale r/b, 0.02 to 2, and zero.
 
-    Neighbours are 15 % apart: the guess next to the truth unwraps legs of up to 360 degrees.
+    The step is 15 %: the grid value closest to the truth unwraps legs of up to 360 degrees correctly.
     """
     scales = np.geomspace(0.02, 2.0, 34)
     return [Start(np.array([0.0, 0.0]), "grid"), *(Start(s * np.array([1.0, -1.0]), "grid") for s in scales)]
 
 
 def _pairs(loops: Loops) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs of stations (i, j) of one log, and the (P, 2) range of legs that lie between them.
+    """Pairs of stations (i, j) of one recording, and the (P, 2) range of legs between them.
 
-    More than consecutive pairs: far-apart stations turn the head more, so their axes are better known.
+    Pairs of distant stations are included: the head rotates more between them, so the axes are more accurate.
     """
     spans = []
     for start in np.unique(loops.chain):
@@ -70,7 +70,7 @@ def _pairs(loops: Loops) -> tuple[IntArray, IntArray, IntArray]:
 
 
 class _Rounds:
-    """One round after another on fixed loops; what does not change is prepared once."""
+    """Iterations on fixed loops, with the constant matrices computed once."""
 
     def __init__(self, loops: Loops) -> None:
         self._loops = loops
@@ -90,7 +90,7 @@ class _Rounds:
         return head_eye_rotation(R_hi_hj, self._R_pairs_c)[0]
 
     def ratios(self, R_h_c: FloatArray, psi_rad: FloatArray) -> FloatArray:
-        """Step 3: (aR, aL) from the turns that the camera saw (eqs. 12-13), unwrapped by the odometry's."""
+        """Step 3: (aR, aL) from the turns measured by the camera (eqs. 12-13), unwrapped with odometry."""
         R = (
             self._R_v_h[self._i]
             @ R_h_c
@@ -124,7 +124,7 @@ class _Rounds:
         return self._Phi @ ratios
 
     def run(self, ratios: FloatArray) -> Iterator[Parameters]:
-        """The parameters after each round, without end."""
+        """The parameters after each iteration; endless."""
         while True:
             psi = self.turns(ratios)
             R_h_c = self.rotation(psi)
@@ -135,16 +135,16 @@ class _Rounds:
 
 
 def linear_from(loops: Loops, wheels: WheelGeometry, rounds: int = 3) -> Parameters:
-    """The iterative linear solution of a few legs from wheels that are nearly right.
+    """The iterative linear solution of a few legs from approximate wheels.
 
     Raises:
-        SolveError: the iteration breaks down.
+        SolveError: the iteration fails.
     """
     history = list(itertools.islice(_Rounds(loops).run(ratios_of(wheels)), rounds))
     if len(history) < rounds:
         raise SolveError(
-            f"the iterative linear method breaks down on these {len(loops.legs)} legs",
-            "start from other wheels, or record a log in which the base turns and drives and the head pans and tilts",
+            f"the iterative linear method failed on {len(loops.legs)} legs",
+            "check the nominal wheels; record a motion in which the base drives and turns and the head pans and tilts",
         )
     return history[-1]
 
@@ -154,7 +154,7 @@ def _wheel_vector(wheels: WheelGeometry) -> FloatArray:
 
 
 def change(before: Parameters, after: Parameters) -> float:
-    """Largest relative change of a parameter, each against a sensible scale of its own."""
+    """Largest relative change of rotation, translation and wheels."""
     turned = np.linalg.norm(se3.log_so3(before.T_h_c[:3, :3].T @ after.T_h_c[:3, :3]))
     moved = np.linalg.norm(after.T_h_c[:3, 3] - before.T_h_c[:3, 3])
     scale = max(float(np.linalg.norm(after.T_h_c[:3, 3])), _TRANSLATION_SCALE_M)
@@ -187,7 +187,7 @@ class _Answer:
 
 
 def _scouted(loops: Loops, starts: list[Start]) -> list[Start]:
-    """Where the starts lead on the legs that turn least, which are hard to unwrap wrongly; best first."""
+    """Solutions from all starts on the legs that turn least, whose unwrapping is the safest; best first."""
     Phi = loops.steps.totals_rad
     by_turn = np.argsort(np.abs(Phi[:, 0] - Phi[:, 1]), kind="stable")
     least = np.sort(by_turn[: max(4, min(_SCOUT_LEGS, len(Phi) // 2))])
@@ -201,7 +201,7 @@ def _scouted(loops: Loops, starts: list[Start]) -> list[Start]:
             ratios = ratios_of(history[-1].wheels)
             if any(np.allclose(ratios, other.ratios, rtol=0.02, atol=0) for _, other in found):
                 continue
-            # What the legs left out say: the guess is carried on by one round on all of them.
+            # Rate the guess by the point error on all legs, after up to two more iterations on them.
             onward = _iterate(whole, ratios, PAPER_TOLERANCE, 2)
             if onward:
                 found.append((point_rms_m(loops, onward[-1]), Start(ratios, start.origin)))
@@ -219,7 +219,7 @@ def _answers(loops: Loops, starts: list[Start]) -> list[_Answer]:
 
 
 def _beyond_doubt(loops: Loops, nominal: WheelGeometry, answer: _Answer) -> bool:
-    """Whether an answer is near the nominal wheels, and no leg turns so far that it could be unwrapped otherwise."""
+    """Whether an answer is near the nominal wheels, and all legs turn little enough for unique unwrapping."""
     turns = np.abs(loops.steps.totals_rad @ ratios_of(nominal))
     apart = _wheel_vector(answer.parameters.wheels) / _wheel_vector(nominal) - 1
     return bool(turns.max(initial=0.0) < _UNAMBIGUOUS_RAD and np.abs(apart).max() < _NEAR_NOMINAL)
@@ -228,12 +228,12 @@ def _beyond_doubt(loops: Loops, nominal: WheelGeometry, answer: _Answer) -> bool
 def linear_estimate(
     loops: Loops, nominal: WheelGeometry | None = None, given: FloatArray | None = None
 ) -> LinearEstimate:
-    """The iterative linear solution, from several starts.
+    """Iterative linear solution from several starts.
 
-    A leg's turn is seen only modulo 360 degrees, so a bad guess of the wheels unwraps large turns wrongly
-    and the iteration settles elsewhere. Every start is therefore tried, first on the legs that turn least;
-    the answer that explains all legs best is kept, one with positive wheels before its mirror images. Where
-    the nominal wheels leave no doubt about any turn, and the answer is near them, they are the only start.
+    The cameras measure a leg's turn only modulo 360 degrees, so a bad guess of the wheels unwraps large turns wrongly
+    and the iteration converges to a wrong solution. Every start is therefore tried, first on the legs that turn least.
+    The solution with the smallest point error is returned; positive wheels are preferred to mirror images. If the
+    nominal wheels unwrap every turn uniquely, and the solution is near them, they are the only start.
 
     Args:
         loops: at least three legs.
@@ -241,7 +241,7 @@ def linear_estimate(
         given: (2,) wheel ratios (aR, aL) to start from, tried before the nominal ones.
 
     Raises:
-        SolveError: no start leads anywhere.
+        SolveError: no start gives a solution.
     """
     starts = []
     if given is not None:
@@ -253,10 +253,10 @@ def linear_estimate(
         answers += _answers(loops, _scouted(loops, starts + grid_of_starts())[:4])
     if not answers:
         raise SolveError(
-            f"the iterative linear method found no answer on {len(loops.legs)} legs between stations",
-            "record a log in which the base turns and drives and the head pans and tilts",
+            f"the iterative linear method found no solution for {len(loops.legs)} legs between stations",
+            "record a motion in which the base drives and turns and the head pans and tilts",
         )
-    # min() keeps the first of equals: a given or nominal start before the grid's.
+    # min() returns the first of equal solutions: given and nominal starts precede the grid.
     best = min(answers, key=lambda a: round(a.point_rms_m, 9))
     positive = min((a for a in answers if a.positive), key=lambda a: round(a.point_rms_m, 9), default=best)
     kept = best if best.point_rms_m < _CLEARLY_BETTER * positive.point_rms_m else positive

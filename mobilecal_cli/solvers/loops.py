@@ -1,4 +1,4 @@
-"""The numbers that every solver works on: stations, the legs between them, and the wheels' steps."""
+"""Input of every solver: stations, the legs between them, and the wheel rotations along the legs."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mobilecal_cli.model import Extraction, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loops:
-    """The closed loops of eq. 3, one for each leg between two stations of one log.
+    """Closed loops of eq. 3, one per leg between two stations of one recording.
 
     Attributes:
         T_v_h: (N, 4, 4) head in the vehicle, from the joint readings.
         T_c_k: (N, 4, 4) board in the left camera.
         points_c: (N, M, 3) triangulated corners, m.
         legs: (L, 2) first and second station of each leg.
-        chain: (L,) first leg of the log that the leg belongs to; legs of a log are consecutive.
+        chain: (L,) first leg of the leg's recording; the legs of a recording are consecutive.
         steps: wheel rotations along the legs.
     """
 
@@ -32,7 +32,7 @@ class Loops:
     steps: Increments
 
     def select(self, legs: IntArray) -> Loops:
-        """The loops of some legs alone (increasing indices); each leg becomes a log of its own."""
+        """The loops of a subset of legs (increasing indices); each leg becomes a recording of its own."""
         return Loops(
             self.T_v_h,
             self.T_c_k,
@@ -44,7 +44,7 @@ class Loops:
 
 
 def closed_loops(extraction: Extraction) -> Loops:
-    """Gather the loops of an extraction: legs join consecutive observations of one log."""
+    """Loops of an extraction: legs join consecutive observations of one recording."""
     observations = extraction.observations
     log = np.array([o.log for o in observations])
     parts, chain = [], []

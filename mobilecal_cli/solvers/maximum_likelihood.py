@@ -1,4 +1,4 @@
-"""The estimate that uses everything: maximum likelihood, robust, with noise levels from the residuals."""
+"""Robust maximum-likelihood estimate from all measurements, with noise levels from the residuals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_DECISIONS = 60
 
 
 class Solver:
-    """The recipe for one extraction."""
+    """Robust maximum-likelihood solver for one extraction."""
 
     def __init__(self, extraction: Extraction, asked: Asked) -> None:
         self._fitter = Fitter(extraction, asked)
@@ -31,15 +31,15 @@ class Solver:
 
     @property
     def plain(self) -> bool:
-        """Whether the motion shows all nine, so that the linear method applies as it is."""
+        """Whether all nine parameters are observable, so that the plain linear method applies."""
         return self._fitter.plain
 
     def linear(self) -> Parameters:
-        """Linear parameters from all legs."""
+        """Linear estimate from all legs."""
         return self._fitter.linear()
 
     def solve(self, start: Parameters | None = None) -> Fit:
-        """All of it."""
+        """Estimate parameters, noise levels and outliers."""
         fitter, decisions = self._fitter, self._decisions
         problem = fitter.problem
         rough = start or fitter.linear()
@@ -53,8 +53,8 @@ class Solver:
             try:
                 fit = self._by_consensus(rough, noise, selection)
             except SolveError as error:
-                # Noise that is far from what was supposed, and no outliers: all of it, with noise levels to match.
-                _LOG.info("no consensus of legs: %s", error.message)
+                # The noise levels may be far from the assumed ones, without outliers: estimate them from all data.
+                _LOG.info("no consensus among the legs: %s", error.message)
         fit = fitter.levelled(fit)
         before: list[Selection] = [fit.selection]
         for _ in range(_MOST_DECISIONS):
@@ -66,7 +66,7 @@ class Solver:
         return fitter.levelled(fit, FINE)
 
     def _by_consensus(self, rough: Parameters, noise: Noise, selection: Selection) -> Fit:
-        """A fit of the legs that agree, with all that agrees with it taken back."""
+        """A fit of the consensus legs, with all measurements consistent with it restored."""
         fitter = self._fitter
         found = agreed(fitter.problem, fitter.loops, rough, noise, self._pose_cov, fitter.fit_few(rough))
         louder = {
@@ -88,14 +88,14 @@ class Solver:
 def maximum_likelihood(
     extraction: Extraction, asked: Asked | None = None, start: Parameters | None = None
 ) -> Fit:
-    """Solve for all numbers by maximum likelihood.
+    """Robust maximum-likelihood fit of all parameters.
 
     Args:
         extraction: at least four observations.
-        asked: what the user binds and asks for.
-        start: where to start; the linear solution by default.
+        asked: constraints, priors and additional parameters.
+        start: initial estimate; the linear solution by default.
 
     Raises:
-        SolveError: not converged, or something to be held has no nominal value.
+        SolveError: did not converge, or a parameter to be fixed has no nominal value.
     """
     return Solver(extraction, asked or Asked()).solve(start)

@@ -1,4 +1,4 @@
-"""What was left out, named with its time in the log."""
+"""Descriptions of outliers, with their times in the recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mobilecal_cli.solvers.fit import Fit
 
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
-    """One sentence for each measurement that the fit does not believe, in order of time."""
+    """Description of each outlier of a fit, in order of time."""
     seen, selection, state = extraction.observations, fit.selection, fit.optimum.state
     several = len(extraction.wheels) > 1
     begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
@@ -31,8 +31,8 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         x, y, psi = legs[leg]
         by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
         text = (
-            f"Slip (or a moved board) of {by} between stations {name(i)} and {name(j)}, {clock(j)}: the wheels' "
-            "way is left out there."
+            f"Wheel slip or moved board between stations {name(i)} and {name(j)}, {clock(j)}: wheels and cameras "
+            f"differ by {by}. The odometry of this leg is excluded."
         )
         found.append(Outlier("slip", seen[i].log, (i, j), seen[j].time_ns, text))
     expected = board_in_camera(fit.problem, state)
@@ -40,22 +40,22 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         off = log(seen[i].T_c_k @ inverse(expected[i]))
         shift = (seen[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
         text = (
-            f"Station {name(i)}, {clock(i)}, does not fit the others: its board is {np.linalg.norm(shift):.0f} mm and "
-            f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from where they expect it (a moved or wrong "
-            "board, or the head was not where its joints say); its pictures are left out."
+            f"Station {name(i)}, {clock(i)}: the board is {np.linalg.norm(shift):.0f} mm and "
+            f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
+            "predict. Its images are excluded. Check for a moved or wrong board, or wrong joint readings."
         )
         found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
     left_out = fit.problem.seen & ~selection.corners
     joints = extraction.rig.chain.joints
     for i, j in ((int(a), int(b)) for a, b in np.argwhere(~selection.readings)):
         text = (
-            f"Wrong reading of {joints[j]} at station {name(i)}, {clock(i)}: off by "
-            f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees; the reading is left out."
+            f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by "
+            f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees. It is excluded."
         )
         found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
     for i in (int(k) for k in np.flatnonzero(left_out.any(axis=(1, 2)) & selection.views)):
         left, right = (int(n) for n in left_out[i].sum(axis=1))
-        counts = f"{left} corners on the left and {right} on the right"
-        text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are left out."
+        counts = f"{left} corners of the left image and {right} of the right image"
+        text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
         found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))
     return tuple(sorted(found, key=lambda o: (o.log, o.time_ns)))

@@ -1,4 +1,4 @@
-"""Base poses and boards that go with some parameters."""
+"""Initial base poses and board poses for given parameters."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from mobilecal_cli.solvers.loops import Loops
 
 
 def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: Selection) -> State:
-    """Base poses and boards that go with some parameters: dead reckoning, and the boards' median poses.
+    """State for given parameters: base poses by dead reckoning, and the boards' median poses.
 
-    Over legs that are not believed the base is placed by what the cameras see of the board.
+    Across outlier legs, the base pose follows from the board seen by the cameras.
     """
     motion = integrate(loops.steps, parameters.wheels)
     T_vi_vj, psi = base_motion(motion), motion.psi_rad
@@ -35,7 +35,7 @@ def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: 
         seeing = members[selection.views[members]]
         board = problem.board[start]
         if start in into and known[board] and len(seeing):
-            # T_w_v with the board where it is known to be, flattened, at this stretch's start.
+            # T_w_v at the start of this section from the known board pose, projected onto the floor.
             placed = boards[board] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_w_v[seeing])
             shift = _median_pose(placed)
             yaw = np.arctan2(shift[1, 0], shift[0, 0])
@@ -60,7 +60,7 @@ def state_at(problem: Problem, parameters: Parameters, loops: Loops, selection: 
 
 
 def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses (n + 1, 4, 4) in the first one's frame, and headings (n + 1,), along n legs one after the other."""
+    """Poses (n + 1, 4, 4) in the frame of the first, and headings (n + 1,), along n consecutive legs."""
     heading = np.concatenate([[0.0], np.cumsum(psi_rad)])
     Rz = se3.rotation_z(heading)
     t = np.zeros((len(heading), 3))
@@ -69,7 +69,7 @@ def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, F
 
 
 def _median_pose(T: FloatArray) -> FloatArray:
-    """A pose in the middle of several: medians of the twists from one of them."""
+    """Median pose: component-wise median of the twists from one of the poses."""
     best: FloatArray = T[len(T) // 2]
     for _ in range(3):
         best = best @ se3.exp(np.median(se3.log(se3.inverse(best) @ T), axis=0))

@@ -1,4 +1,4 @@
-"""Eq. 19 minimised: by Levenberg-Marquardt with analytic derivatives, and as the paper does, by Powell."""
+"""Minimize eq. 19 by Levenberg-Marquardt with analytic derivatives, or by Powell's method as in the paper."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def _normal_equations(loops: Loops, parameters: Parameters) -> tuple[FloatArray,
 
 
 def refine_lm(loops: Loops, start: Parameters) -> Refinement:
-    """Minimise eq. 19 by Levenberg-Marquardt.
+    """Minimize eq. 19 by Levenberg-Marquardt.
 
     Raises:
-        SolveError: no minimum within 100 steps.
+        SolveError: did not converge within 100 steps.
     """
     parameters, damping = start, _FIRST_DAMPING
     H, gradient, rms = _normal_equations(loops, parameters)
@@ -53,25 +53,25 @@ def refine_lm(loops: Loops, start: Parameters) -> Refinement:
         else:
             damping *= 10
             if damping > _LARGEST_DAMPING:
-                break  # no step helps any more: the minimum, to rounding
+                break  # no step reduces the cost: converged to rounding error
     else:
         raise SolveError(
-            f"the refinement did not converge in {_MAX_STEPS} steps: point rms {rms * 1e3:.3f} mm",
-            "the linear estimate may be too far off: see its residuals with --method linear",
+            f"the refinement did not converge in {_MAX_STEPS} steps: point error {rms * 1e3:.3f} mm",
+            "the linear estimate may be too inaccurate: check its residuals with --method linear",
         )
     return Refinement("lm", parameters, np.array(history), rms, evaluations)
 
 
 def refine_powell(loops: Loops, start: Parameters) -> Refinement:
-    """Minimise eq. 19 by Powell's direction-set method (section 3.6), the paper's own choice.
+    """Minimize eq. 19 by Powell's direction-set method, as the paper does (section 3.6).
 
-    The parameters are taken along the eigenvectors of the normal matrix at the start, scaled to equal effect:
-    directions that are conjugate from the first line search on, so few sweeps are needed.
+    The search directions are the eigenvectors of the normal matrix at the start, scaled to equal effect. They are
+    conjugate from the first line search on, so few sweeps are needed.
 
     Raises:
-        SolveError: no minimum within scipy's limits.
+        SolveError: did not converge within scipy's limits.
     """
-    from scipy.optimize import minimize  # heavy, and for this method alone
+    from scipy.optimize import minimize  # slow to import, and only this method needs it
 
     H, _, rms = _normal_equations(loops, start)
     scale = np.sqrt(np.diag(H))
@@ -100,7 +100,7 @@ def refine_powell(loops: Loops, start: Parameters) -> Refinement:
     if not result.success:
         raise SolveError(
             f"Powell's method did not converge: {result.message} after {evaluations} evaluations",
-            "use --method lm, which minimises the same cost",
+            "use --method lm, which minimizes the same cost",
         )
     parameters = at(result.x)
     rms = point_rms_m(loops, parameters)

@@ -1,4 +1,4 @@
-"""How well some parameters explain each leg, in mm and in pixels."""
+"""Point error and reprojection error of each leg for given parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mobilecal_cli.solvers.loops import Loops
 
 
 def dead_reckoned(loops: Loops, parameters: Parameters) -> FloatArray:
-    """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
+    """Base pose T_w_v of every station by dead reckoning, (N, 4, 4); w is the base at the recording's first one."""
     T_w_v = np.broadcast_to(np.eye(4), loops.T_v_h.shape).copy()
     T_vi_vj = base_motion(integrate(loops.steps, parameters.wheels))
     for (i, j), T in zip(loops.legs, T_vi_vj, strict=True):
@@ -24,12 +24,12 @@ def dead_reckoned(loops: Loops, parameters: Parameters) -> FloatArray:
 def residuals_of(
     extraction: Extraction, loops: Loops, parameters: Parameters, believed: BoolArray | None = None
 ) -> Residuals:
-    """Carry every station's corners into the station before (eq. 18) and compare, in m and in px.
+    """Residuals of each station's corners predicted from the next station (eq. 18), in m and px.
 
     Args:
         extraction, loops: the observations and the legs between them.
-        parameters: to carry with.
-        believed: (L,) legs to compare; all by default.
+        parameters: for the prediction.
+        believed: (L,) legs to include; all by default.
     """
     kept = np.arange(len(loops.legs)) if believed is None else np.flatnonzero(believed)
     i, j = loops.legs[kept].T

@@ -1,7 +1,6 @@
-"""Statistics of what may not belong: gross corners, whole stations, slipping wheels, wrong joint readings.
+"""Outlier statistics of corners, stations, legs and joint readings.
 
-What is believed is tested against its own deletion, what is doubted against what the rest predicts; `decisions`
-judges by them.
+Inliers are tested by deletion, excluded measurements against the prediction from the inliers. `decisions` uses both.
 """
 
 from __future__ import annotations
@@ -20,28 +19,28 @@ from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, lineariz
 from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.solvers.descent import Optimum
 
-_FALSE_ALARM = 1e-4  # chance that one sound measurement is left out, in a log of 50 stations
+_FALSE_ALARM = 1e-4  # chance that a consistent measurement is excluded, in a recording of 50 stations
 _CORNER_SIGMAS = 5.5
-_BAD_PICTURE = 0.4  # share of gross corners at which the whole board is doubted
-_BAD_BOARD = 6.0  # corner noise of one station against the usual
+_BAD_PICTURE = 0.4  # share of gross corners above which the whole board is excluded
+_BAD_BOARD = 6.0  # limit of a station's corner noise over the median
 _LOCAL_STEPS = 12
 _NO_REDUNDANCY = 0.02
 
 
 def limit(count: int, dof: float, redundancy: float) -> float:
-    """Largest statistic that a sound measurement may have: Fisher's, for a noise level that is itself estimated."""
+    """Largest statistic of a consistent measurement: an F quantile, since the noise level is itself estimated."""
     chance = _FALSE_ALARM / max(1, count // 50)
     return float(dof * fdtri(dof, max(redundancy, 4.0), 1 - chance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """By how much the sum of squares would fall if a measurement were left out (chi-squared for a sound one).
+    """Decrease of the sum of squares if a measurement is excluded (chi-squared for consistent measurements).
 
     Attributes:
-        views: (N,) of a station's pictures as a whole, six degrees of freedom.
-        legs: (L,) of a leg's wheels, three.
-        readings: (N, J) of a joint reading, one.
+        views: (N,) for a station's images together, six degrees of freedom.
+        legs: (L,) for a leg's wheels, three.
+        readings: (N, J) for a joint reading, one.
     """
 
     views: FloatArray
@@ -50,7 +49,7 @@ class Statistics:
 
 
 def _deleted(whitened: FloatArray, taken: FloatArray) -> FloatArray:
-    """v^T (I - h)^-1 v over what is redundant: (n, k) and (n, k, k) → (n,)."""
+    """v^T (I - h)^-1 v over the redundant directions, (n, k) and (n, k, k) → (n,)."""
     values, vectors = np.linalg.eigh(np.eye(whitened.shape[1]) - taken)
     along = np.einsum("nki,nk->ni", vectors, whitened)
     usable = values > _NO_REDUNDANCY
@@ -61,7 +60,7 @@ def _deleted(whitened: FloatArray, taken: FloatArray) -> FloatArray:
 def believed_statistics(
     problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
 ) -> Statistics:
-    """Deletion statistics of everything that is believed; 0 for what is not."""
+    """Deletion statistics of all inliers; 0 for excluded measurements."""
     system = optimum.system
     views, legs = system.views, system.legs
     G, g = views.information[:, :6, :6], views.gradient[:, :6]
@@ -87,10 +86,10 @@ def believed_statistics(
 def doubted_views(
     problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
 ) -> tuple[FloatArray, FloatArray]:
-    """How far each station's pictures are from what the others predict.
+    """Statistics of each station's images against the prediction from the other stations.
 
     Returns:
-        (N,) statistics as the readings are, six degrees of freedom, and (N, J) with one reading unknown, five.
+        (N,) with the joints as read, six degrees of freedom, and (N, J) with one reading unknown, five.
     """
     whole = replace(selection, views=np.ones(problem.stations, dtype=np.bool_))
     views = linearize_views(problem, optimum.state, whole, noise)
@@ -108,25 +107,25 @@ def doubted_views(
 
 
 def doubted_legs(optimum: Optimum, marginal: Marginals) -> FloatArray:
-    """(L,) how far each leg's wheels are from what all others predict, three degrees of freedom."""
+    """Statistic of each leg's wheels against the prediction from the rest, (L,), three degrees of freedom."""
     e = optimum.system.legs.residual
     spread = optimum.leg_covariance + marginal.legs
     return np.asarray(np.einsum("la,la->l", e, np.linalg.solve(spread, e[..., None])[..., 0]))
 
 
 def doubted_readings(optimum: Optimum, marginal: Marginals, noise: Noise) -> FloatArray:
-    """(N, J) how far each joint reading is from what all others predict, where it is not believed; one degree."""
+    """Statistic of each excluded joint reading against the prediction, (N, J), one degree of freedom."""
     spread = noise.joint_rad**2 + np.diagonal(marginal.joints, axis1=1, axis2=2)
     return np.asarray(optimum.state.joint_errors**2 / spread)
 
 
 def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
-    """(N,) median over the corners that were seen, (N, 2, M)."""
+    """Median over the detected corners (N, 2, M), (N,)."""
     return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
 
 
 def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) -> FloatArray:
-    """(n, 2, M) how far the corners of some stations are from the boards that fit each best, started at T (n, 4, 4)."""
+    """Corner residuals after a robust fit of each station's own board pose, (n, 2, M), from initial T (n, 4, 4)."""
     seen = problem.seen[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(problem, state, T, stations)
@@ -134,7 +133,7 @@ def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) 
         residual, J = whitened(W, residual), whitened(W, J)
         size = np.linalg.norm(residual, axis=-1)
         scale = np.maximum(_median(size, seen), 1e-9)
-        # Cauchy's weight, whose pull fades with distance.
+        # Cauchy weight, which limits the influence of outliers.
         root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
         A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
         r = (residual * root).reshape(len(T), -1)
@@ -150,15 +149,15 @@ def _own_misfit(problem: Problem, state: State, T: FloatArray, stations: slice) 
 def gross_corners(
     problem: Problem, state: State, T_c_k: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Corners and whole boards that do not fit the board's own shape, each station by itself.
+    """Corners and boards that fit the board's shape, tested per station.
 
     Args:
         problem: the corners.
         state: gives the cameras.
-        T_c_k: (N, 4, 4) where each board seems to be.
+        T_c_k: (N, 4, 4) initial board poses.
 
     Returns:
-        (N, 2, M) sound corners, (N,) sound boards, and (N,) each station's corner noise, px.
+        (N, 2, M) inlier corners, (N,) inlier boards, and (N,) corner noise of each station, px.
     """
     size = np.concatenate(
         [_own_misfit(problem, state, T_c_k[block], block) for block in blocks_of(problem.stations)]

@@ -1,4 +1,4 @@
-"""Negative wheels: what they say about the encoders."""
+"""Checks of wheel signs: negative values mean a wrong encoder sign or swapped wheels."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from mobilecal_cli.model import WheelGeometry
 
 
 def check_signs(wheels: WheelGeometry) -> None:
-    """Refuse wheels that are negative, and say why they are.
+    """Refuse negative wheel values and report the cause.
 
-    A counter that runs backwards turns its wheel's radius negative. Two wheels taken for each other leave the
-    radii as they are and turn the separation negative.
+    An encoder with the wrong sign makes its wheel's radius negative. Swapped wheels make the separation negative.
 
     Raises:
-        SolveError: naming the wheel whose sign is turned round, or that the wheels are swapped.
+        SolveError: names the wheel with the wrong sign, or reports swapped wheels.
     """
     right, left = wheels.radius_right_m, wheels.radius_left_m
     swapped = wheels.separation_m < 0
@@ -21,16 +20,16 @@ def check_signs(wheels: WheelGeometry) -> None:
         return
     turned = [side for side, radius in (("right", right), ("left", left)) if radius < 0]
     if swapped:
-        # What is called right is the left wheel: name the sources, as the user knows them.
-        causes = ["the left and right wheel are swapped"]
+        # "right" is then the left wheel: the message uses the names in rig.yaml.
+        causes = ["the left and right wheels are swapped"]
         cures = ["exchange wheels.left and wheels.right in rig.yaml"]
     else:
         causes, cures = [], []
     for side in turned:
-        causes.append(f"the {side} wheel's sign is turned round")
-        cures.append(f"turn wheels.{side}.sign in rig.yaml")
+        causes.append(f"the {side} wheel's encoder has the wrong sign")
+        cures.append(f"negate wheels.{side}.sign in rig.yaml")
     raise SolveError(
-        f"{' and '.join(causes)}: the log gives radii of {right * 1e3:.1f} mm (right) and {left * 1e3:.1f} mm "
-        f"(left) and a separation of {wheels.separation_m * 1e3:.1f} mm",
-        ", and ".join(cures),
+        f"{' and '.join(causes)}: the estimated wheel radii are {right * 1e3:.1f} mm (right) and "
+        f"{left * 1e3:.1f} mm (left), the wheel separation is {wheels.separation_m * 1e3:.1f} mm",
+        " and ".join(cures),
     )

@@ -1,4 +1,4 @@
-"""From an extraction to the nine numbers."""
+"""Solve an extraction for the nine parameters."""
 
 from __future__ import annotations
 
@@ -65,26 +65,26 @@ def solve(
     start_ratios: FloatArray | None = None,
     asked: Asked | None = None,
 ) -> Solution:
-    """Solve for all nine numbers at once.
+    """Solution for all nine parameters.
 
     Args:
-        extraction: at least four observations; for all methods but "ml", of motion that shows all nine (see
-            `uncertainty`).
+        extraction: at least four observations; for all methods but "ml", the motion must make all nine parameters
+            observable (see `uncertainty`).
         method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
             (eq. 19 by Levenberg-Marquardt).
         start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
-        asked: what the user binds and asks for, for "ml".
+        asked: constraints, priors and additional parameters, for "ml" only.
 
     Raises:
-        SolveError: not converged, an encoder's sign or the wheels' order is wrong, or something that the log does not
-            show has no nominal value to be held at.
+        SolveError: did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
+            parameter has no nominal value.
     """
     try:
         return _solved(extraction, method, start_ratios, asked or Asked())
     except np.linalg.LinAlgError as error:
         raise SolveError(
-            f"the numbers of this log cannot be solved for: {error}",
-            "calibrate from the recording again; if that ends here, too, its stations contradict one another",
+            f"numerical failure in the solver: {error}",
+            "run calibrate on the recording again; if this recurs, its stations are inconsistent with one another",
         ) from error
 
 
@@ -127,13 +127,13 @@ def _solution(
 
 
 def _pulled(loops: Loops, start: Parameters) -> LinearEstimate:
-    """The start of a log that hides something, as the linear estimate that it stands for."""
+    """The initial estimate of a partly unobservable problem as a `LinearEstimate`."""
     rms = point_rms_m(loops, start)
     return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
 
 
 def _with_extras(loops: Loops, fit: Fit) -> Loops:
-    """The loops with the head and the wheels where the fit's clocks, zeros, play and mount put them."""
+    """The loops corrected for the fit's additional parameters (time offsets, pan zero, backlash, mount)."""
     problem, state = fit.problem, fit.optimum.state
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
     return replace(loops, T_v_h=head_at(problem, as_read), steps=problem.steps(state.extra("time_wheels")))
@@ -147,12 +147,12 @@ def _by_likelihood(
         linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
         check_signs(linear.parameters.wheels)
     else:
-        linear = _pulled(loops, solver.linear())  # a scale that the motion hides may have any sign here
+        linear = _pulled(loops, solver.linear())  # no sign check: an unobservable scale may have any sign
     fit = solver.solve(linear.parameters)
     found = evidence_of(fit)
     scale = scale_of(extraction, found)
     if scale is not None and scale.apart and "square_scale" not in asked.extras:
-        _LOG.info("squares and baseline disagree: the squares' size is estimated")
+        _LOG.info("square size and stereo baseline are inconsistent: the square size is estimated")
         fit = Solver(extraction, replace(asked, extras=(*asked.extras, "square_scale"))).solve(
             linear.parameters
         )
@@ -185,7 +185,7 @@ def _by_likelihood(
 
 
 def uncertainty_of(fit: Fit, asked: Asked) -> Uncertainty:
-    """What a fit says about how well the nine numbers are known."""
+    """Uncertainty of the nine parameters of a fit."""
     covariance = fit.covariance[:9, :9]
     fixed = np.array([name in asked.fixed for name in NINE])
     scales = fit.directions.scales[:9]

@@ -1,4 +1,4 @@
-"""Where the descent starts: the linear solution, or its kin for motions that leave something unseen."""
+"""Initial estimate: the linear solution, also for motions with unobservable parameters."""
 
 from __future__ import annotations
 
@@ -17,26 +17,24 @@ from mobilecal_cli.solvers.loops import Loops
 from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
 
 TILTED_RAD = math.radians(2.0)  # a smaller range leaves Tsai-Lenz with parallel axes, whatever the noise
-TURNED_RAD = 0.1  # wheel rotation: with usual wheels about 2.5 degrees of heading
-DRIVEN_RAD = 0.1  # wheel rotation: with usual wheels about 2 cm
-_UNLIKE = (
-    0.05  # mean rotation over the difference of both, of wheels that differ by 10 %, turning on the spot
-)
+TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels
+DRIVEN_RAD = 0.1  # wheel rotation: about 2 cm with typical wheels
+_UNLIKE = 0.05  # mean wheel rotation over the difference, in a turn in place with radii that differ by 10 %
 _ROUNDS = 12
 _HEADINGS = 720
-# What a leg's turn and way are seen to, against what a drawing tells: weights of the pull to the nominal values.
+# Accuracy of a leg's measured turn and path, against that of nominal values: weights of the priors.
 _SEEN_RAD, _SEEN_M = 0.003, 0.003
 _DRAWN = 0.2
 _DRAWN_M = 0.1
-_BLOCK = 500  # stations compared with all others at once
+_BLOCK = 500  # stations compared with all others at a time, to limit memory
 
 
 @dataclass(frozen=True, slots=True)
 class MotionSeen:
-    """Which kinds of motion the legs hold, with how much of each.
+    """Amount of each kind of motion in the legs.
 
     Attributes:
-        tilted_rad: largest angle between the base's verticals in the head's frame.
+        tilted_rad: largest angle between the vertical directions in the head's frame.
         turned_rad: largest difference of the two wheels' rotations over a leg.
         driven_rad: largest mean rotation of the two wheels over a leg.
     """
@@ -62,7 +60,7 @@ class MotionSeen:
 
 
 def motion_seen(loops: Loops) -> MotionSeen:
-    """Look at the joints and the wheels alone."""
+    """Amount of motion in the joints and the wheels."""
     vertical_h = loops.T_v_h[:, 2, :3]
     blocks = (vertical_h[i : i + _BLOCK] for i in range(0, len(vertical_h), _BLOCK))
     least_cosine = min(float((block @ vertical_h.T).min()) for block in blocks)
@@ -77,12 +75,12 @@ def motion_seen(loops: Loops) -> MotionSeen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What is known beforehand.
+    """Nominal values and whether the head-eye transform is fixed.
 
     Attributes:
         T_h_c: (4, 4) nominal head-eye transform of the left camera, or None.
         wheels: nominal wheels, or None.
-        head_eye_fixed: T_h_c is exact.
+        head_eye_fixed: T_h_c is fixed.
     """
 
     T_h_c: FloatArray | None
@@ -97,7 +95,7 @@ def _relative(loops: Loops) -> FloatArray:
 
 
 def _aligned(loops: Loops, vertical_h: FloatArray, downwards: bool) -> FloatArray:
-    """A rotation R_h_c that brings the axis of all the camera's turns onto the vertical; its yaw is arbitrary."""
+    """Rotation R_h_c that aligns the common axis of the camera's turns with the vertical; the yaw is arbitrary."""
     axes = se3.log_so3(_relative(loops)[:, :3, :3])
     n_c = np.linalg.svd(axes, full_matrices=False)[2][0] * (-1 if downwards else 1)
     v, cosine = np.cross(n_c, vertical_h), float(n_c @ vertical_h)
@@ -109,7 +107,7 @@ def _aligned(loops: Loops, vertical_h: FloatArray, downwards: bool) -> FloatArra
 
 
 def _turns(loops: Loops, R_h_c: FloatArray, expected_rad: FloatArray) -> FloatArray:
-    """Each leg's turn as the camera saw it (eq. 12), unwrapped by what is expected: (L,) rad."""
+    """Turn of each leg measured by the camera (eq. 12), unwrapped with the expected turn, (L,), rad."""
     i, j = loops.legs.T
     R_v_h = loops.T_v_h[:, :3, :3]
     R = R_v_h[i] @ R_h_c @ _relative(loops)[:, :3, :3] @ R_h_c.T @ np.swapaxes(R_v_h[j], 1, 2)
@@ -119,7 +117,7 @@ def _turns(loops: Loops, R_h_c: FloatArray, expected_rad: FloatArray) -> FloatAr
 
 
 def _pulled(rows: FloatArray, right: FloatArray, towards: FloatArray, weight: FloatArray) -> FloatArray:
-    """Least squares with each unknown pulled towards a value: what the rows do not say stays there."""
+    """Least squares with a prior on each unknown; undetermined unknowns stay at the prior value."""
     both = np.concatenate([rows, np.diag(weight)])
     solved: FloatArray = np.linalg.lstsq(both, np.concatenate([right, weight * towards]))[0]
     return solved
@@ -134,7 +132,7 @@ def _ratios(Phi: FloatArray, psi: FloatArray, nominal: FloatArray | None) -> Flo
 def _translation(
     loops: Loops, R_h_c: FloatArray, ratios: FloatArray, known: Known, headings: FloatArray | None
 ) -> Parameters:
-    """Eqs. 14-17 with pulls, for the best of several yaws of the camera about the vertical where it is unknown."""
+    """Eqs. 14-17 with priors; `headings`: candidate yaws of the camera about the vertical if the yaw is unknown."""
     a_right, a_left = ratios
     per_left = WheelGeometry(-a_right / a_left, 1.0, -1 / a_left)
     motion = integrate(loops.steps, per_left)
@@ -159,7 +157,7 @@ def _translation(
         vertical_h = loops.T_v_h[:, 2, :3].mean(axis=0)
         about = se3.rotation_about(vertical_h / np.linalg.norm(vertical_h), headings)
         rotations = about @ R_h_c
-    # All yaws at once: the matrix is the same, only the right sides differ.
+    # All yaws at once: they share the matrix, only the right-hand sides differ.
     right = -(np.einsum("lab,hbc,lc->hla", T_i[:, :3, :3], rotations, seen) + fixed).reshape(
         len(rotations), -1
     )
@@ -167,7 +165,7 @@ def _translation(
     sides = np.concatenate([right, np.broadcast_to(weight * towards, (len(right), 4))], axis=1)
     solved, _, _, _ = np.linalg.lstsq(both, sides.T)
     misfit = np.sum((both @ solved - sides.T) ** 2, axis=0)
-    misfit[solved[3] <= 0] = np.inf  # the twin with all signs turned
+    misfit[solved[3] <= 0] = np.inf  # the mirror solution with negative wheels
     best = int(np.argmin(misfit))
     t_x, t_y, t_z, r_left = solved[:, best]
     wheels = WheelGeometry(float(-a_right / a_left * r_left), float(r_left), float(-r_left / a_left))
@@ -175,19 +173,19 @@ def _translation(
 
 
 def pulled_start(loops: Loops, known: Known, seen: MotionSeen) -> Parameters:
-    """The linear method with every unknown pulled weakly to its nominal value: for motions that hide something.
+    """Linear solution with weak priors at the nominal values, for motions with unobservable parameters.
 
-    Where the head never tilts, all rotation axes are parallel and Tsai-Lenz is singular: roll and pitch then come
-    from the common axis, and yaw from the direction of driving (as for a camera without a head, Antonelli et al.
-    2010). Where the base never moves the head-eye transform comes from the head's motion alone (Tsai and Lenz 1989).
+    If the head never tilts, all rotation axes are parallel and Tsai-Lenz is singular: roll and pitch then follow from
+    the common axis, and yaw from the driving direction (as for a fixed camera, Antonelli et al. 2010). If the base
+    never moves, the head-eye transform follows from the head's motion alone (Tsai and Lenz 1989).
 
     Raises:
-        SolveError: wheels that the motion does not show, and no nominal ones.
+        SolveError: unobservable wheels without nominal values, or no solution.
     """
     if known.wheels is None and not (seen.turns and seen.drives):
         raise SolveError(
-            "the wheels' motion does not show their radii and separation, and there are no nominal ones",
-            "drive and turn the base between stations, or state nominal.wheels in rig.yaml",
+            "wheel radii or separation are unobservable from this motion and have no nominal values",
+            "drive and turn the base between stations, or set nominal.wheels in rig.yaml",
         )
     nominal = ratios_of(known.wheels) if known.wheels is not None else None
     Phi = loops.steps.totals_rad
@@ -216,10 +214,12 @@ def pulled_start(loops: Loops, known: Known, seen: MotionSeen) -> Parameters:
             found.append((point_rms_m(loops, parameters), parameters))
     if not found:
         raise SolveError(
-            f"the linear method found no answer on {len(loops.legs)} legs between stations",
-            "state nominal.wheels and nominal.head_eye in rig.yaml",
+            f"the linear method found no solution for {len(loops.legs)} legs between stations",
+            "set nominal.wheels and nominal.head_eye in rig.yaml",
         )
-    upright = [item for item in found if item[1].wheels.separation_m > 0]  # upside down is a twin with b < 0
+    upright = [
+        item for item in found if item[1].wheels.separation_m > 0
+    ]  # an upside-down camera gives an equal solution with b < 0
     return min(upright or found, key=lambda item: item[0])[1]
 
 

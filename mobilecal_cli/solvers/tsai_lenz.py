@@ -7,24 +7,23 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import FloatArray
 
-_NEAR_HALF_TURN = 0.05  # cos(theta/2) below it: the axis' sign is as good as unknown
+_NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
 
 def head_eye_rotation(R_hi_hj: FloatArray, R_ci_cj: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solve R_hi_hj R_X = R_X R_ci_cj in the least-squares sense.
+    """Least-squares solution of R_hi_hj R_X = R_X R_ci_cj.
 
     With ``P = 2 sin(theta/2) n`` eq. 5 reads ``skew(P_H + P_C) P' = P_C - P_H``, where ``P' = v/w`` for the
-    unit quaternion (v, w) of R_X. Multiplied by w it is homogeneous in (v, w), and its smallest singular
-    vector is the answer also where the head-eye rotation is a half turn (w = 0), at which eq. 5 breaks down.
+    unit quaternion (v, w) of R_X. Multiplied by w it is homogeneous in (v, w). The singular vector of the smallest
+    singular value is the solution, also for a head-eye rotation by a half turn (w = 0), where eq. 5 is undefined.
 
     Args:
         R_hi_hj: (P, 3, 3) rotations of the head.
         R_ci_cj: (P, 3, 3) rotations of the camera over the same pairs.
 
     Returns:
-        R_X = R_h_c (3, 3) and the (4,) singular values, falling, divided by the square root of P. The last is
-        the residual; the last but one tells how well the answer is determined: it is zero where all
-        rotation axes are parallel.
+        R_X = R_h_c (3, 3) and the (4,) singular values in decreasing order, divided by the square root of P. The last
+        is the residual. The last but one is zero if all rotation axes are parallel, and the solution undetermined.
     """
     q_h, q_c = se3.quaternion_xyzw(R_hi_hj), se3.quaternion_xyzw(R_ci_cj)
     P_h, P_c = 2 * q_h[:, :3], 2 * q_c[:, :3]

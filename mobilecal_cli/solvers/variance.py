@@ -1,4 +1,4 @@
-"""Noise levels from the residuals (variance components, restricted maximum likelihood)."""
+"""Estimation of the noise levels from residuals (variance components, restricted maximum likelihood)."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from mobilecal_cli.likelihood.problem import Problem
 from mobilecal_cli.likelihood.system import joint_sigmas
 from mobilecal_cli.solvers.descent import Optimum
 
-# Where nothing else is known: a good corner fit, sound wheels on a firm floor, a servo's encoder.
+# Default levels: a good corner fit, wheels without slip on a firm floor, a servo's encoder.
 GUESS = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.004, encoder_rad=0.0, joint_rad=float(np.radians(0.03)))
 LEAST = Noise(pixel_px=1e-3, wheel_rad_per_sqrt_rad=1e-5, encoder_rad=0.0, joint_rad=1e-6)
 _WORTH, _FADES_AT = 2.0, 4.0
-UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
+UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder reading, in steps
 
 
 def guess_worth(redundancy: float) -> float:
-    """How many residuals the guess counts for: a few where few others are, hardly any where many are."""
+    """Weight of the default level as a number of residuals; it decreases with the redundancy."""
     return _WORTH / (1 + (max(redundancy, 0.0) / _FADES_AT) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One kind of noise, as the residuals show it.
+    """Residual statistics of one kind of noise.
 
     Attributes:
         squares: sum of squares of the whitened residuals.
-        redundancy: how many residuals are left after what the unknowns took up.
+        redundancy: degrees of freedom, the residuals less the unknowns that they determine.
     """
 
     squares: float
     redundancy: float
 
     def factor(self, guess: float) -> float:
-        """What the variance is to be multiplied by; guess: the guessed variance over the present one."""
+        """Factor on the variance; guess: the default variance over the present one."""
         worth = guess_worth(self.redundancy)
         return (self.squares + worth * guess) / (max(self.redundancy, 0.0) + worth)
 
@@ -47,7 +47,7 @@ class Component:
 def components(
     problem: Problem, optimum: Optimum, marginal: Marginals, selection: Selection, noise: Noise
 ) -> dict[str, Component]:
-    """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
+    """Sum of squares and redundancy of each kind of noise at an optimum (Foerstner's estimate)."""
     system = optimum.system
     views = system.views
     believed = selection.corners & selection.views[:, None, None]
@@ -74,7 +74,7 @@ def components(
 
 
 def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
-    """The noise after one step of the fixed point from what was supposed; levels that are given stay."""
+    """Noise levels after one fixed-point iteration; given levels do not change."""
     changes: dict[str, float] = {}
     for name, component in found.items():
         if name in given:
@@ -86,6 +86,6 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
 
 
 def settled(before: Noise, after: Noise, tolerance: float) -> bool:
-    """Whether no level moved by more than a share of itself."""
+    """Whether all levels changed by at most the relative tolerance."""
     a, b = np.array(astuple(before)), np.array(astuple(after))
     return bool(np.all(np.abs(b - a) <= tolerance * a))

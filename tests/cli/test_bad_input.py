@@ -208,7 +208,8 @@ def test_motion_that_does_not_show_everything_to_the_papers_method(sample_logs, 
 def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
     """The camera's height cannot be seen, and the log's URDF does not draw the camera."""
     result = run("calibrate", sample_logs / "head_fixed.mcap", cwd=tmp_path)
-    refused(result, 5, "t_y; and there is no nominal value", "tilt the head up and down")
+    words = "no nominal value (nominal.head_eye) for unobservable or fixed parameters: t_y:"
+    refused(result, 5, words, "tilt the head up and down")
     assert "--fix t_y=VALUE" in result.err
 
 
@@ -222,9 +223,8 @@ def test_a_wheel_that_counts_backwards(make, tmp_path):
         return replace(message, position=position)
 
     log = make(backwards)
-    refused(
-        run("calibrate", log, cwd=tmp_path), 5, "the left wheel's sign is turned round", "wheels.left.sign"
-    )
+    words = "the left wheel's encoder has the wrong sign"
+    refused(run("calibrate", log, cwd=tmp_path), 5, words, "wheels.left.sign")
     cured = run("calibrate", log, "--set", "wheels.left.sign=-1", "--output", "out", cwd=tmp_path)
     assert cured.code == 0, cured.err
 
@@ -236,7 +236,9 @@ def test_swapped_wheels(make, tmp_path):
         other = {"wheel_left_joint": "wheel_right_joint", "wheel_right_joint": "wheel_left_joint"}
         return replace(message, name=[other.get(name, name) for name in message.name])
 
-    refused(run("calibrate", make(swap), cwd=tmp_path), 5, "the left and right wheel are swapped", "exchange")
+    refused(
+        run("calibrate", make(swap), cwd=tmp_path), 5, "the left and right wheels are swapped", "exchange"
+    )
 
 
 def test_unknown_key(paper, tmp_path, tmp_path_factory):
@@ -272,8 +274,8 @@ def test_an_output_nobody_can_make(paper, tmp_path):
     ("flags", "said", "hint"),
     [
         (["--fix", "radius_rihgt"], "radius_rihgt: no such parameter", "did you mean radius_right"),
-        (["--prior", "t_x=0.1"], "not NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
-        (["--estimate", "tilt_zero"], "no such parameter", "cannot be told from it"),
+        (["--prior", "t_x=0.1"], "not in the format NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
+        (["--estimate", "tilt_zero"], "no such parameter", "cannot be estimated separately"),
     ],
 )
 def test_what_cannot_be_asked_for(sample_logs, tmp_path, flags, said, hint):

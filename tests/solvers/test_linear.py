@@ -106,13 +106,13 @@ def changed_wheels(loops, right_sign=1, left_sign=1, swapped=False):
 @pytest.mark.parametrize(
     ("change", "words", "cure"),
     [
-        ({"right_sign": -1}, "the right wheel's sign is turned round", "turn wheels.right.sign"),
-        ({"left_sign": -1}, "the left wheel's sign is turned round", "turn wheels.left.sign"),
-        ({"swapped": True}, "the left and right wheel are swapped", "exchange wheels.left and wheels.right"),
+        ({"right_sign": -1}, "the right wheel's encoder has the wrong sign", "negate wheels.right.sign"),
+        ({"left_sign": -1}, "the left wheel's encoder has the wrong sign", "negate wheels.left.sign"),
+        ({"swapped": True}, "the left and right wheels are swapped", "exchange wheels.left and wheels.right"),
         (
             {"right_sign": -1, "left_sign": -1},
-            "the right wheel's sign is turned round and the left wheel's",
-            "turn wheels.right.sign in rig.yaml, and turn wheels.left.sign",
+            "the right wheel's encoder has the wrong sign and the left wheel's",
+            "negate wheels.right.sign in rig.yaml and negate wheels.left.sign",
         ),
     ],
 )

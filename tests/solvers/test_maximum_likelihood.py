@@ -185,11 +185,11 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
     [
         (["radius_rihgt"], [], [], "did you mean radius_right"),
         (["t_x=wide"], [], [], "not a number"),
-        (["wheels=0.2"], [], [], "several numbers"),
+        (["wheels=0.2"], [], [], "takes no value"),
         ([], ["t_x=0.1"], [], "VALUE±SIGMA"),
         ([], ["t_x=0.1±0"], [], "VALUE±SIGMA"),
         ([], [], ["pan_zeroo"], "did you mean pan_zero"),
-        ([], [], ["tilt_zero"], "cannot be told"),
+        ([], [], ["tilt_zero"], "cannot be estimated separately"),
         (["pan_zero"], [], [], "no such parameter"),
     ],
 )
@@ -220,7 +220,7 @@ def test_a_wrong_joint_reading_is_named(noisy):
     seen[5] = replace(seen[5], joints=joints)
     found = solve(replace(noisy, observations=tuple(seen)))
     assert [(o.kind, o.observations) for o in found.outliers] == [("joint", (5,))]
-    assert "off by +2.8" in found.outliers[0].text or "off by +2.9" in found.outliers[0].text
+    assert "wrong by +2.8" in found.outliers[0].text or "wrong by +2.9" in found.outliers[0].text
 
 
 def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
