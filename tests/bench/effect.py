@@ -109,26 +109,25 @@ def main(runs: int = RUNS) -> str:
     text = []
     for quiet in (False, True):
         found = list(map_runs(one_run, [(seed, quiet) for seed in range(runs)]))
-        text.append(
-            (
-                "Wheel and joint noise reduced to a hundredth"
-                if quiet
-                else "Wheel and joint noise as in the [results](results.md#maximum-likelihood-against-the-truth)"
-            )
-            + f", {runs} runs of N = {STATIONS}; root-mean-square errors.\n\n{HEADER}"
+        noise = (
+            "reduced to a hundredth"
+            if quiet
+            else "as in the [results](results.md#maximum-likelihood-against-the-truth)"
         )
+        title = f"Wheel and joint noise {noise}, {runs} runs of N = {STATIONS}; root-mean-square errors."
+        text.append(paragraph(title) + HEADER)
         rms = {}
         for how in ("cornerSubPix", "mobilecal"):
             error = np.array([f[how][0] for f in found])
             rms[how] = np.sqrt(np.nanmean(error**2, axis=0)) * DEGREES_MM
             text.append(row(how, rms[how], 4))
         text.append(row("mobilecal / cornerSubPix", rms["mobilecal"] / rms["cornerSubPix"]))
-        said = [
+        figures = [
             f"{how}: corners {np.sqrt(np.mean([f[how][2] ** 2 for f in found])):.4f} px, mean NEES / 9 "
             f"{np.nanmean([f[how][1] for f in found]):.3f}, {sum(not np.isfinite(f[how][1]) for f in found)} runs refused"
             for how in ("cornerSubPix", "mobilecal")
         ]
-        text.append("\n" + paragraph("; ".join(said) + ".").rstrip("\n") + "\n")
+        text.append("\n" + paragraph("; ".join(figures) + ".").rstrip("\n") + "\n")
     return "\n".join(text)
 
 
