@@ -1,4 +1,4 @@
-"""The report's figures, drawn by a second process that gets ready while the pictures are looked at."""
+"""The report's figures, drawn by a second process that gets ready while the images are looked at."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Draughtsman(Processes):
         self._seen: Task[Drawn] | None = None
 
     def watching(self, progress: Progress) -> Progress:
-        """The same progress, at whose first picture the process is started."""
+        """The same progress, at whose first image the process is started."""
 
         def told(stage: str, done: int, total: int | None) -> None:
             progress(stage, done, total)

@@ -1,4 +1,4 @@
-"""Recordings into an extraction: everything slow, and the only part that sees pictures."""
+"""Recordings into an extraction: everything slow, and the only part that sees images."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def _see(
         size = board_size(recording, rig.sources, plan.stations)
         if size is None:
             raise ObservationError(
-                f"no checkerboard was found in pictures of {len(plan.stations)} stations",
-                "keep the whole board in both pictures, in good light, with squares of 7 pixels or more; or "
+                f"no checkerboard was found in images of {len(plan.stations)} stations",
+                "keep the whole board in both images, in good light, with squares of 7 pixels or more; or "
                 "state its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
@@ -105,14 +105,14 @@ def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board)
     size = board_size(recording, rig.sources, plan.stations)
     if size is not None and set(size) != {board.columns, board.rows}:
         raise ObservationError(
-            f"the configuration says the board has {board.columns} x {board.rows} inner corners, the pictures "
+            f"the configuration says the board has {board.columns} x {board.rows} inner corners, the images "
             f"show one of {size[0]} x {size[1]}",
             f"state the board that was used: --board {size[0]}x{size[1]}, or board.columns and board.rows",
         )
 
 
 def board_of(config: RigConfig) -> Board | None:
-    """The board as configured, None where its size is to be found in the pictures."""
+    """The board as configured, None where its size is to be found in the images."""
     given = config.board
     if not (given.columns and given.rows):
         return None
@@ -134,7 +134,7 @@ def extract(
     progress: Progress = silent,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """Read recordings of one robot and find the board in their pictures.
+    """Read recordings of one robot and find the board in their images.
 
     Files that follow one another in time are one recording in parts; the others are logs of their own, and
     no leg joins stations of two logs.
@@ -144,7 +144,7 @@ def extract(
         config: see `config.load_rig`.
         flags: dotted keys that came from flags.
         progress: told how far it is.
-        jobs: processes that may look at a long log's pictures and draw; more than one needs a main module that can be
+        jobs: processes that may look at a long log's images and draw; more than one needs a main module that can be
             imported without doing anything, as for `multiprocessing`.
 
     Raises:

@@ -40,7 +40,7 @@ def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], 
 
 
 def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
-    """When the segment's pictures were logged: all that it needs to know of the first pass."""
+    """When the segment's images were logged: all that it needs to know of the first pass."""
     wanted = {"left": scene.sources.image["left"], "right": scene.sources.image["right"]}
     logged: Logged = {}
     for station in segment.stations:
@@ -53,7 +53,7 @@ def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
 
 
 class Crew(Processes):
-    """Processes that look at a long log's pictures.
+    """Processes that look at a long log's images.
 
     Where they cannot be started, or one dies, the segments that are left are looked at in this one.
 
@@ -80,7 +80,7 @@ class Crew(Processes):
         """`seeing.look_at` for all segments, in their order.
 
         Yields:
-            How many pictures have been looked at since the last word, and one list a segment.
+            How many images have been looked at since the last word, and one list a segment.
         """
         done = 0
         self.call(len(segments) // 2)
@@ -134,10 +134,10 @@ def look(
         scene: cameras and board.
         stations: what to look at.
         thorough: how boards are searched for, see `vision.detect`.
-        progress: told about every picture.
+        progress: told about every image.
 
     Returns:
-        One `Looks` a station, and JPEGs of some stations' first pictures.
+        One `Looks` a station, and JPEGs of some stations' first images.
     """
     segments = segments_of(stations, thorough)
     total = 2 * sum(len(station.shots) for station in stations)

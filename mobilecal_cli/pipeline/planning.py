@@ -1,4 +1,4 @@
-"""Joints, wheels and stamps into a plan; where the container's index allows it, without reading all the pictures."""
+"""Joints, wheels and stamps into a plan; where the container's index allows it, without reading all the images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mobilecal_cli.model import Rig, Side
 from mobilecal_cli.readers import Pictures, Recording, find_pictures, read_signals, read_stamps
 from mobilecal_cli.stations import PAIR_AT_REST_S, PAIR_MOVING_S, Plan, plan_stations, with_stamps
 
-#: With fewer bytes of pictures one pass over all of them is quick, and tells of everything that is odd in them.
+#: With fewer bytes of images one pass over all of them is quick, and tells of everything that is odd in them.
 WORTH_BYTES = 2**26
 #: Joints and wheels are read by themselves where they take no more than this share of the pass.
 _MOST_SHARE = 0.5
@@ -46,7 +46,7 @@ def plan_log(
 
 
 def _worth_it(recording: Recording, rig: Rig) -> bool:
-    """Whether the pictures lie apart from joints and wheels, and are much more."""
+    """Whether the images lie apart from joints and wheels, and are much more."""
     motion, images = rig.sources.motion, frozenset(rig.sources.image.values())
     joints_bytes, all_bytes = recording.bytes_of(motion), recording.bytes_of(motion | images)
     return all_bytes - joints_bytes >= WORTH_BYTES and joints_bytes <= _MOST_SHARE * all_bytes
@@ -55,10 +55,10 @@ def _worth_it(recording: Recording, rig: Rig) -> bool:
 def _joints_first(
     recording: Recording, rig: Rig, sliding: frozenset[str], pictures: Pictures
 ) -> tuple[Plan, tuple[str, ...]] | None:
-    """Choose the stations by when pictures were logged; only of the chosen ones the stamps are read.
+    """Choose the stations by when images were logged; only of the chosen ones the stamps are read.
 
     Returns:
-        None where the pictures' own stamps are needed to choose by.
+        None where the images' own stamps are needed to choose by.
     """
     joints, images = rig.chain.joints, rig.sources.image
     alone = read_signals(recording, rig.sources, joints, (), clocks=pictures.clocks)
@@ -70,7 +70,7 @@ def _joints_first(
     if not plan.stations:
         return None
     at_rest = all(station.at_rest for station in plan.stations)
-    # Half of what keeps two pictures from being a pair: one of them may come sooner, the other later.
+    # Half of what keeps two images from being a pair: one of them may come sooner, the other later.
     if pictures.spread_ns * 1e-9 > (PAIR_AT_REST_S if at_rest else PAIR_MOVING_S) / 2:
         return None
     planned_ns: dict[Side, list[int]] = {

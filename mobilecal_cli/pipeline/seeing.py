@@ -1,4 +1,4 @@
-"""Pictures into detections, and detections into what a station shows: in segments, never many pictures in memory."""
+"""Images into detections, and detections into what a station shows: in segments, never many images in memory."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from mobilecal_cli.vision import (
     snapshot_jpeg,
 )
 
-SNAPSHOTS = 60  # pictures kept for the report, so that memory does not grow with the log
+SNAPSHOTS = 60  # images kept for the report, so that memory does not grow with the log
 SIZE_PICTURES = 8
-SIZE_VOTES = 3  # so many pictures that agree on the board's size are enough
-#: Pairs that are looked at in one go: the board is followed from picture to picture inside. The segments are the same
+SIZE_VOTES = 3  # so many images that agree on the board's size are enough
+#: Pairs that are looked at in one go: the board is followed from image to image inside. The segments are the same
 #: however many processes there are, and so are the corners.
 SEGMENT_PAIRS = 250
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -41,12 +41,12 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 @dataclass(slots=True)
 class Looks:
-    """What was seen at one station, filled as its pictures come by.
+    """What was seen at one station, filled as its images come by.
 
     Attributes:
         found: side → stamp → detection or miss.
-        pictures: side → JPEG of the first picture, for the report.
-        rejections: pictures that could not be decoded.
+        pictures: side → JPEG of the first image, for the report.
+        rejections: images that could not be decoded.
     """
 
     found: dict[Side, dict[int, Detection | Miss]] = field(default_factory=lambda: {"left": {}, "right": {}})
@@ -54,7 +54,7 @@ class Looks:
     rejections: list[Rejection] = field(default_factory=list)
 
     def pairs(self, shots: Sequence[Shot]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
-        """Left and right findings of those shots of which both pictures could be decoded."""
+        """Left and right findings of those shots of which both images could be decoded."""
         left, right = self.found["left"], self.found["right"]
         whole = [shot for shot in shots if shot.left_ns in left and shot.right_ns in right]
         return [left[shot.left_ns] for shot in whole], [right[shot.right_ns] for shot in whole]
@@ -62,11 +62,11 @@ class Looks:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Stations in a row whose pictures are looked at in one go.
+    """Stations in a row whose images are looked at in one go.
 
     Attributes:
         stations: in order of time.
-        shown: indices, in this segment, of stations whose pictures the report shows.
+        shown: indices, in this segment, of stations whose images the report shows.
         thorough: how boards are searched for, see `vision.detect`.
     """
 
@@ -81,7 +81,7 @@ class Scene:
 
     Attributes:
         sources: the image topics.
-        cameras: for the pictures' sizes.
+        cameras: for the images' sizes.
         board: what to look for.
     """
 
@@ -91,13 +91,13 @@ class Scene:
 
 
 def stamps(shots: Iterable[Shot]) -> dict[Side, list[int]]:
-    """The stamps of both sides' pictures."""
+    """The stamps of both sides' images."""
     listed = list(shots)
     return {"left": [shot.left_ns for shot in listed], "right": [shot.right_ns for shot in listed]}
 
 
 def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
-    """Refuse pictures of another size than the camera info speaks of.
+    """Refuse images of another size than the camera info speaks of.
 
     Raises:
         RecordingError: with both sizes.
@@ -106,7 +106,7 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
     height, width = picture.shape
     if (width, height) != (camera.width, camera.height):
         raise RecordingError(
-            f"the {side} pictures are {width} x {height} pixels, their camera info speaks of "
+            f"the {side} images are {width} x {height} pixels, their camera info speaks of "
             f"{camera.width} x {camera.height}",
             "calibrate the cameras at the recorded size, or set binning and roi in the camera info",
         )
@@ -115,7 +115,7 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
 def first_pictures(
     recording: Recording, sources: Sources, stations: Sequence[Station]
 ) -> Iterator[GrayImage]:
-    """A few pictures spread over the log, left and right, to find the board's size in."""
+    """A few images spread over the log, left and right, to find the board's size in."""
     stride = max(1, -(-len(stations) // SIZE_PICTURES))
     wanted = stamps(station.shots[0] for station in stations[::stride])
     for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
@@ -124,12 +124,12 @@ def first_pictures(
 
 
 def board_size(recording: Recording, sources: Sources, stations: Sequence[Station]) -> tuple[int, int] | None:
-    """The board's inner corners as a few pictures show them, None where they show none."""
+    """The board's inner corners as a few images show them, None where they show none."""
     return identify_size(first_pictures(recording, sources, stations), SIZE_VOTES).size
 
 
 def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
-    """Cut a log's stations into segments, and choose those whose pictures are kept."""
+    """Cut a log's stations into segments, and choose those whose images are kept."""
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, pairs = [0], 0
     for i, station in enumerate(stations):
@@ -152,9 +152,9 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
     """Look at every shot of a segment's stations, in one pass over their part of the recording.
 
     Yields:
-        1 for every picture that has been looked at, and at last one `Looks` a station.
+        1 for every image that has been looked at, and at last one `Looks` a station.
     """
-    cv2.setNumThreads(1)  # a picture is too small to be shared out; long logs are shared among processes
+    cv2.setNumThreads(1)  # an image is too small to be shared out; long logs are shared among processes
     stations = segment.stations
     wanted = stamps(shot for station in stations for shot in station.shots)
     where: Mapping[Side, dict[int, int]] = {
@@ -194,6 +194,6 @@ def measure_at(
 def _measured(log: int, scene: Scene, station: Station, looks: Looks) -> Measured | Rejection:
     left, right = looks.pairs(station.shots)
     if not left:
-        detail = looks.rejections[0].detail if looks.rejections else "its pictures are not in the recording"
-        return Rejection("readers", "pictures cannot be decoded", detail, station.time_ns, station.index, log)
+        detail = looks.rejections[0].detail if looks.rejections else "its images are not in the recording"
+        return Rejection("readers", "images cannot be decoded", detail, station.time_ns, station.index, log)
     return measure(log, station, left, right, scene.cameras, scene.board)

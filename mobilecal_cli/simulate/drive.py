@@ -1,4 +1,4 @@
-"""The simulated base: stretches of constant speed, integrated about the instantaneous centre of rotation.
+"""The simulated base: stretches of constant speed, integrated about the instantaneous center of rotation.
 
 Nothing here is shared with the solver's dead reckoning.
 """

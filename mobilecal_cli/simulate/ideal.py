@@ -1,4 +1,4 @@
-"""Observations straight from the truth, without pictures: for exact tests and for Monte Carlo studies."""
+"""Observations straight from the truth, without images: for exact tests and for Monte Carlo studies."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def ideal_extraction(
     """What an extraction of this drive would be if seeing added nothing but the given noise.
 
     Without pixel noise the points and board poses are the exact ones; with it, points are triangulated from
-    disturbed pixels and the pose minimises the reprojection error, as in the product.
+    disturbed pixels and the pose minimizes the reprojection error, as in the product.
 
     Args:
         robot, route: the truth.

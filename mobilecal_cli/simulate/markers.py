@@ -1,4 +1,4 @@
-"""The print of a board with markers, for pictures of it."""
+"""The print of a board with markers, for images of it."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Publisher:
         )
 
     def picture(self, grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) -> tuple[str, Any]:
-        """An image message of 8 bit, as the scenario stores pictures: type and message."""
+        """An image message of 8 bit, as the scenario stores images: type and message."""
         image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
         header = self.header(time_ns, frame_id)
         if scenario.pictures == "mono8":

@@ -1,4 +1,4 @@
-"""Pictures of the board, with edges that are where geometry puts them."""
+"""Images of the board, with edges that are where geometry puts them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SUB = 2  # subpixels each way; an edge is shaded over one of them, so it is not
 _DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0
 _MARGIN_SQUARES = 1.0
 _PAD_PX = 6
-_SHADE = 0.10  # how much the light falls off over the picture's width
+_SHADE = 0.10  # how much the light falls off over the image's width
 _INVERSE_ROUNDS = 25
 
 
@@ -37,7 +37,7 @@ def _covered(position: FloatArray, width: FloatArray, low: float, high: float) -
 
 
 class BoardRenderer:
-    """Draws one board into one camera's pictures.
+    """Draws one board into one camera's images.
 
     Args:
         camera: pinhole, with plumb_bob distortion or none.
@@ -73,7 +73,7 @@ class BoardRenderer:
         return np.asarray(cv2.GaussianBlur(wall, (0, 0), 3.0), dtype=np.float64)
 
     def picture(self, T_x_k: FloatArray) -> FloatArray:
-        """The noise-free picture (height, width), in grey levels, of a board at T_x_k in the camera's frame.
+        """The noise-free image (height, width), in gray levels, of a board at T_x_k in the camera's frame.
 
         The same array comes back for the same pose in turn, as in a rest: it is not to be changed.
         """

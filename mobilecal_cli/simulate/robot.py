@@ -175,14 +175,14 @@ def _head_eye(euler_zyx_deg: Vector, translation_mm: Vector) -> FloatArray:
 
 
 def _nominal_head_eye(T_h_c: FloatArray) -> FloatArray:
-    """A drawing's value: a few degrees and centimetres beside the truth."""
+    """A drawing's value: a few degrees and centimeters beside the truth."""
     beside = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
     result: FloatArray = T_h_c @ beside
     return result
 
 
 def paper_robot() -> SimulatedRobot:
-    """The robot of the paper's Table 1 (optimised column): pitch and roll axes below a pan-tilt head."""
+    """The robot of the paper's Table 1 (optimized column): pitch and roll axes below a pan-tilt head."""
     T_h_c = _head_eye((-164.22, 89.38, -166.40), (13.60, -64.34, -70.77))
     quarter = np.pi / 2
     return SimulatedRobot(

@@ -109,7 +109,7 @@ class Planner:
             yield self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
-        """Whether both pictures hold the whole board, with squares large enough to be found."""
+        """Whether both images hold the whole board, with squares large enough to be found."""
         rig = self._robot.rig_cameras
         for camera, points in zip(
             (rig.left, rig.right), self.board_in_cameras(base, joints_rad), strict=True
@@ -152,7 +152,7 @@ class Planner:
         return bool(np.all(np.abs(joints_rad) <= limits))
 
     def gaze(self, base: Pose) -> FloatArray | None:
-        """Joints that look somewhere near the board's centre with all of it in view, None when none do."""
+        """Joints that look somewhere near the board's center with all of it in view, None when none do."""
         for reach in (0.30, 0.22, 0.15, 0.08):
             point = self._centre_w + self._random.uniform(-reach, reach, 3)
             joints = self.look_at(base, point, self._body())

@@ -41,10 +41,10 @@ class Scenario:
         jpeg_quality: of JPEGs.
         pictures_per_rest: stereo pairs at each stop.
         board: the checkerboard that the route keeps in view, its square given.
-        kind: what is printed there: that checkerboard, or, about its centre, a board with markers out of `PRINTED`,
-            which are larger, so that many pictures show a part of them.
-        exact: no noise at all, encoders without steps, pictures without loss.
-        pixel_noise_grey: sigma of the sensor's noise, grey levels.
+        kind: what is printed there: that checkerboard, or, about its center, a board with markers out of `PRINTED`,
+            which are larger, so that many images show a part of them.
+        exact: no noise at all, encoders without steps, images without loss.
+        pixel_noise_grey: sigma of the sensor's noise, gray levels.
         blur_px: sigma of the lens' blur, px.
         wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
         camera_late_s: how much later than joints and wheels the cameras' clock stamps what happens.

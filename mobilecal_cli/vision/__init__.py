@@ -1,6 +1,6 @@
-"""Seeing: the board in the pictures, its corners in space, its pose.
+"""Vision: board detection, sub-pixel corners, triangulation and board poses.
 
-Other rooms use what is named here.
+Other packages use only the names exported here.
 """
 
 from mobilecal_cli.vision.board_size import SizeVote, identify_size

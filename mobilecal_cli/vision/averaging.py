@@ -1,4 +1,4 @@
-"""The shots of a station: one numbering, how still they are, and their average."""
+"""Averages over the images of a station: common numbering, motion check, mean corners and their noise."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from mobilecal_cli.vision.values import FLOOR_PX, Detection, rms
 
 
 def turns_of(board: Board) -> tuple[int, ...]:
-    """Quarter turns that give the numberings which corners could have: one, where markers tell it."""
+    """Quarter turns that lead to the possible numberings of the corners; only 0 for a board with markers."""
     return (0,) if board.markers is not None else turns(board.columns, board.rows)
 
 
 def turned_board(values: FloatArray, board: Board, quarter_turns: int) -> FloatArray:
-    """Corner values (M, ...) numbered anew for a board that is turned by so many quarters."""
+    """Corner values (M, ...) renumbered for a board rotated by a number of quarter turns."""
     return turned(values, board.columns, board.rows, quarter_turns) if quarter_turns else values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shots:
-    """One camera's corners in the shots of a station.
+    """One camera's corners in all images of a station.
 
     Attributes:
-        pixels: (n, M, 2), all in one numbering.
-        seen: (n, M) the corners that were seen.
-        cov: (n, M, 2, 2) what each one's fit claims, px^2.
+        pixels: (n, M, 2) px, in a common numbering.
+        seen: (n, M) whether each corner was detected.
+        cov: (n, M, 2, 2) covariance from each corner's fit, px^2.
     """
 
     pixels: FloatArray
@@ -38,7 +38,7 @@ class Shots:
 
     @classmethod
     def of(cls, found: Sequence[Detection], board: Board) -> Shots:
-        """Each shot in the numbering nearest to the first shot's."""
+        """Bring every image to the numbering nearest to that of the first."""
         pixels, cov = [], []
         for d in found:
             options = [(turned_board(d.pixels, board, k), k) for k in turns_of(board)]
@@ -48,12 +48,12 @@ class Shots:
         return cls(np.stack(pixels), np.stack([d.seen for d in found]), np.stack(cov))
 
     def select(self, kept: BoolArray) -> Shots:
-        """Some of the shots."""
+        """A subset of the images."""
         return Shots(self.pixels[kept], self.seen[kept], self.cov[kept])
 
     @property
     def drift_px(self) -> FloatArray:
-        """(n,) how far each shot's corners lie from the middle of all shots, rms per coordinate."""
+        """(n,) distance of each image's corners from their median over all images, rms per coordinate, px."""
         if len(self.pixels) == 1:
             return np.zeros(1)
         measured = np.where(self.seen[..., None], self.pixels, np.nan)
@@ -62,11 +62,11 @@ class Shots:
         return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
 
     def average(self, board: Board) -> Corners:
-        """Corners averaged over the shots, those that most shots show, with the noise of the average.
+        """Mean of the corners that more than half of the images show, with the noise of the mean.
 
-        The noise is the scatter over the shots, pooled over the corners, divided by sqrt(n); but no less than what
-        the average's own roughness shows: errors of refinement that are the same in every shot do not average out.
-        What it is more than the fits claim, it is for all corners alike.
+        The noise is the scatter over the images, pooled over the corners and divided by sqrt(n). Its lower
+        limit is the roughness of the mean grid, because refinement errors common to all images do not average
+        out. Noise in excess of the fits' covariances is added equally to all corners.
         """
         n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
         weight = (self.seen & seen)[..., None]

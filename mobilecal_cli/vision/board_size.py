@@ -1,4 +1,4 @@
-"""The board's size, found by itself."""
+"""Estimation of the board's size from images."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mobilecal_cli.vision.detection import detect
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.values import Detection
 
-# Corners that end the search for a grid to grow: with the first any will do, which is usually all of the board.
+# Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)
 
 
 @dataclass(frozen=True, slots=True)
 class SizeVote:
-    """What pictures say about the board's size.
+    """Estimate of the board's size from several images.
 
     Attributes:
-        size: (columns, rows) inner corners, columns the larger count; None when no picture shows a whole board
-            or the pictures do not agree.
-        votes: size → number of pictures that show a whole board of this size.
-        pictures: how many were looked at.
+        size: (columns, rows) inner corners, columns the larger count; None when no image shows a whole board
+            or no size has a majority.
+        votes: size → number of images that show a whole board of this size.
+        pictures: number of images examined.
     """
 
     size: tuple[int, int] | None
@@ -32,15 +32,15 @@ class SizeVote:
 
 
 def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> SizeVote:
-    """The board's size from a handful of pictures.
+    """Estimate the board's size from several images.
 
-    In each picture a grid is grown from a few corners to the pattern's edge. It counts when the detector for
-    boards of known size finds a board of that size too and lets it through its gate, which looks at whether the
-    pattern goes on. More than half of the counting pictures must agree.
+    A grid is grown from a few corners to the edge of the pattern in each image. The size counts when the
+    detector for boards of known size also accepts it, which includes a check that the pattern ends there. The
+    result needs a majority of the votes.
 
     Args:
-        images: (height, width) grey pictures, some of which show the board.
-        enough: so many that agree, with none against them, settle it; None: all pictures are looked at.
+        images: (height, width) gray images, some of which show the board.
+        enough: stop after this number of votes if they all agree; None examines all images.
     """
     votes: Counter[tuple[int, int]] = Counter()
     pictures = 0
@@ -57,7 +57,7 @@ def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> Siz
 
 
 def _size_in(image: GrayImage) -> tuple[int, int] | None:
-    """(columns, rows) of the whole board in a picture, None where it shows none."""
+    """(columns, rows) of the whole board in an image, None if there is none."""
     for enough in _ENOUGH:
         grown = grow_any(image, enough)
         if grown is None:

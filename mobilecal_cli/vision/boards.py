@@ -1,4 +1,4 @@
-"""Any board in a picture."""
+"""Detection of a board of any kind in one image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mobilecal_cli.vision.values import Detection, Miss
 def find_board(
     image: GrayImage, board: Board, thorough: bool = True, alone: bool = False
 ) -> Detection | Miss:
-    """The board in one picture: see `detect` and `detect_markers`."""
+    """Detect the board in one image: see `detect` and `detect_markers`."""
     if board.markers is not None:
         return detect_markers(image, board)
     return detect(image, board.columns, board.rows, thorough, alone)

@@ -1,11 +1,13 @@
-"""Corners by a model of what a blurred checkerboard corner looks like, fitted to all corners at once.
+"""Sub-pixel corners by fitting a model of a blurred checkerboard corner to all corners of a board at once.
 
-``I(p) = m + a erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)) + g . (p - o)``, where d1 and d2 are the distances of pixel
-p from the two edges that cross in the corner, s is the blur, and g a gradient of light about the window's middle o.
-Every pixel around a corner takes part, not only those on the edges, which brings the error near its Cramer-Rao bound.
+``I(p) = m + a erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)) + g . (p - o)``, where d1 and d2 are the distances
+of pixel p from the two edges that intersect at the corner, s is the blur, and g a brightness gradient about
+the window's center o. The fit uses every pixel around a corner, not only edge pixels, so its error is near
+the Cramer-Rao bound.
 
-The edges' directions are the board's lines as the corners have them, drawn anew after each round: by symmetry an
-edge that is turned a little moves no corner. One round of Gauss-Newton is a few operations on arrays of all windows.
+The edge directions follow from the corners of the neighbors and are updated in each iteration. By symmetry, a
+small error of an edge direction does not move the corner. One Gauss-Newton iteration takes a few array
+operations on all windows.
 """
 
 from __future__ import annotations
@@ -20,21 +22,21 @@ from numpy.typing import NDArray
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.vision.values import Look, Single
 
-# Reach of a corner's window in units of the edge: up to the middle of a square, short of the next edge's blur;
-# less to the outside of the board, where printed boards often have squares of less than half the width.
+# Half width of a corner's window in units of the edge: up to the middle of a square, outside the next edge's
+# blur. It is smaller toward the outside of the board, because printed boards often have narrow outer squares.
 _INNER_REACH, _OUTER_REACH = 0.5, 0.28
 _LEAST_HALF_PX, _MOST_HALF_PX = 2, 7
 _MOST_ROUNDS = 5
 _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0
 _LEAST_PIXELS = 20
-_LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; below it there is no corner
-_LARGEST_MOVE = 0.15  # in units of the edge, from where cornerSubPix left it
+_LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; a lower contrast is no corner
+_LARGEST_MOVE = 0.15  # in units of the edge, from the result of cornerSubPix
 _UNKNOWNS = 7
-_STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # no round moves a corner or widens the blur by more
-# A round leaves a fiftieth of the way (measured: 0.06 sigma of 3): after a step no longer than this, in units of
-# sigma, another would take less than a hundredth off the variance.
+_STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur in one iteration
+# One iteration leaves about 1/50 of the step (measured: 0.06 sigma of 3). After a step no longer than this,
+# in units of sigma, another iteration would reduce the variance by less than 1 %.
 _SETTLED = 6.0
-# erf(z / sqrt(2)) within 4e-4 and with its slope, by the hyperbolic tangent that processors have at hand.
+# Approximation of erf(z / sqrt(2)) within 4e-4 by tanh, which is fast in single precision.
 _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
 _RIDGE = 1e-6 * np.eye(_UNKNOWNS)
@@ -43,13 +45,13 @@ _NO_CONTRAST = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """What one round of the fit gives.
+    """Result of one Gauss-Newton iteration.
 
     Attributes:
-        step: (M, 2) to the new corners, px.
-        cov: (M, 2, 2) of the corners, px^2.
-        contrast_grey: (M,) half of the step from dark to light.
-        noise_grey: (M,) sigma of a pixel, grey levels.
+        step: (M, 2) steps of the corners, px.
+        cov: (M, 2, 2) covariances of the corners, px^2.
+        contrast_grey: (M,) half of the step from dark to light, gray levels.
+        noise_grey: (M,) sigma of a pixel, gray levels.
     """
 
     step: FloatArray
@@ -63,12 +65,13 @@ class FittedCorners:
     """Corners of one board after the fit.
 
     Attributes:
-        pixels: (M, 2) px; where the fit failed, the start.
-        cov: (M, 2, 2) covariance as the fit's own residual tells, px^2.
-        contrast_grey: (M,) half of the step from dark to light; its sign tells the colours.
-        fitted: (M,) where the fit stands.
+        pixels: (M, 2) px; the initial position where the fit failed.
+        cov: (M, 2, 2) covariances, scaled by the residuals of the fit, px^2.
+        contrast_grey: (M,) half of the step from dark to light, gray levels; its sign gives the square
+            colors.
+        fitted: (M,) whether the fit succeeded.
         blur_px: sigma of the edges' blur, px.
-        noise_grey: sigma of a pixel, grey levels.
+        noise_grey: sigma of a pixel, gray levels.
     """
 
     pixels: FloatArray
@@ -85,7 +88,7 @@ class FittedCorners:
 
     @property
     def half_contrast_grey(self) -> float:
-        """Half of the step from dark to light that is usual on the board, grey levels."""
+        """Median over the board of half the step from dark to light, gray levels."""
         return _median(np.abs(self.contrast_grey))
 
 
@@ -110,7 +113,7 @@ def _normals(along: FloatArray, down: FloatArray) -> FloatArray:
 def _reaches(
     along: FloatArray, down: FloatArray, shape: tuple[int, int], outer_whole: bool
 ) -> tuple[Single, Single]:
-    """How far windows reach on either side of each edge along its normal: (M, 2, 1) lower and upper ends, px."""
+    """Lower and upper limits of the windows along the normal of each edge, (M, 2, 1) each, px."""
     area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
     width = np.empty((len(along), 2, 1), dtype=np.float32)
     width[:, 0, 0], width[:, 1, 0] = area / np.hypot(*along.T), area / np.hypot(*down.T)
@@ -120,7 +123,7 @@ def _reaches(
 
 @lru_cache(maxsize=16)
 def _shares(rows: int, columns: int, outer_whole: bool) -> tuple[Single, Single]:
-    """Lower and upper ends of the windows in units of the squares' width, (M, 2, 1)."""
+    """Lower and upper limits of the windows in units of the squares' width, (M, 2, 1) each."""
     reach = np.full((rows, columns, 2, 2), _INNER_REACH, dtype=np.float32)
     if not outer_whole:
         reach[0, :, 0, 0] = reach[-1, :, 0, 1] = reach[:, 0, 1, 0] = reach[:, -1, 1, 1] = _OUTER_REACH
@@ -130,7 +133,7 @@ def _shares(rows: int, columns: int, outer_whole: bool) -> tuple[Single, Single]
 
 @lru_cache(maxsize=16)
 def _offsets(half: int) -> Single:
-    """(3, P) x and y of a window's pixels from its middle, px, and ones."""
+    """Homogeneous coordinates (x, y, 1) of a window's pixels relative to its center, (3, P), px."""
     one = np.arange(-half, half + 1, dtype=np.float32)
     x, y = np.meshgrid(one, one)
     offsets = np.stack([x.ravel(), y.ravel(), np.ones(x.size, dtype=np.float32)])
@@ -139,7 +142,7 @@ def _offsets(half: int) -> Single:
 
 
 def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.uint8], BoolArray | None]:
-    """Square windows about whole pixels, (M, P), and which of their pixels lie in the picture, None for all."""
+    """Square windows centered on whole pixels, (M, P), and which pixels are in the image (None: all)."""
     side = 2 * half + 1
     corner = middle - half
     height, width = image.shape
@@ -156,10 +159,10 @@ def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.
 
 
 class _Fit:
-    """Windows of all corners, and Gauss-Newton on them.
+    """Windows of all corners, and Gauss-Newton iterations on them.
 
-    The columns of the edges' shifts and of the blur are left without the contrast that multiplies them: so every
-    round finds contrast, mean and gradient anew, and needs no start for them.
+    The Jacobian columns of the edge shifts and of the blur omit the contrast as a factor. The problem is then
+    linear in contrast, mean and gradient, so they need no initial estimate.
     """
 
     def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look) -> None:
@@ -175,12 +178,12 @@ class _Fit:
         self._offsets = _offsets(half)
         self.blur = np.full(len(along), look.blur_px)
         self.noise_grey = look.noise_grey
-        # Columns: shift of edge 1 and 2, blur, contrast, mean, gradient in x and y; and the picture itself.
+        # Columns: shifts of edges 1 and 2, blur, contrast, mean, gradient in x and y; and the image itself.
         self._columns = np.empty((len(along), _UNKNOWNS + 1, self._offsets.shape[1]), dtype=np.float32)
         self.used = np.zeros(len(along))
 
     def _distances(self, normals: FloatArray) -> Single:
-        """(M, 2, P) of the windows' pixels from the two edges, px."""
+        """Distances of the windows' pixels from the two edges, (M, 2, P), px."""
         lines = np.empty((len(normals), 2, 3), dtype=np.float32)
         lines[..., :2] = normals
         at = self.pixels - self._middle
@@ -189,7 +192,7 @@ class _Fit:
         return distances.reshape(len(normals), 2, -1)
 
     def _choose_pixels(self, distance: Single) -> None:
-        """Settle which pixels of the windows take part, and fill the columns that never change."""
+        """Select the pixels used for the fit, and fill the constant columns."""
         near = (distance > self._lower) & (distance < self._upper)
         chosen = near[:, 0] & near[:, 1]
         if self._inside is not None:
@@ -201,7 +204,7 @@ class _Fit:
         np.multiply(weight, self._grey, out=self._columns[:, 7])
 
     def _fill_columns(self, distance: Single) -> None:
-        """The model's derivatives, by edges that move in units of the blur."""
+        """Fill in the derivatives of the model, with edge shifts in units of the blur."""
         columns, weight = self._columns, self._columns[:, 4]
         scaled = distance * (1 / self.blur).astype(np.float32)[:, None, None]
         square = scaled * scaled
@@ -214,7 +217,7 @@ class _Fit:
         np.multiply(profile[:, 0], profile[:, 1], out=columns[:, 3])
 
     def _steady(self, normal: FloatArray, right_side: FloatArray) -> None:
-        """Add to the normal matrices what is known of the gradient: light changes in a window as over the board."""
+        """Add a prior on the gradient: the light varies inside a window as it does over the board."""
         if self.noise_grey is None:
             return
         level = (right_side[:, 4] / np.maximum(normal[:, 4, 4], 1)).reshape(self.shape)
@@ -223,18 +226,18 @@ class _Fit:
         normal[:, [5, 6], [5, 6]] += self.noise_grey**2 / max(gradient, 1e-6)
 
     def round(self) -> Round:
-        """One step of Gauss-Newton."""
+        """Do one Gauss-Newton iteration."""
         normals = _normals(*_steps(self.pixels.reshape(*self.shape, 2)))
         distance = self._distances(normals)
         if not self.used.any():
             self._choose_pixels(distance)
         self._fill_columns(distance)
-        # A product with a copy: with the same memory on both sides a slower routine would be taken.
+        # NumPy multiplies an array by a copy of itself faster than by itself.
         products = (self._columns.copy() @ np.swapaxes(self._columns, 1, 2)).astype(np.float64)
         normal, right_side = products[:, :_UNKNOWNS, :_UNKNOWNS], products[:, :_UNKNOWNS, _UNKNOWNS]
         self._steady(normal, right_side)
         normal += _RIDGE
-        # Three right sides: the solution, and the two columns of the inverse that the corner's covariance needs.
+        # Three right-hand sides: the solution, and two columns of the inverse for the corner's covariance.
         sides = np.zeros((len(normal), _UNKNOWNS, 3))
         sides[:, :, 0] = right_side
         sides[:, 0, 1] = sides[:, 1, 2] = 1.0
@@ -243,7 +246,7 @@ class _Fit:
         cost = products[:, _UNKNOWNS, _UNKNOWNS] - np.einsum("mi,mi->m", unknowns, right_side)
         variance = np.maximum(cost, 0.0) / np.maximum(self.used - _UNKNOWNS, 1)
         contrast = unknowns[:, 3]
-        # Shifts come in units of the blur and times the contrast.
+        # The edge shifts are in units of the blur and multiplied by the contrast.
         unit = self.blur / np.where(np.abs(contrast) > _NO_CONTRAST, contrast, _NO_CONTRAST)
         by_shift = _inverse_2x2(normals)
         shift = unknowns[:, :2] * unit[:, None]
@@ -259,12 +262,12 @@ class _Fit:
 
 
 def _median(values: FloatArray) -> float:
-    """The upper median; of so few values `np.median` takes eight times as long."""
+    """The upper median; faster than `np.median` for short arrays."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _inverse_2x2(matrices: FloatArray) -> FloatArray:
-    """(M, 2, 2) inverses, without a call of LAPACK for each."""
+    """(M, 2, 2) inverses in closed form, faster than LAPACK."""
     a, b, c, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1]
     determinant = a * d - b * c
     inverse = np.empty_like(matrices)
@@ -279,16 +282,16 @@ def fit_corners(
     """Fit the corner model to every corner of a board.
 
     Args:
-        image: (height, width) grey.
-        grid: (rows, columns, 2) corners to a fraction of a pixel, px.
+        image: (height, width) gray.
+        grid: (rows, columns, 2) initial corners with sub-pixel accuracy, px.
         outer_whole: the outer squares are about as wide as the others.
-        look: of an earlier picture; one round less is needed with it.
+        look: of an earlier image; it saves one iteration.
 
     Returns:
-        Corner index = row * columns + column. A corner whose fit does not settle, leaves its place or lies on
-        too few pixels keeps its start and is marked so.
+        Corner index = row * columns + column. A corner keeps its initial position and is marked as not fitted
+        if its fit does not converge, moves too far or has too few pixels.
     """
-    with np.errstate(all="ignore"):  # of a grid that is none anything may come; `fitted` says so
+    with np.errstate(all="ignore"):  # a wrong grid gives arbitrary values, and `fitted` marks them
         return _fitted(image, grid, outer_whole, look)
 
 

@@ -1,4 +1,4 @@
-"""The board in one picture: found fast, refined, and let through the gate."""
+"""Detection of the board in one image: fast search, refinement, and acceptance checks."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.spots import spot_strength
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
 
-_LARGE = 1280  # px of width from which half size is tried first: there it is three times as fast
-MIN_EDGE_PX = 7.0  # no detector is reliable below, and refinement has no window left
+_LARGE = 1280  # image width from which half size is tried first, which is three times as fast, px
+MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 _SMALLEST_PICTURE = 64
-#: Spots that are fainter than so much of a board's are none of another board in the same light.
+#: A saddle response below this share of the board's is not a second board in the same light.
 FAINTEST = 0.1
-_PAINTED = 1.2  # squares beyond the corners
-_TELLING = 0.3  # of the wanted corners: a smaller grid says nothing about the board
+_PAINTED = 1.2  # margin painted over beyond the corners, in squares
+_TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
-    """OpenCV's contour-based detector at full or reduced size: (rows, columns, 2) px of the full picture."""
+    """OpenCV's contour-based detector at full or reduced size: (rows, columns, 2) px of the full image."""
     picture = np.asarray(image)
     if scale != 1.0:
         picture = np.asarray(
@@ -50,7 +50,7 @@ def _fast(image: GrayImage, columns: int, rows: int) -> FloatArray | None:
 
 
 def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
-    """Refine corners and pass them through the gate."""
+    """Refine corners and apply the acceptance checks."""
     rows, columns = grid.shape[:2]
     grid = right_handed(grid)
     edge = smallest_edge_px(grid)
@@ -64,7 +64,7 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
             break
         grid = (
             grid - grid_map.residual
-        )  # a corner that was led astray starts again from where the others want it
+        )  # restart a corner that diverged from the position predicted by the others
     edge = smallest_edge_px(grid)
     if edge < MIN_EDGE_PX:
         return _too_small(edge)
@@ -76,14 +76,14 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     polarity = check_polarity(image, grid_map, columns, rows)
     blurred = check_sharpness(image, grid_map, columns, rows)
     if isinstance(polarity, Miss):
-        # Blur washes the outer squares out first: where both complain it is the blur that is to blame.
-        washed_out = polarity.reason == "board partly hidden or cut off by the border"
+        # Blur affects the outer squares first: if both checks fail, report the blur.
+        washed_out = polarity.reason == "board partly occluded or outside the image"
         return blurred if blurred is not None and washed_out else polarity
     if blurred is not None:
         return blurred
     if grid_map.worst_px > limit:
         return Miss(
-            "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
+            "corners not on a regular grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
         )
     order, dark_at_origin = canonical(grid, polarity.dark_at_origin)
     contrast = fit.half_contrast_grey
@@ -92,16 +92,16 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
 
 
 def _too_small(edge_px: float) -> Miss:
-    return Miss("squares too small", f"smallest square {edge_px:.1f} px, need {MIN_EDGE_PX:.0f} px")
+    return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
 def roughest_px(edge_px: float) -> float:
-    """How far a corner may lie from where the others want it, px."""
+    """Largest distance of a corner from the smooth grid, px."""
     return max(0.6, 0.12 * edge_px)
 
 
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
-    """The picture with a found board painted over, its outer squares and some margin too, in its mean brightness."""
+    """The image with a board, its outer squares and a margin painted over in the mean brightness."""
     grid_map = fit_grid(pixels.reshape(rows, columns, 2))
     low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
     hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
@@ -113,30 +113,30 @@ def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> G
 def detect(
     image: GrayImage, columns: int, rows: int, thorough: bool = True, alone: bool = False
 ) -> Detection | Miss:
-    """Find a board of known size in one picture.
+    """Detect a board of known size in one image.
 
-    The contour-based detector is asked first (half size first in large pictures), and its corners refined and
-    let through the gate. Where it finds nothing, a grid is grown from any few corners seen: that finds what the
-    first missed, and tells why there is nothing. A picture with a second board of the same size is a Miss: which
-    of the two is meant cannot be known.
+    The contour-based detector runs first (at half size in large images); its corners are refined and checked.
+    If it fails, a grid is grown from any few corners found, which detects boards that the first detector
+    misses and gives the reason if there is none. An image with a second board of the same size is a Miss,
+    because the board cannot be identified.
 
     Args:
-        image: (height, width) grey, 8 bits; may be read-only and have padded rows.
+        image: (height, width) gray, 8 bits; may be read-only and have padded rows.
         columns, rows: inner corners.
-        thorough: also grow a grid; this takes ten times as long where there is no board.
-        alone: there is no second board, as is known from elsewhere.
+        thorough: also grow a grid; takes ten times as long in images without a board.
+        alone: skip the search for a second board.
 
     Returns:
-        The corners, or why there are none.
+        The corners, or the reason why there are none.
     """
     if min(image.shape) < _SMALLEST_PICTURE:
-        return Miss("no board", f"the picture has only {image.shape[1]} x {image.shape[0]} px")
+        return Miss("no board found", f"the image has only {image.shape[1]} x {image.shape[0]} px")
     grid = _fast(image, columns, rows)
     result = _judge(image, grid) if grid is not None else None
     if not isinstance(result, Detection) and thorough:
         result = _thorough(image, columns, rows, result)
     if result is None:
-        return Miss("no board", f"no grid of {columns} x {rows} corners at first sight")
+        return Miss("no board found", f"no grid of {columns} x {rows} corners in the fast search")
     if isinstance(result, Detection) and not alone:
         other = _second(image, result, columns, rows)
         if other is not None:
@@ -150,7 +150,7 @@ def detect(
 
 
 def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> FloatArray | None:
-    """Corners of a second board beside the one that was found, (M, 2) px; None where there is none."""
+    """Corners of a second board of the same size, (M, 2) px; None if there is none."""
     painted = _without(image, found.pixels, columns, rows)
     corners = columns * rows
     if spot_strength(painted, corners) < FAINTEST * spot_strength(image, corners):
@@ -162,10 +162,10 @@ def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> Floa
 
 
 def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> Detection | Miss:
-    """What is there when the fast search gave nothing, or corners that the gate refused."""
+    """Search for the board after the fast search failed or its corners were rejected."""
     if first is not None and first.reason in (
         "squares too small",
-        "board continues beyond the grid",
+        "board extends beyond the grid",
         "blurred",
     ):
         return first
@@ -175,7 +175,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
             grid = _classic(image, columns, rows, 0, scale)
             if grid is not None:
                 return _judge(image, grid)
-        return first or Miss("no board", f"no grid of {columns} x {rows} corners")
+        return first or Miss("no board found", f"no grid of {columns} x {rows} corners")
     seen_rows, seen_columns = grown.grid.shape[:2]
     grid = grown.grid
     if (seen_columns, seen_rows) == (rows, columns) and rows != columns:
@@ -199,15 +199,15 @@ def _other_size(grid: FloatArray, open_sides: int, columns: int, rows: int) -> M
     seen = sorted(grid.shape[:2], reverse=True)
     wanted = sorted((columns, rows), reverse=True)
     edge = smallest_edge_px(grid)
-    numbers = f"a grid of {seen[0]} x {seen[1]} corners is seen where {columns} x {rows} are wanted"
+    numbers = f"found a grid of {seen[0]} x {seen[1]} corners, expected {columns} x {rows}"
     if edge < MIN_EDGE_PX:
         return Miss(
-            "squares too small", f"{numbers}; smallest square {edge:.1f} px, need {MIN_EDGE_PX:.0f} px"
+            "squares too small", f"{numbers}; smallest square {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px"
         )
     if seen[0] >= wanted[0] and seen[1] >= wanted[1]:
-        return Miss("board continues beyond the grid", numbers)
+        return Miss("board extends beyond the grid", numbers)
     if open_sides == 0:
-        return Miss("board of another size", numbers)
+        return Miss("board of a different size", numbers)
     return Miss(
-        "board partly hidden or cut off by the border", f"{numbers}; {open_sides} sides end in mid-line"
+        "board partly occluded or outside the image", f"{numbers}; {open_sides} sides end inside the pattern"
     )

@@ -1,4 +1,4 @@
-"""The board in one picture after the other: expected where it was, or where it was going, and searched where lost."""
+"""Tracking of the board from image to image: by extrapolation, then by optical flow, then by a new search."""
 
 from __future__ import annotations
 
@@ -19,42 +19,43 @@ from mobilecal_cli.vision.refinement import refine_once
 from mobilecal_cli.vision.spots import has_spots, spot_strength
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
 
-_LONGEST_GAP_NS = 500_000_000  # after that nobody knows where the board was going
-# A search costs as much as ten followed pictures: after the first that found nothing there is none for so long, after
-# the next for twice as long, and so on.
+_LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated
+# A search costs as much as tracking in ten images. After a failed search the next one waits for the first of
+# these times, then for twice as long, up to the second.
 _AGAIN_NS, _AGAIN_AT_LAST_NS = 350_000_000, 1_400_000_000
 _MARGIN_PX = 3.0
-_MORE = 1.5  # a board that comes into view brings spots so many times as strong
+_MORE = 1.5  # a board that enters the view multiplies the saddle response by at least this factor
 _FLOW_WINDOW = (15, 15)
-_FLOW_REACH_PX = 64  # over three halvings a window finds what moved half of its side
-_WEAKEST = 0.35  # least contrast of a corner, in units of the board's in the last picture
-_FEWEST = 0.8  # of all corners, and of those of each side, that must be seen for what they are
+_FLOW_REACH_PX = 64  # half a flow window at the coarsest of three pyramid levels
+_WEAKEST = 0.35  # least contrast of a corner, as a share of the board's in the last image
+_FEWEST = 0.8  # least share of valid corners, over the board and along each of its sides
 
 
 def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, rows: int) -> Detection | Miss:
-    """The board about where it is expected, numbered as it was.
+    """Detect the board near its predicted position, with the same numbering.
 
-    Corners are refined, fitted, and pass if they are corners of the right colours nearly everywhere, the outermost
-    too (a grid that lies a square beside the board's ends on its margin, where there are none), and lie on a smooth
-    grid.
+    Corners are refined and fitted. They are accepted if nearly all of them have the expected square colors,
+    including the outermost (a grid shifted by one square would fail there), and if they lie on a smooth grid.
 
     Args:
-        image: (height, width) grey.
-        expected: (M, 2) px.
-        look: of the last picture that showed it.
+        image: (height, width) gray.
+        expected: (M, 2) predicted corners, px.
+        look: of the last image that showed the board.
         columns, rows: inner corners.
     """
     height, width = image.shape
     low, high = expected.min(axis=0), expected.max(axis=0)
     if low.min() < _MARGIN_PX or high[0] > width - 1 - _MARGIN_PX or high[1] > height - 1 - _MARGIN_PX:
-        return Miss("board partly hidden or cut off by the border", "it was leaving the picture")
+        return Miss(
+            "board partly occluded or outside the image", "the predicted corners are at the image border"
+        )
     grid = expected.reshape(rows, columns, 2)
     edge = smallest_edge_px(grid)
     if edge < MIN_EDGE_PX:
-        return Miss("squares too small", f"smallest square {edge:.1f} px, need {MIN_EDGE_PX:.0f} px")
+        return Miss("squares too small", f"smallest square {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     grid = refine_once(image, expected, edge, look.outer_whole).reshape(grid.shape)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
-        return Miss("corners off the board's grid", "corners ran into one another")
+        return Miss("corners not on a regular grid", "refined corners coincide")
     fit = fit_corners(image, grid, look.outer_whole, look)
     width_squares = 2.563 * fit.blur_px / edge
     if width_squares > MAX_EDGE_WIDTH:
@@ -63,13 +64,13 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
         )
     if not _is_board(fit, look.contrast_grey, rows, columns):
         return Miss(
-            "board polarity does not alternate",
-            "where it was expected, corners are hidden or of wrong colours",
+            "square colors do not alternate",
+            "corners at the predicted position are occluded or have the wrong square colors",
         )
     grid_map, limit = fit_grid(fit.pixels.reshape(grid.shape)), roughest_px(edge)
     if grid_map.worst_px > limit:
         return Miss(
-            "corners off the board's grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
+            "corners not on a regular grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
         )
     contrast = np.copysign(fit.half_contrast_grey, look.contrast_grey)
     seen = Look(fit.blur_px, fit.noise_grey, float(contrast), look.outer_whole)
@@ -78,7 +79,7 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
 
 @lru_cache(maxsize=16)
 def _colours(rows: int, columns: int) -> FloatArray:
-    """1 and -1 in turn."""
+    """1 and -1 in a checkerboard pattern, (rows, columns)."""
     j, i = np.indices((rows, columns))
     return np.where((i + j) % 2 == 0, 1.0, -1.0)
 
@@ -92,12 +93,12 @@ def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int)
 
 @dataclass(frozen=True, slots=True)
 class _Vain:
-    """The last search, where it found nothing.
+    """The last search, if it failed.
 
     Attributes:
-        time_ns: stamp of its picture.
-        wait_ns: how long there will be no other.
-        strength: of the spots in it.
+        time_ns: stamp of its image.
+        wait_ns: time until the next search.
+        strength: saddle response of its image.
     """
 
     time_ns: int
@@ -106,18 +107,18 @@ class _Vain:
 
 
 class BoardFollower:
-    """Looks at the pictures of one camera in order of time.
+    """Tracks the board through the images of one camera, in order of time.
 
-    The board is expected where its corners were going in the last two pictures that showed it, at most half a second
-    ago; where it is not there, to where the optical flow carried it. Else it is searched for; but once it is
-    known how strong its corners look in this light, not in pictures without as many spots of a tenth of that strength,
-    and not soon after a search that found nothing, unless the spots have become much stronger since.
+    The position is predicted from the last two detections if they are at most half a second old; if the board
+    is not there, optical flow predicts it. Otherwise the whole image is searched. After the first detection,
+    a search needs as many saddle points as the board has corners, with a tenth of their response. After a
+    failed search, the next one waits, unless the saddle response has increased strongly.
 
-    Whether there is a second board is looked at where the board is searched for first, and in thorough searches.
+    A second board is searched for until the first detection, and in every thorough search.
 
     Args:
-        board: what to look for; boards with markers are searched for in every picture.
-        thorough: how the search is done, see `detect`.
+        board: board to detect; boards with markers are searched for in every image.
+        thorough: see `detect`.
     """
 
     def __init__(self, board: Board, thorough: bool) -> None:
@@ -126,13 +127,13 @@ class BoardFollower:
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
         self._lost = False
-        self._vain: _Vain | None = None  # and the board has not been seen since
+        self._vain: _Vain | None = None  # set while the board has not been detected since
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
-        """The board in the next picture.
+        """Detect the board in the next image.
 
         Args:
-            image: (height, width) grey.
+            image: (height, width) gray.
             time_ns: its stamp.
         """
         if self._board.markers is not None:
@@ -149,7 +150,7 @@ class BoardFollower:
         return found
 
     def _followed(self, image: GrayImage, time_ns: int) -> Detection | Miss | None:
-        """The board where it is expected, None before it has been seen."""
+        """Detect the board at its predicted position; None before the first detection."""
         look = self._seen[-1][1].look if self._seen else None
         if look is None:
             return None
@@ -161,7 +162,7 @@ class BoardFollower:
         return found
 
     def _expected(self, time_ns: int) -> FloatArray:
-        """Where the corners are if they go on as they went; where they were, if that is long ago: robots also rest."""
+        """Corners extrapolated at constant velocity; the last ones after a long gap, as robots often rest."""
         last_ns, last = self._seen[-1]
         if not 0 <= time_ns - last_ns <= _LONGEST_GAP_NS:
             return last.pixels
@@ -172,7 +173,7 @@ class BoardFollower:
         return np.asarray(last.pixels + share * (last.pixels - before.pixels))
 
     def _carried(self, image: GrayImage) -> FloatArray:
-        """Where the corners are as their surroundings moved since the last picture (Lucas and Kanade, in pyramids)."""
+        """Corners predicted by pyramidal Lucas-Kanade optical flow from the last image."""
         last = self._seen[-1][1].pixels
         first = np.maximum(last.min(axis=0).astype(np.int64) - _FLOW_REACH_PX, 0)
         end = last.max(axis=0).astype(np.int64) + _FLOW_REACH_PX
@@ -184,25 +185,26 @@ class BoardFollower:
         return np.asarray(moved.reshape(-1, 2) + first, dtype=np.float64)
 
     def _spotted(self, image: GrayImage) -> bool:
-        """Whether as many spots as the board has corners are as strong as its corners may be, as far as is known."""
+        """Whether enough saddle points have the least response known from the board's corners."""
         return self._spots is None or has_spots(image, self._board.corners, FAINTEST * self._spots)
 
     def _nothing(self) -> Miss:
-        return Miss("no board", f"fewer than {self._board.corners} spots look like corners of the board")
+        return Miss("no board found", f"fewer than {self._board.corners} possible corners in the image")
 
     def _too_soon(self, image: GrayImage, time_ns: int, vain: _Vain) -> bool:
-        """Whether a search is not worth while so soon after one that found nothing."""
+        """Whether the waiting time after a failed search still runs."""
         waiting = 0 <= time_ns - vain.time_ns < vain.wait_ns
         return waiting and not has_spots(image, self._board.corners, _MORE * vain.strength)
 
     def _searched(self, image: GrayImage, time_ns: int, lost: Miss | None) -> Detection | Miss:
-        """The board wherever it is; where it was expected there was none."""
+        """Search the whole image, after tracking failed."""
         if not self._lost and not self._spotted(image):
             return lost or self._nothing()
         vain = self._vain
         if vain is not None and not self._thorough and self._too_soon(image, time_ns, vain):
             return lost or Miss(
-                "no board", f"a search {(time_ns - vain.time_ns) / 1e9:.2f} s before found none"
+                "no board found",
+                f"the last search, {(time_ns - vain.time_ns) / 1e9:.2f} s earlier, found none",
             )
         found = find_board(
             image, self._board, self._thorough, alone=not self._thorough and self._spots is not None

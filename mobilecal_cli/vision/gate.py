@@ -1,6 +1,6 @@
-"""The gate behind the detector: are these corners a whole chessboard, and nothing but it?
+"""Acceptance checks of detected corners: a whole checkerboard of the expected size, in focus.
 
-Looks at the picture's brightness on the grid itself, so it shares no assumption with the detector.
+The checks use the brightness of the squares, so they share no assumption with the detector.
 """
 
 from __future__ import annotations
@@ -16,28 +16,29 @@ from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
 from mobilecal_cli.vision.grid import GridMap, Places, places
 from mobilecal_cli.vision.values import Miss
 
-# The outer squares are sampled near the corners, because printed boards often have them narrower than the rest.
+# Outer squares are sampled near the corners, because printed boards often have narrow ones.
 _OUTER = 0.24
 _WHOLE = 0.6
 _SPREAD = 0.12
-_WEAKEST = 0.15  # least contrast of a pair of neighbours, in units of the board's
-_BEYOND = 0.35  # contrast that a pair beyond the outer squares needs to count as board
+_WEAKEST = 0.15  # least contrast of a pair of neighbors, as a share of the board's
+_BEYOND = 0.35  # contrast from which a pair beyond the outer squares counts as part of a board
 _MIN_CONTRAST_GREY = 4.0
 _NOISE_FACTOR = 5.0
 MAX_EDGE_WIDTH = 0.6  # of a square, 10 to 90 %
-# Where borders are looked at, in squares, and what the contrasts' ratio there says of a blur's sigma.
+# Distances from the borders for the sharpness check, in squares, and the contrast ratio there for each blur
+# sigma.
 _NEAR, _FAR = 0.15, 0.38
 _SIGMAS = np.linspace(0.02, 1.0, 99)
 _RATIOS = np.array([erf(_NEAR / (s * sqrt(2))) / erf(_FAR / (s * sqrt(2))) for s in _SIGMAS])
 
 
 def sample(image: GrayImage, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Brightness by bilinear interpolation: (..., 2) px → (...) whole grey levels, and which lie in the picture."""
+    """Interpolate brightness: (..., 2) px → (...) whole gray levels, and which points are in the image."""
     height, width = image.shape
     at = pixels.astype(np.float32)
     x, y = at[..., 0], at[..., 1]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    shape = (-1, 1)  # one column: OpenCV takes no pictures wider than 32,767
+    shape = (-1, 1)  # one column, because OpenCV limits the image width to 32,767
     grey = cv2.remap(
         image, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
@@ -45,12 +46,12 @@ def sample(image: GrayImage, pixels: FloatArray) -> tuple[FloatArray, BoolArray]
 
 
 def _centres(count: int, outer: float) -> FloatArray:
-    """Where squares are sampled along one axis of `count` corners: the outer ones `outer` past the last corner."""
+    """Sampling positions along an axis of `count` corners; the outer ones are `outer` beyond the corners."""
     return np.concatenate([[-outer], np.arange(count - 1) + 0.5, [count - 1 + outer]])
 
 
 def _around(u: FloatArray, v: FloatArray) -> FloatArray:
-    """Nine places in each square at u x v, (len(v), len(u), 9, 2)."""
+    """Nine positions in each square at u x v, (len(v), len(u), 9, 2)."""
     offset = _SPREAD * np.array([-1.0, 0.0, 1.0])
     du, dv = np.meshgrid(offset, offset)
     uu, vv = np.meshgrid(u, v)
@@ -59,13 +60,13 @@ def _around(u: FloatArray, v: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Probes:
-    """Where boards of some size are looked at; the outer squares near the corners, or where narrow ones have ended.
+    """Sampling positions for boards of one size.
 
     Attributes:
-        squares: all squares, the outer ones near the corners, and then those of four lines beyond.
+        squares: all squares, the outer ones near the corners, then four lines of squares beyond the board.
         whole: all squares, the outer ones at `_WHOLE`.
-        borders: for each axis, places ahead and behind of borders, near and far.
-        lines: side → beginning and end of its squares among those beyond, and the parity of the first.
+        borders: for each axis, positions on both sides of the borders, near and far.
+        lines: side → start and end of its squares among those beyond the board, and the parity of the first.
     """
 
     squares: Places
@@ -90,7 +91,8 @@ def _probes(columns: int, rows: int) -> _Probes:
         begin += len(parts[-1])
     borders = []
     for axis in (0, 1):
-        # Borders across u pass midway between two rows of corners, and the other way round.
+        # Borders across u are sampled midway between two rows of corners, borders across v between two
+        # columns.
         along_u = np.arange(columns) if axis == 0 else np.arange(columns - 1) + 0.5
         along_v = np.arange(rows - 1) + 0.5 if axis == 0 else np.arange(rows)
         uv = np.stack(np.meshgrid(along_u, along_v), axis=-1).reshape(-1, 2).astype(np.float64)
@@ -102,7 +104,7 @@ def _probes(columns: int, rows: int) -> _Probes:
 
 
 def _squares(image: GrayImage, grid_map: GridMap, where: Places) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Of each square: mean brightness, scatter inside it, whether it is wholly in the picture; (n,) each."""
+    """Mean brightness, scatter, and whether it is fully in the image, of each square; (n,) each."""
     values, inside = sample(image, grid_map.at(where))
     nine = values.reshape(-1, 9)
     return nine.mean(axis=1), nine.std(axis=1), np.all(inside.reshape(-1, 9), axis=1)
@@ -110,10 +112,10 @@ def _squares(image: GrayImage, grid_map: GridMap, where: Places) -> tuple[FloatA
 
 @dataclass(frozen=True, slots=True)
 class Polarity:
-    """How the squares alternate.
+    """Result of the check that dark and light squares alternate.
 
     Attributes:
-        contrast_grey: median difference of neighbouring squares.
+        contrast_grey: median difference of neighboring squares, gray levels.
         dark_at_origin: the outer square diagonally next to corner 0 is dark.
     """
 
@@ -122,23 +124,23 @@ class Polarity:
 
 
 def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> Polarity | Miss:
-    """Squares must alternate, the ring of outer ones included, and must not go on beyond that ring.
+    """Check that the squares alternate, including the outer ones, and that the pattern ends there.
 
     Args:
-        image: (height, width) grey.
-        grid_map: grid to picture.
+        image: (height, width) gray.
+        grid_map: grid coordinates to pixels.
         columns, rows: inner corners.
 
     Returns:
-        The polarity, or why not.
+        The polarity, or the reason for rejection.
     """
     means, scatters, insides = _squares(image, grid_map, _probes(columns, rows).squares)
     own = (rows + 1) * (columns + 1)
     values, scatter, inside = means[:own].reshape(rows + 1, columns + 1), scatters[:own], insides[:own]
     if not inside.all():
         return Miss(
-            "board partly hidden or cut off by the border",
-            f"{int(np.sum(~inside))} of the board's {inside.size} squares reach out of the picture",
+            "board partly occluded or outside the image",
+            f"{int(np.sum(~inside))} of the board's {inside.size} squares are outside the image",
         )
     # Pair i of a row is (square i, square i + 1); its expected sign alternates with the squares.
     j, i = np.indices(values.shape)
@@ -153,14 +155,14 @@ def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int)
     least = max(_MIN_CONTRAST_GREY, _NOISE_FACTOR * noise)
     if contrast < least:
         return Miss(
-            "board polarity does not alternate",
-            f"contrast between neighbouring squares {contrast:.1f} grey levels, need {least:.1f}",
+            "square colors do not alternate",
+            f"contrast between neighboring squares {contrast:.1f} gray levels, minimum {least:.1f}",
         )
     wrong = int(np.sum(flip * inner < _WEAKEST * contrast))
     if wrong:
         return Miss(
-            "board polarity does not alternate",
-            f"{wrong} of {inner.size} pairs of neighbouring inner squares do not alternate",
+            "square colors do not alternate",
+            f"{wrong} of {inner.size} pairs of neighboring inner squares do not alternate",
         )
     sides = {
         "left": (along_v[:, 0], along_u[:, 0]),
@@ -172,8 +174,8 @@ def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int)
         good = flip * np.concatenate(parts) >= _WEAKEST * contrast
         if good.mean() < 0.75:
             return Miss(
-                "board partly hidden or cut off by the border",
-                f"{int(np.sum(~good))} of {good.size} outer squares on the grid's {side} side do not alternate",
+                "board partly occluded or outside the image",
+                f"{int(np.sum(~good))} of {good.size} pairs of outer squares on the {side} side do not alternate",
             )
     beyond = _goes_on(means[own:], insides[own:], columns, rows, flip * contrast)
     if beyond is not None:
@@ -182,22 +184,22 @@ def check_polarity(image: GrayImage, grid_map: GridMap, columns: int, rows: int)
 
 
 def _goes_on(values: FloatArray, inside: BoolArray, columns: int, rows: int, contrast: float) -> Miss | None:
-    """Does the pattern alternate along a line one square beyond the outer squares?"""
+    """Check that the pattern does not alternate along a line one square beyond the outer squares."""
     for side, (begin, end, index) in _probes(columns, rows).lines.items():
         line, seen = values[begin:end], inside[begin : end - 1] & inside[begin + 1 : end]
         sign = np.where((np.arange(len(line)) + index) % 2 == 0, 1.0, -1.0)
         pair = sign[:-1] * (line[:-1] - line[1:]) / contrast
         if np.sum(seen) >= 3 and np.mean(pair[seen] > _BEYOND) >= 0.6:
             return Miss(
-                "board continues beyond the grid",
+                "board extends beyond the grid",
                 f"{int(np.sum(pair[seen] > _BEYOND))} of {int(np.sum(seen))} pairs of squares beyond the "
-                f"{columns} x {rows} grid's {side} side alternate too",
+                f"{columns} x {rows} grid on the {side} side alternate",
             )
     return None
 
 
 def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool:
-    """Do the outer squares still alternate where a board with narrow ones has its margin?"""
+    """Whether the outer squares are as wide as the others: a board with narrow ones has its margin here."""
     means, _, inside = _squares(image, grid_map, _probes(columns, rows).whole)
     values = means.reshape(rows + 1, columns + 1)
     j, i = np.indices(values.shape)
@@ -210,10 +212,10 @@ def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows:
 
 
 def edge_width(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> float:
-    """Width of the borders between squares, 10 to 90 % of a blurred step, in squares; the worse direction's median.
+    """Median width of the borders between squares (10 to 90 %), of the worse axis, in squares.
 
-    Differences across a border at two distances d from it, for a step blurred by a Gaussian of width s, go as
-    erf(d / (s sqrt(2))); their ratio gives s.
+    For a step blurred by a Gaussian of sigma s, the difference across a border at distance d is proportional
+    to erf(d / (s sqrt(2))); the ratio at two distances gives s.
     """
     widths = []
     for where in _probes(columns, rows).borders:
@@ -225,7 +227,7 @@ def edge_width(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> 
 
 
 def check_sharpness(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> Miss | None:
-    """A Miss where the borders between squares are wider than corners can stand."""
+    """A Miss if the borders between squares are too wide for accurate corners, None otherwise."""
     width = edge_width(image, grid_map, columns, rows)
     if width <= MAX_EDGE_WIDTH:
         return None

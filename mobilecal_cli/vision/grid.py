@@ -1,7 +1,7 @@
-"""The board's corners as a grid in a picture: a smooth map from board to picture, and how corners are numbered.
+"""The board's corners as a grid: a smooth map from board coordinates to pixels, and the numbering of corners.
 
-Grid coordinates (u, v) count squares: corner (column, row) is at (u, v) = (column, row), and the squares'
-border lines are at whole numbers, beyond the inner corners too.
+Grid coordinates (u, v) count squares: corner (column, row) is at (u, v) = (column, row), and the borders
+between squares are at whole numbers, also beyond the inner corners.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from mobilecal_cli.model import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Grid coordinates that are asked for in every picture.
+    """Grid coordinates prepared for repeated evaluation.
 
     Attributes:
-        w: (n, 2) centred and scaled.
-        terms: (n, terms) the polynomial's monomials there.
+        w: (n, 2) centered and scaled coordinates.
+        terms: (n, terms) monomials of the polynomial.
     """
 
     w: FloatArray
@@ -29,15 +29,15 @@ class Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridMap:
-    """Grid coordinates to pixels: a homography and a polynomial that takes up the lens distortion.
+    """Map from grid coordinates to pixels: a homography, and a polynomial for the lens distortion.
 
     Attributes:
-        H: (3, 3) homography from centred grid coordinates to pixels.
+        H: (3, 3) homography from centered grid coordinates to pixels.
         bend: (terms, 2) coefficients of the polynomial, px.
-        degree: of the polynomial, 0 where there is none.
-        centre, size: grid coordinates are centred and scaled by them.
-        residual: (rows, columns, 2) corner minus a smooth map, px.
-        sigma_px: noise of one coordinate that the residuals show, their degrees of freedom counted.
+        degree: of the polynomial; 0 for none.
+        `centre`, `size`: offset and scale of the grid coordinates.
+        residual: (rows, columns, 2) corner minus smooth map, px.
+        sigma_px: noise of one coordinate, from the residuals and their degrees of freedom.
     """
 
     H: FloatArray
@@ -55,11 +55,11 @@ class GridMap:
 
     @property
     def worst_px(self) -> float:
-        """How far the worst corner lies from the smooth map, px."""
+        """Largest distance of a corner from the smooth map, px."""
         return float(np.sqrt(np.sum(self.residual**2, axis=-1).max()))
 
     def at(self, places: Places) -> FloatArray:
-        """(n, 2) px of places that were prepared for this board's counts."""
+        """(n, 2) px at places prepared for the same board size."""
         return _through(self.H, places.w) + places.terms @ self.bend
 
 
@@ -81,9 +81,9 @@ def _products(w: FloatArray) -> FloatArray:
 
 
 def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Direct linear transformation with normalised pixels (Hartley and Zisserman 2004, algorithm 4.2).
+    """Direct linear transformation with normalized pixels (Hartley and Zisserman 2004, algorithm 4.2).
 
-    Its normal equations A^T A are put together from sums of `_products`, weighted by x, y and x^2 + y^2.
+    The normal matrix A^T A is assembled from sums of `_products`, weighted by x, y and x^2 + y^2.
     """
     mean, spread = pixels.mean(axis=0), pixels.std()
     p = (pixels - mean) / spread
@@ -101,14 +101,16 @@ def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
 
 
 def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
-    """How far scattered corners lie from a smooth map of the board: a homography and a low polynomial.
+    """Residuals of scattered corners from a smooth map of the board: a homography and a low-degree
+    polynomial.
 
     Args:
-        uv: (n, 2) places on the board, any unit, n at least 6.
+        uv: (n, 2) positions on the board, any unit, n at least 6.
         pixels: (n, 2) px.
 
     Returns:
-        (n, 2) residuals, px, scaled up by what the map's own unknowns take away: their mean square is the noise's.
+        (n, 2) residuals, px, scaled up for the lost degrees of freedom: their mean square is the noise
+        variance.
     """
     w = (uv - uv.mean(axis=0)) / max(float(np.ptp(uv, axis=0).max()) / 2, 1e-9)
     bent = pixels - _through(_homography(_products(w), pixels), w)
@@ -123,16 +125,16 @@ def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """What a board's counts alone make of `fit_grid`.
+    """The part of `fit_grid` that depends only on the board's size.
 
     Attributes:
-        w: (M, 2) centred and scaled grid coordinates.
+        w: (M, 2) centered and scaled grid coordinates.
         products: (M, 9) see `_products`.
-        centre, size: what they are centred and scaled by.
+        `centre`, `size`: offset and scale of the grid coordinates.
         degree: of the polynomial.
-        solver: (terms, M) from what the homography leaves to the polynomial's coefficients.
-        finer: (M, k) orthonormal, polynomials of the degree that residuals are taken against.
-        unknowns: of homography and finer polynomial.
+        solver: (terms, M) from the homography's residuals to the polynomial's coefficients.
+        finer: (M, k) orthonormal basis of the polynomials that residuals are computed against.
+        unknowns: number of parameters of the homography and that polynomial.
     """
 
     w: FloatArray
@@ -151,30 +153,30 @@ def _frame(rows: int, columns: int) -> _Frame:
     centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
     size = max(columns, rows) / 2
     w = ((uv - centre) / size).reshape(-1, 2)
-    # A grid of n lines holds a polynomial of degree n - 1; two degrees less leave residuals to speak of.
+    # A grid of n lines determines a polynomial of degree n - 1; a degree of n - 2 leaves residuals.
     finest = min(4, min(rows, columns) - 2)
     if finest <= 1:
         return _Frame(w, _products(w), centre, size, 0, np.zeros((1, len(w))), np.zeros((len(w), 0)), 8)
     degree, terms = min(3, finest), _monomials(w, finest)
     finer = np.linalg.qr(terms)[0]
-    # Of a homography's 8 numbers, 6 are an affine map: in the polynomial.
+    # Six of the homography's eight parameters are an affine map, which the polynomial contains.
     unknowns = 2 * terms.shape[1] + 2
     solver = np.asarray(np.linalg.pinv(_monomials(w, degree)), dtype=np.float64)
     return _Frame(w, _products(w), centre, size, degree, solver, finer, unknowns)
 
 
 def places(uv: FloatArray, columns: int, rows: int) -> Places:
-    """Prepare (..., 2) grid coordinates of boards of some size for `GridMap.at`, flattened."""
+    """Prepare (..., 2) grid coordinates of a board for `GridMap.at`, flattened."""
     frame = _frame(rows, columns)
     w = (uv.reshape(-1, 2) - frame.centre) / frame.size
     return Places(w, _monomials(w, frame.degree))
 
 
 def fit_grid(grid: FloatArray) -> GridMap:
-    """The smooth map through (rows, columns, 2) corners, px.
+    """Fit a smooth map through (rows, columns, 2) corners, px.
 
-    The polynomial is cubic on boards with corners to spare, so that it can be carried beyond the corners;
-    residuals are taken against one degree more, so that they show the corners' noise and not the lens.
+    The polynomial is cubic if the board has enough corners, so that it can be extrapolated. Residuals are
+    computed against one degree more, so that they show the noise of the corners and not the lens distortion.
     """
     frame = _frame(*grid.shape[:2])
     pixels = grid.reshape(-1, 2)
@@ -187,7 +189,7 @@ def fit_grid(grid: FloatArray) -> GridMap:
 
 
 def smallest_edge_px(grid: FloatArray) -> float:
-    """Shortest distance between neighbouring corners of (rows, columns, 2), px."""
+    """Shortest distance between neighboring corners of (rows, columns, 2), px."""
     along, down = grid[:, 1:] - grid[:, :-1], grid[1:] - grid[:-1]
     return float(min(np.hypot(step[..., 0], step[..., 1]).min() for step in (along, down)))
 
@@ -200,10 +202,10 @@ def right_handed(grid: FloatArray) -> FloatArray:
 
 
 def turns(columns: int, rows: int) -> tuple[int, ...]:
-    """Quarter turns, 0 first, that leave a board of this size looking the same, colours included.
+    """Quarter turns, 0 first, after which a board of this size looks the same, including the square colors.
 
-    With counts of different parity none but 0: opposite outer squares differ in colour. With the same parity
-    a half turn; a square board of even count looks the same after every quarter turn.
+    Only 0 if the counts differ in parity, because opposite outer squares differ in color. Otherwise also a
+    half turn; for a square board with even counts all quarter turns.
     """
     if (columns + rows) % 2:
         return (0,)
@@ -211,27 +213,28 @@ def turns(columns: int, rows: int) -> tuple[int, ...]:
 
 
 def turned(values: FloatArray, columns: int, rows: int, quarter_turns: int) -> FloatArray:
-    """Corner values (columns * rows, ...) numbered anew for a board turned by quarter turns about its normal.
+    """Corner values (columns * rows, ...) renumbered for a board rotated by quarter turns about its normal.
 
-    Odd numbers of quarter turns only for columns == rows.
+    Odd numbers of quarter turns need columns == rows.
     """
     grid = values.reshape(rows, columns, *values.shape[1:])
     return np.ascontiguousarray(np.rot90(grid, quarter_turns)).reshape(values.shape)
 
 
 def canonical(grid: FloatArray, dark_at_origin: bool) -> tuple[IntArray, bool]:
-    """The order of corners that square colours prescribe, as far as they can.
+    """Canonical order of the corners, as far as the square colors determine it.
 
-    The outer square diagonally next to corner 0 is dark, where a turn of the board can bring that about. What
-    then is left open (see `turns`) is settled for the moment by turning x as far to the picture's right as can
-    be; `settle_numbering` settles it for good.
+    The outer square diagonally next to corner 0 is dark, if a rotation of the board can achieve that. Any
+    remaining ambiguity (see `turns`) is resolved for now by pointing x as far to the right of the image as
+    possible; `settle_numbering` resolves it finally.
 
     Args:
         grid: (rows, columns, 2) right-handed, px.
-        dark_at_origin: that square is dark in the order given.
+        dark_at_origin: whether that square is dark in the given order.
 
     Returns:
-        (rows * columns,) which of the given corners comes first, second, ..., and whether then that square is dark.
+        (rows * columns,) index of the given corner at each position, and whether that square is dark
+        afterwards.
     """
     rows, columns = grid.shape[:2]
     order = np.arange(rows * columns).reshape(rows, columns)

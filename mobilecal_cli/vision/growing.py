@@ -1,4 +1,4 @@
-"""A grid of any size, grown from a few corners to the board's edge."""
+"""Growth of a grid of any size from a few corners to the edge of the board."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from mobilecal_cli.vision.refinement import refine
 _SEEDS = ((3, 3), (5, 4))
 _MIN_EDGE_PX = 4.0
 _MIN_STRENGTH_GREY = 8.0
-_LARGE = 1280  # px of width from which the seed is looked for at half size
-_LARGEST = 60  # corners along one side
+_LARGE = 1280  # image width from which the seed is searched at half size, px
+_LARGEST = 60  # largest number of corners along one side
 _QUADRANT = 0.22
-_LEAST = 0.3  # of the median strength, for a crossing to count
+_LEAST = 0.3  # least strength of a corner, as a share of the median
 
 
 @dataclass(frozen=True, slots=True)
 class Grown:
-    """Corners as far as they go.
+    """A grid of corners grown as far as possible.
 
     Attributes:
         grid: (rows, columns, 2) px, right-handed.
-        open_sides: how many sides end where a line of corners is seen in part or leaves the picture.
+        open_sides: number of sides where the next line of corners is partly visible or outside the image.
     """
 
     grid: FloatArray
@@ -35,9 +35,9 @@ class Grown:
 
 
 def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """How much the four squares around corners alternate, grey: (n, 2) each → (n,), signed.
+    """Signed contrast of the four quadrants around corners, gray levels: (n, 2) each → (n,).
 
-    The weakest of the four differences between neighbouring quadrants; 0 where they disagree in sign.
+    The smallest difference between neighboring quadrants; 0 if the signs disagree.
     """
     quadrant = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     q = [sample(image, corners + _QUADRANT * (a * du + b * dv)) for a, b in quadrant]
@@ -50,7 +50,7 @@ def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatAr
 
 
 def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
-    """Strength of every corner of (rows, columns, 2), with the sign expected of it taken out."""
+    """Strength of every corner of (rows, columns, 2), with the expected sign removed."""
     dv, du = np.gradient(grid, axis=(0, 1))
     rows, columns = grid.shape[:2]
     strength = _strength(image, grid.reshape(-1, 2), du.reshape(-1, 2), dv.reshape(-1, 2)).reshape(
@@ -61,7 +61,7 @@ def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
 
 
 def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:
-    """Drop outer lines with corners that are none, the worst first; None when too few are left."""
+    """Remove outer lines with false corners, worst first; None if too few lines are left."""
     while min(grid.shape[:2]) >= 3:
         strength = _alternating(grid, image)
         median = float(np.median(strength))
@@ -73,13 +73,13 @@ def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:
         lines = {0: bad[0].mean(), 1: bad[-1].mean(), 2: bad[:, 0].mean(), 3: bad[:, -1].mean()}
         worst = max(lines, key=lambda k: float(lines[k]))
         if lines[worst] == 0:
-            return None  # a hole in the middle
+            return None  # false corners inside the grid
         grid = (grid[1:], grid[:-1], grid[:, 1:], grid[:, :-1])[worst]
     return None
 
 
 def _next_line(grid: FloatArray, image: GrayImage) -> tuple[FloatArray | None, bool]:
-    """One more row below the last: the grown grid or None, and whether a part of that row is there."""
+    """The grid extended by one row, or None; and whether part of that row is visible."""
     rows, columns = grid.shape[:2]
     grid_map = fit_grid(grid)
     uv = np.stack([np.arange(columns), np.full(columns, rows)], axis=-1).astype(np.float64)
@@ -103,11 +103,11 @@ def _next_line(grid: FloatArray, image: GrayImage) -> tuple[FloatArray | None, b
 
 
 def grow(image: GrayImage, seed: FloatArray) -> Grown | None:
-    """Trim a grid to corners that are ones, and add lines on all four sides while whole lines are seen.
+    """Remove false outer lines from a grid, then add lines on all four sides while they are fully visible.
 
     Args:
-        image: (height, width) grey.
-        seed: (rows, columns, 2) px, corners found by any detector, some of them perhaps false.
+        image: (height, width) gray.
+        seed: (rows, columns, 2) px, corners of any detector, possibly with false ones.
     """
     grid = _trim(right_handed(seed), image)
     if grid is None:
@@ -124,18 +124,18 @@ def grow(image: GrayImage, seed: FloatArray) -> Grown | None:
         else:
             closed += 1
             open_sides += partly
-            grid = np.rot90(grid)  # four quarter turns look at all four sides
+            grid = np.rot90(grid)  # four quarter turns cover all four sides
     return Grown(right_handed(grid), open_sides)
 
 
 def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
-    """A few corners of any chessboard, (rows, columns, 2) px, by OpenCV's sector-based detector.
+    """A few corners of any checkerboard, (rows, columns, 2) px, by OpenCV's sector-based detector.
 
-    Its word on the board's size and its sub-pixel positions are not to be trusted; `grow` sees to both.
+    Its board size and its sub-pixel positions are unreliable; `grow` corrects both.
     """
     half = image.shape[1] >= _LARGE
     picture = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if half else image
-    cv2.setRNGSeed(0)  # the detector draws random samples; the same picture is to give the same answer
+    cv2.setRNGSeed(0)  # the detector draws random samples; a fixed seed makes it repeatable
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, smallest, cv2.CALIB_CB_LARGER)
     if not found:
         return None
@@ -145,7 +145,7 @@ def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
 
 
 def grow_any(image: GrayImage, enough: int) -> Grown | None:
-    """The largest grid that can be grown in a picture; the search ends at `enough` corners."""
+    """The largest grid that can be grown in an image; the search ends at `enough` corners."""
     best: Grown | None = None
     for smallest in _SEEDS:
         seed = _seed(image, smallest)

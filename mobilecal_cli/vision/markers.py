@@ -1,4 +1,4 @@
-"""Boards whose markers number their corners: ChArUco boards and grids of tags, seen whole or in part."""
+"""Detection of boards with markers, whole or in part: ChArUco boards and AprilTag grids."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArra
 from mobilecal_cli.vision.grid import scatter_px
 from mobilecal_cli.vision.values import Detection, Miss, rms
 
-#: Fewer corners, or fewer tags, say too little of the board's pose.
+#: Fewer corners, or fewer tags, do not determine the board's pose.
 _LEAST_CORNERS = 8
 _LEAST_TAGS = 3
 _MIN_EDGE_PX = 7.0
-_FLOOR_PX = 0.02  # what OpenCV's refinement leaves on pictures without noise
+_FLOOR_PX = 0.02  # error of OpenCV's refinement on images without noise
 _OF_ROOM, _LEAST_WINDOW = 0.65, 3
 _GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5
 
 
 def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
-    """Find a board with markers, or the part of it that is in the picture.
+    """Detect a board with markers, or the visible part of it.
 
     Args:
-        image: (height, width) grey, 8 bits.
+        image: (height, width) gray, 8 bits.
         board: with `markers`.
 
     Returns:
-        The corners that are seen, or why there are too few.
+        The visible corners, or the reason why there are too few.
     """
     markers = board.markers
     assert markers is not None
@@ -39,8 +39,8 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     for _ in range(3):
         if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
             return Miss(
-                "board partly hidden or cut off by the border",
-                f"{seen.sum()} of {board.corners} corners seen, need {_LEAST_CORNERS} that are not on one line",
+                "board partly occluded or outside the image",
+                f"{seen.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
             )
         off = np.linalg.norm(scatter_px(grid[seen], pixels[seen]), axis=1)
         usual = float(np.median(off)) / 1.1774
@@ -50,20 +50,20 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
         seen[np.flatnonzero(seen)[gross]] = False
     edge = _edge_px(grid[seen], pixels[seen])
     if edge < _MIN_EDGE_PX:
-        return Miss("squares too small", f"a square is {edge:.1f} px wide, need {_MIN_EDGE_PX:.0f} px")
+        return Miss("squares too small", f"square side {edge:.1f} px, minimum {_MIN_EDGE_PX:.0f} px")
     sigma_px = max(rms(scatter_px(grid[seen], pixels[seen])), _FLOOR_PX)
     return Detection(np.where(seen[:, None], pixels, 0.0), sigma_px, seen)
 
 
 def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
-    """A square's side in the picture, from the affine map that fits best."""
+    """Side of a square in the image, from the best affine map, px."""
     wide = np.hstack([grid, np.ones((len(grid), 1))])
     affine = np.linalg.lstsq(wide, pixels, rcond=None)[0][:2]
     return float(np.linalg.svd(affine, compute_uv=False).min())
 
 
 def _dictionary(markers: Markers, count: int) -> cv2.aruco.Dictionary:
-    """The board's own markers only, numbered from 0: the search takes as long as the dictionary is large."""
+    """Dictionary of only the board's markers, numbered from 0: a larger one makes the search slower."""
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
     own = np.ascontiguousarray(family.bytesList[markers.first_id : markers.first_id + count])
     return cv2.aruco.Dictionary(own, family.markerSize, family.maxCorrectionBits)
@@ -83,7 +83,7 @@ def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArr
     corners, numbers, _, _ = detector.detectBoard(image)
     pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
     if corners is None or numbers is None or not len(numbers):
-        return Miss("no board", f"no markers of {markers.dictionary} with corners between them")
+        return Miss("no board found", f"no markers of {markers.dictionary} with corners")
     places = np.asarray(numbers).ravel()
     pixels[places], seen[places] = np.asarray(corners, dtype=np.float64).reshape(-1, 2), True
     return pixels, seen
@@ -96,13 +96,15 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray,
     tags: IntArray = np.zeros(0, dtype=np.int64)
     if numbers is not None and len(numbers):
         tags = np.asarray(numbers, dtype=np.int64).ravel()
-    # A tag that is seen twice belongs to another board, or to none.
+    # A tag that appears twice belongs to another board, or is a false detection.
     mine = np.array([np.sum(tags == tag) == 1 for tag in tags], dtype=np.bool_)
     if mine.sum() < _LEAST_TAGS:
-        return Miss("no board", f"{mine.sum()} tags of {markers.dictionary} seen, need {_LEAST_TAGS}")
+        return Miss(
+            "no board found", f"{mine.sum()} tags of {markers.dictionary} visible, minimum {_LEAST_TAGS}"
+        )
     quads = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)[mine]
     grid = board.grid()[:, :2].reshape(-1, 4, 2)[tags[mine]]
-    # Families differ in which corner of a tag is its first: the grid of tags tells.
+    # Families differ in which corner of a tag is the first; the grid of tags determines it.
     options = [np.roll(quads, k, axis=1) for k in range(4)]
     best = min(options, key=lambda quad: rms(scatter_px(grid.reshape(-1, 2), quad.reshape(-1, 2))))
     best = _refined(image, best, markers)
@@ -113,9 +115,10 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray,
 
 
 def _refined(image: GrayImage, quads: FloatArray, markers: Markers) -> FloatArray:
-    """Corners of tags, (n, 4, 2) px, moved to where the edges meet.
+    """Refine corners of tags, (n, 4, 2) px, to the intersection of the edges.
 
-    The window reaches neither the code inside the border nor the next tag's edge: there, it would be led astray.
+    The window reaches neither the code inside the border nor the next tag's edge, which would bias the
+    result.
     """
     edge = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
     cells = _dictionary(markers, 1).markerSize + 2 * markers.border_bits

@@ -1,12 +1,13 @@
-"""Boards that look the same when turned: all stations brought to agree on one numbering, by the motion.
+"""Numbering of boards that look the same when rotated, made consistent over all stations by the robot's
+motion.
 
-The head's chain gives the vertical in the head's frame at every station, h_i = R_v_h^T z. Head and camera are
-one rigid body and the board does not move, so with A = R_c_h and the vertical n in the board's frame
+The head chain gives the vertical in the head frame at every station, h_i = R_v_h^T z. Head and camera are one
+rigid body and the board does not move. With A = R_c_h and the vertical n in the board frame,
 
     A h_i = R_ci_k n
 
-at all stations, however the base has turned. A station whose board is numbered from the other end has R_ci_k
-turned by 180 degrees about the board's normal, and does not fit, unless the normal is vertical.
+holds at all stations, for any motion of the base. If a board is numbered from the opposite corner, R_ci_k is
+rotated by 180 degrees about the board's normal, and the equation does not hold unless the normal is vertical.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
 _ROUNDS = 100
-_SETTLED = 20  # rounds that A and n are given to follow the turns
-_CLEAR_RAD = 0.15  # how much worse than the best numbering the second best must fit
-_CLEAR_FACTOR = 3.0  # the same in units of the rms misfit
+_SETTLED = 20  # least number of iterations, so that A and n can follow the turns
+_CLEAR_RAD = 0.15  # least difference in misfit between the best and the second-best numbering
+_CLEAR_FACTOR = 3.0  # the same, in units of the rms misfit
 _RIVAL_RAD = 0.02
 
 
@@ -34,7 +35,7 @@ class _Fit:
 
     Attributes:
         choice: (N,) index into the turns.
-        misfit_rad: (N, turns) angle between A h_i and R_ci_k n for every turn.
+        misfit_rad: (N, turns) angle between A h_i and R_ci_k n for every turn, rad.
     """
 
     choice: IntArray
@@ -42,7 +43,7 @@ class _Fit:
 
     @property
     def rms_rad(self) -> float:
-        """Misfit of the chosen numberings."""
+        """Misfit of the chosen numberings, rad."""
         return float(np.sqrt(np.mean(self.misfit_rad[np.arange(len(self.choice)), self.choice] ** 2)))
 
 
@@ -79,7 +80,7 @@ def _rotation_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k: FloatArray) -> _Fit:
-    """Alternate between A, n and the turns from a start: R_c_k is (turns, N, 3, 3)."""
+    """Alternate between A, n and the turns from an initial estimate; R_c_k is (turns, N, 3, 3)."""
     stations = np.arange(len(vertical_h))
     misfit = np.zeros((len(stations), len(R_c_k)))
     for round_ in range(_ROUNDS):
@@ -99,17 +100,19 @@ def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k
 def settle_numbering(
     observations: Sequence[Observation], R_v_h: FloatArray, board: Board
 ) -> tuple[tuple[Observation, ...], tuple[Rejection, ...]]:
-    """Bring all stations to one numbering of the board.
+    """Bring all stations to a common numbering of the board.
 
     Args:
-        observations: of all stations, any number of logs (the board stands upright in the same way in all).
-        R_v_h: (N, 3, 3) head to vehicle rotation at each of them.
+        observations: of all stations, from any number of recordings (the board must have the same vertical in
+            all).
+        R_v_h: (N, 3, 3) head to vehicle rotation at each station.
         board: the board.
 
     Returns:
-        The observations in one numbering (which of the possible ones is of no consequence), and a rejection
-        for each whose numbering the motion does not tell. A board with markers, or whose counts differ in parity, is
-        unambiguous: its observations come back as they are.
+        The observations in a common numbering (any of the equivalent ones), and a rejection for each station
+        whose numbering the motion does not determine. A board with markers, or with counts of different
+        parity, is
+        unambiguous: its observations are returned unchanged.
     """
     possible = turns(board.columns, board.rows)
     if board.markers is not None or len(possible) == 1 or len(observations) < 2:
@@ -121,7 +124,8 @@ def settle_numbering(
     seen = np.stack([o.T_c_k[:3, :3] for o in observations])
     R_c_k = np.stack([seen @ R for R in R_k_turned])
     vertical_h = np.asarray(R_v_h)[:, 2, :]
-    # First guess: each station numbered so that the board is turned least against the first station's view.
+    # Initial estimate: the numbering of each station that rotates the board least against the first station's
+    # view.
     relative = np.einsum("ji,tnjk->tnik", seen[0], R_c_k)
     nearest = np.argmax(np.trace(relative, axis1=2, axis2=3), axis=0)
     starts = [np.array(s, dtype=np.float64) for s in product((-1, 0, 1), repeat=3) if any(s)]
@@ -136,7 +140,8 @@ def settle_numbering(
     for rival in fits:
         if rival.rms_rad <= max(2 * best.rms_rad, _RIVAL_RAD):
             told &= (rival.choice - rival.choice[0]) % count == chosen
-            # A rival to which numberings make no difference (the board's normal vertical) explains all of them.
+            # A rival fit with equal misfit for all numberings (vertical board normal) makes every station
+            # ambiguous.
             rival_order = np.sort(rival.misfit_rad, axis=1)
             told &= rival_order[:, 1] - rival_order[:, 0] > _RIVAL_RAD
     settled = tuple(
@@ -145,9 +150,10 @@ def settle_numbering(
     rejections = tuple(
         Rejection(
             "vision",
-            "board's numbering cannot be told",
-            f"a board of {board.columns} x {board.rows} looks the same when turned by {360 // count} degrees; "
-            f"the motion prefers one numbering by {np.degrees(g):.1f} degrees, need {np.degrees(needed):.1f}",
+            "board orientation ambiguous",
+            f"a board of {board.columns} x {board.rows} looks the same when rotated by {360 // count} degrees; "
+            f"the misfits of the two best orientations differ by {np.degrees(g):.1f} degrees, "
+            f"minimum {np.degrees(needed):.1f}",
             o.time_ns,
             o.station,
             o.log,

@@ -1,4 +1,4 @@
-"""From the board in the pictures of a station to one observation."""
+"""One observation per station: triangulated corners and the board's pose from all images of the station."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, St
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
 _MAX_EPIPOLAR_RMS_PX = (
-    1.5  # rows of the two pictures about 4 px apart: the stereo calibration is not this rig's
+    1.5  # rows of the two images about 4 px apart: the stereo calibration is not this rig's
 )
 _MAX_REPROJECTION_PX = 3.0
 _SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
-_LEAST_IN_BOTH = 8  # of a board with markers, of which a part is enough
+_LEAST_IN_BOTH = 8  # for boards with markers, which may be partly visible
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -41,25 +41,26 @@ def _by_reason(misses: Sequence[Miss]) -> str:
 
 
 def _no_pair(left: Sequence[Detection | Miss], right: Sequence[Detection | Miss]) -> tuple[str, str]:
-    """Reason and detail for a station of which no shot shows the board in both pictures."""
+    """Reason and detail for a station without a stereo pair that shows the board in both images."""
     misses = {
         side: [item for item in items if isinstance(item, Miss)]
         for side, items in (("left", left), ("right", right))
     }
     every = [*misses["left"], *misses["right"]]
     if not every:
-        return "no shots", "the station has no stereo pairs"
+        return "no stereo pairs", "the station has no stereo pairs"
     sides = [f"{side}: {_by_reason(items)}" for side, items in misses.items() if items]
-    detail = f"{len(left)} shots; " + "; ".join(sides)
+    detail = f"{len(left)} stereo pairs; " + "; ".join(sides)
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
 def _best_fit(
     rig: StereoRig, left: Corners, right: Corners, board: Board
 ) -> tuple[StereoPoints | Miss, Corners]:
-    """Corners that both see, triangulated, with the right picture numbered so that it fits the left one.
+    """Triangulate the corners that both cameras see, with the right image numbered consistently with the
+    left.
 
-    The first numbering that fits is the only one: turned, a board's rows lie squares beside one another.
+    The first numbering that fits is used. No other can fit, because its rows would be several squares apart.
     """
     both = left.seen & right.seen
     fits = []
@@ -80,7 +81,7 @@ def _best_fit(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Whole:
-    """All corners of the board: those that were seen, and the others where its pose has them."""
+    """All corners of the board: detected ones, and the others predicted from the board's pose."""
 
     left: Corners
     right: Corners
@@ -109,15 +110,15 @@ def _completed(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """The board at one station, its squares as wide as the stereo baseline makes them.
+    """The board at one station, with the square size given by the stereo baseline.
 
     Attributes:
-        log, station: which.
-        rig, board: by which cameras, and what was looked for.
-        left, right: all corners in each picture, of which some may not have been seen.
-        points: corners that both see, triangulated.
-        pose: of the board, its scale free; the points it was fitted to are unit squares times `rough_m`.
-        rough_m: side of a square, m, about.
+        log, station: index of the recording, and the station.
+        rig, board: the cameras, and the board to detect.
+        left, right: all corners in each image; some may not be detected.
+        points: triangulated corners that both cameras see.
+        pose: of the board, with free scale; it is fitted to unit squares times `rough_m`.
+        rough_m: initial estimate of a square's side, m.
     """
 
     log: int
@@ -132,23 +133,23 @@ class Measured:
 
     @property
     def square_m(self) -> float:
-        """Side of a square as this station shows it, m."""
+        """Side of a square as measured at this station, m."""
         return self.rough_m * self.pose.scale
 
     def rejected(self, reason: str, detail: str) -> Rejection:
-        """Why it gives no observation."""
+        """Rejection of this station."""
         return Rejection("vision", reason, detail, self.station.time_ns, self.station.index, self.log)
 
 
 def _seen_by_both(left: Corners, right: Corners) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pixels in each picture, (M, 2) px, and their covariances, (M, 2, 2) px^2, of corners that both see."""
+    """Pixels, (M, 2) px, and covariances, (M, 2, 2) px^2, of corners that both cameras see."""
     both = left.seen & right.seen
     return left.pixels[both], right.pixels[both], left.cov_px2[both], right.cov_px2[both]
 
 
 def _bent(pose: BoardPose) -> str:
     return (
-        f"a flat board explains the corners to {pose.rms_px:.2f} px rms only, limit {_MAX_REPROJECTION_PX} px"
+        f"a flat board fits the corners with an rms of {pose.rms_px:.2f} px, limit {_MAX_REPROJECTION_PX} px"
     )
 
 
@@ -160,17 +161,17 @@ def measure(
     rig: StereoRig,
     board: Board,
 ) -> Measured | Rejection:
-    """What was seen in the pictures of a station, averaged and triangulated.
+    """Average and triangulate the corners of a station.
 
     Args:
         log: index of the recording.
-        station: when, and the joint readings.
-        left, right: what was found in the pictures of each shot, in the order of `station.shots`.
-        rig: the stereo pair.
-        board: the board's counts.
+        station: its stereo pairs and joint readings.
+        left, right: detections in the images of each stereo pair, in the order of `station.shots`.
+        rig: the stereo pair of cameras.
+        board: the board's size.
 
     Returns:
-        The board there, or why the station gives none.
+        The board at this station, or a rejection.
     """
 
     def rejected(reason: str, detail: str) -> Rejection:
@@ -191,23 +192,23 @@ def measure(
     still = drift_px <= limit_px
     if 2 * np.sum(still) <= len(pairs):
         return rejected(
-            "board or robot moved during the rest",
-            f"corners drift by up to {drift_px.max():.2f} px over {len(pairs)} shots, limit {limit_px:.2f} px",
+            "board or robot moved during the stop",
+            f"corners drift by {drift_px.max():.2f} px over {len(pairs)} stereo pairs, limit {limit_px:.2f} px",
         )
     corners_left, corners_right = (shots.select(still).average(board) for shots in (shots_left, shots_right))
     both = corners_left.seen & corners_right.seen
     if both.sum() < _LEAST_IN_BOTH:
         return rejected(
-            "board partly hidden or cut off by the border",
-            f"{both.sum()} of {board.corners} corners are in both pictures, need {_LEAST_IN_BOTH}",
+            "board partly occluded or outside the image",
+            f"{both.sum()} of {board.corners} corners visible in both images, minimum {_LEAST_IN_BOTH}",
         )
     points, corners_right = _best_fit(rig, corners_left, corners_right, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
     if points.rms_px > _MAX_EPIPOLAR_RMS_PX:
         return rejected(
-            "left and right do not fit together",
-            f"corners are {points.rms_px:.2f} px rms off the epipolar lines, limit {_MAX_EPIPOLAR_RMS_PX} px",
+            "left and right images inconsistent",
+            f"distance from the epipolar lines {points.rms_px:.2f} px rms, limit {_MAX_EPIPOLAR_RMS_PX} px",
         )
     grid = board.grid()[both]
     rough_m = square_from_points(points.points_c, grid)
@@ -215,37 +216,36 @@ def measure(
     pictures = _seen_by_both(corners_left, corners_right)
     pose = board_pose(rig, rough_m * grid, *pictures, start, free_scale=True)
     if pose.rms_px > _MAX_REPROJECTION_PX:
-        return rejected("left and right do not fit together", _bent(pose))
+        return rejected("left and right images inconsistent", _bent(pose))
     return Measured(log, station, rig, board, corners_left, corners_right, points, pose, rough_m)
 
 
 def settle_square(measured: Measured, square_m: float | None) -> Observation | Rejection:
-    """One observation of a board of which the squares' width is known.
+    """Observation of a station, with a known square size.
 
     Args:
-        measured: what the station saw.
-        square_m: side of a square, m; None: this station's own estimate is used.
+        measured: corners and board at the station.
+        square_m: side of a square, m; None uses the station's own estimate.
 
     Returns:
-        The observation, or why the station gives none. `Observation.square_m` is the station's own estimate
-        in either case.
+        The observation, or a rejection. `Observation.square_m` is always the station's own estimate.
     """
     m, pose, left, right = measured, measured.pose, measured.left, measured.right
     if square_m is not None:
         tolerance_m = max(_SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
         if abs(m.square_m - square_m) > tolerance_m:
             return m.rejected(
-                "squares of another size",
-                f"triangulated squares are {1e3 * m.square_m:.1f} mm wide, {1e3 * square_m:.1f} mm are said to be",
+                "unexpected square size",
+                f"triangulated squares are {1e3 * m.square_m:.1f} mm wide, expected {1e3 * square_m:.1f} mm",
             )
         grid = m.board.grid()[left.seen & right.seen]
         R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
-        # The board as large in the pictures as it was with its scale free.
+        # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         pose = board_pose(m.rig, square_m * grid, *_seen_by_both(left, right), start)
     if pose.rms_px > _MAX_REPROJECTION_PX:
-        return m.rejected("left and right do not fit together", _bent(pose))
-    if m.board.markers is not None:  # few corners and a bent picture make a careless claim of their noise
+        return m.rejected("left and right images inconsistent", _bent(pose))
+    if m.board.markers is not None:  # few corners with distortion underestimate their noise
         left, right = (
             replace(corners, sigma_px=max(min(corners.sigma_px, pose.rms_px), FLOOR_PX))
             for corners in (left, right)

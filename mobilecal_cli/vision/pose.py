@@ -1,4 +1,4 @@
-"""The board's pose: absolute orientation of points, then least squares in the pictures."""
+"""The board's pose: absolute orientation of points, then minimization of the reprojection error."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from mobilecal_cli.vision.values import BoardPose, rms
 
 _STEPS = 50
 _FACTOR = 10.0
-_SMALL = 1e-6  # damping that does not shorten a step
-_CONVERGED = 1e-10  # of the sum of squares
+_SMALL = 1e-6  # damping that hardly shortens a step
+_CONVERGED = 1e-10  # relative change of the sum of squares
 
 
 def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
-    """The rigid motion that carries points in b nearest to the same points in a.
-
+    """Rigid motion from frame b to frame a that best aligns two sets of points.
     Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987: the rotation is the
     eigenvector of the 4 x 4 matrix N (section 4A) with the largest eigenvalue.
 
@@ -38,14 +37,14 @@ def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArr
 
 
 def square_from_points(points_c: FloatArray, grid: FloatArray) -> float:
-    """Side of a square that triangulated corners show: least squares over all of them.
+    """Side of a square from triangulated corners, by least squares.
 
-    The scale of the similarity that carries the grid of unit squares nearest to the points (Umeyama 1991,
-    eq. 42, in its form without division by the points' own scatter, which noise would inflate).
+    The scale of the similarity that best maps the grid of unit squares to the points (Umeyama 1991, eq. 42,
+    without the division by the points' own scatter, which noise would inflate).
 
     Args:
         points_c: (M, 3) corners, m.
-        grid: (M, 3) the same on the board, in squares.
+        grid: (M, 3) the same corners on the board, in squares.
 
     Returns:
         The side, m.
@@ -59,8 +58,7 @@ def square_from_points(points_c: FloatArray, grid: FloatArray) -> float:
 def pose_residuals(
     rig: StereoRig, T_c_k: FloatArray, points_k: FloatArray, measured: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residuals of the board's corners in both pictures.
-
+    """Reprojection residuals of the board's corners in both images, and their Jacobian.
     With T = exp(delta) T_c_k a point moves by dx_c = -skew(x_c) rho + tau; the logarithm of a common factor
     on `points_k` moves it by x_c - p_c_k.
 
@@ -71,8 +69,8 @@ def pose_residuals(
         measured: (M, 4) left u v, right u v, px.
 
     Returns:
-        (M, 4) measured minus predicted, px, and (M, 4, 7) the derivative of the prediction by (rho, tau, log
-        scale).
+        (M, 4) measured minus predicted, px, and (M, 4, 7) derivative of the prediction with respect to (rho,
+        tau, log scale).
     """
     points_c = points_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
     predicted, J_point = reproject(rig, points_c)
@@ -93,19 +91,19 @@ def board_pose(
     start: FloatArray,
     free_scale: bool = False,
 ) -> BoardPose:
-    """The board's pose that explains both pictures best (Levenberg-Marquardt, analytic Jacobians).
+    """Board pose of least reprojection error in both images (Levenberg-Marquardt, analytic Jacobians).
 
     Args:
         rig: the stereo pair.
         points_k: (M, 3) corners on the board, m.
-        pixels_left, pixels_right: (M, 2) corners in each picture, px.
-        noise_left, noise_right: of each, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
-        start: (4, 4) T_c_k to start from, in front of both cameras.
-        free_scale: solve for one common factor on `points_k` too.
+        pixels_left, pixels_right: (M, 2) corners in each image, px.
+        noise_left, noise_right: sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
+        start: (4, 4) initial T_c_k, in front of both cameras.
+        free_scale: also estimate a common factor on `points_k`.
 
     Returns:
-        The pose; its covariance is (J^T W J)^-1 at the given noise, the scale's uncertainty included where
-        it is free.
+        The pose. Its covariance is (J^T W J)^-1 at the given noise, and includes the uncertainty of a free
+        scale.
     """
     measured = np.hstack([pixels_left, pixels_right])
     root = whitening(noise_left, noise_right, len(points_k))

@@ -1,4 +1,4 @@
-"""Sub-pixel corners."""
+"""Sub-pixel refinement of corners by image gradients."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
 
-# Half windows in units of the shortest edge. Printed boards often have outer squares of less than half the width,
-# and a window that reaches past them pulls the corner away by pixels.
+# Half windows in units of the shortest edge. Printed boards often have narrow outer squares, and a window
+# that extends beyond them biases the corner by pixels.
 _NARROW = 0.28
 _WIDE = 0.45
 _MIN_HALF, _MAX_HALF = 2, 11
-# Smoothing takes the pixel grid out of the gradients: it halves the error on pictures without noise (0.024 to
-# 0.015 px rms) and takes a tenth off on noisy ones. Small squares stand less of it.
+# Smoothing removes the pixel grid from the gradients. It halves the error on images without noise (0.024 to
+# 0.015 px rms) and reduces it by a tenth on noisy ones. Small squares allow less smoothing.
 _SMOOTHING = 0.075  # of the shortest edge
 _FINE = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 _COARSE = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.05)
@@ -21,13 +21,13 @@ _MIN_SMOOTHING_PX, _MAX_SMOOTHING_PX = 0.6, 0.9
 
 
 def refine_widely(image: GrayImage, grid: FloatArray, edge_px: float, outer_whole: bool) -> FloatArray:
-    """Refine again with a larger window where there is room for it.
+    """Refine again with a larger window where it fits inside the squares.
 
     Args:
-        image: (height, width) grey.
+        image: (height, width) gray.
         grid: (rows, columns, 2) refined corners of a whole board, px.
         edge_px: shortest distance between corners, px.
-        outer_whole: the outer squares are about as wide as the others, so that outer corners have room too.
+        outer_whole: the outer squares are about as wide as the others, so that outer corners also allow it.
 
     Returns:
         (rows, columns, 2) px.
@@ -40,11 +40,11 @@ def refine_widely(image: GrayImage, grid: FloatArray, edge_px: float, outer_whol
 
 
 def refine_once(image: GrayImage, pixels: FloatArray, edge_px: float, outer_whole: bool) -> FloatArray:
-    """Refine corners that a fit will follow: without smoothing, and in one round.
+    """Refine corners before a model fit: without smoothing, in a single call.
 
     Args:
-        image: (height, width) grey.
-        pixels: (M, 2) in the picture, px.
+        image: (height, width) gray.
+        pixels: (M, 2) in the image, px.
         edge_px: shortest distance between corners, px.
         outer_whole: the outer squares are about as wide as the others.
 
@@ -56,15 +56,15 @@ def refine_once(image: GrayImage, pixels: FloatArray, edge_px: float, outer_whol
 
 
 def refine(image: GrayImage, pixels: FloatArray, edge_px: float, window: float = _NARROW) -> FloatArray:
-    """Corners where the gradients in a window around them meet (Foerstner and Guelch 1987, as OpenCV iterates it).
-
+    """Refine corners to where the gradients in a window intersect (Foerstner and Guelch 1987, iterated by
+    OpenCV).
     The window stays inside the squares next to a corner.
 
     Args:
-        image: (height, width) grey.
-        pixels: (M, 2) in the picture, px.
+        image: (height, width) gray.
+        pixels: (M, 2) in the image, px.
         edge_px: shortest distance between corners, px.
-        window: how far it reaches to either side, in units of that distance.
+        window: half width in units of that distance.
 
     Returns:
         (M, 2) px.

@@ -1,4 +1,4 @@
-"""Pictures kept for the report."""
+"""JPEG images for the report."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ _QUALITY = 85
 
 
 def snapshot_jpeg(image: GrayImage) -> bytes:
-    """A (height, width) grey picture as JPEG."""
+    """JPEG data of a (height, width) gray image."""
     return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])

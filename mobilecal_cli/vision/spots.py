@@ -1,7 +1,8 @@
-"""How much in a picture looks like corners of a checkerboard: the cheap question before a search.
+"""Saddle response of an image: a fast test for a checkerboard before the search.
 
-A corner of a checkerboard is a saddle: the determinant of the second derivatives is negative there. On a board all
-are about equally strong, so that many strong ones hardly occur without one.
+A checkerboard corner is a saddle point of brightness: the determinant of the second derivatives is negative.
+All corners of a board have a similar response, and few images without a board have as many strong saddle
+points.
 """
 
 from __future__ import annotations
@@ -13,21 +14,22 @@ from numpy.typing import ArrayLike
 from mobilecal_cli.model import GrayImage
 from mobilecal_cli.vision.values import Single
 
-_LARGE = 1280  # px of width from which a quarter of the size is enough
-_BLUR = (5, 5), 1.0  # px; takes noise out, and leaves squares of 7 px their corners
-_WORTH = 0.02  # of the strongest; mostly a hundredth of all peaks are above it, the others are noise
+_LARGE = 1280  # image width from which a quarter of the size is enough, px
+_BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
+_WORTH = 0.02  # share of the strongest response; usually 1 % of the peaks exceed it, the others are noise
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 def spot_strength(image: GrayImage, count: int) -> float:
-    """Strength of the count-th strongest saddle of brightness, 0 where there are fewer.
+    """Response of the count-th strongest saddle point, 0 if there are fewer.
 
     Args:
-        image: (height, width) grey.
-        count: corners of the board that is looked for.
+        image: (height, width) gray.
+        count: number of corners of the board.
 
     Returns:
-        Minus the determinant there, at reduced size, in units of its own: to be compared with other pictures' only.
+        Negative determinant of the second derivatives at reduced size, in arbitrary units: only for
+        comparison with other images.
     """
     saddle = _saddle(image)
     peaks = _peaks(saddle, _WORTH * float(saddle.max()))
@@ -39,13 +41,13 @@ def spot_strength(image: GrayImage, count: int) -> float:
 
 
 def has_spots(image: GrayImage, count: int, least: float) -> bool:
-    """Whether `spot_strength` is above some strength, in less time."""
+    """Whether `spot_strength` exceeds a limit; faster than computing it."""
     saddle = _saddle(image)
     return bool(np.count_nonzero(saddle > least) >= count) and len(_peaks(saddle, least)) >= count
 
 
 def _saddle(image: GrayImage) -> Single:
-    """Minus the determinant of the second derivatives of a picture at reduced size."""
+    """Negative determinant of the second derivatives of an image at reduced size."""
     scale = 0.25 if image.shape[1] >= _LARGE else 0.5
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, *_BLUR)
@@ -62,6 +64,6 @@ def _derivative(image: ArrayLike, by_x: int, by_y: int) -> Single:
 
 
 def _peaks(saddle: Single, least: float) -> Single:
-    """Those values above some strength that no neighbour surpasses."""
+    """Local maxima above a limit."""
     neighbours: Single = np.asarray(cv2.dilate(saddle, _NEIGHBOURS), dtype=np.float32)
     return np.asarray(saddle[(saddle > least) & (saddle == neighbours)])

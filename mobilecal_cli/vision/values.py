@@ -1,4 +1,4 @@
-"""What the stages inside vision hand to one another."""
+"""Data passed between the stages of vision."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.model.arrays import freeze, freeze_corners, freeze_covariances
 
 Reason = Literal[
-    "no board",
-    "board partly hidden or cut off by the border",
+    "no board found",
+    "board partly occluded or outside the image",
     "squares too small",
     "blurred",
-    "board continues beyond the grid",
-    "board polarity does not alternate",
-    "corners off the board's grid",
+    "board extends beyond the grid",
+    "square colors do not alternate",
+    "corners not on a regular grid",
     "second board in view",
-    "board of another size",
-    "left and right do not fit together",
+    "board of a different size",
+    "left and right images inconsistent",
 ]
-#: Where single precision is enough.
+#: For arrays where single precision is enough.
 Single = NDArray[np.float32]
-FLOOR_PX = 0.003  # what the corner model itself leaves on pictures without noise
+FLOOR_PX = 0.003  # error of the corner model on images without noise
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What pictures of one camera have in common, to begin the next fit with.
+    """Properties of one camera's recent images, to start the next fit.
 
     Attributes:
         blur_px: sigma of the edges' blur, px.
-        noise_grey: sigma of a pixel, grey levels; None where it is not known yet.
-        contrast_grey: half of the step from dark to light; negative where the outer square next to corner 0 is dark.
-        outer_whole: the board's outer squares are about as wide as the others.
+        noise_grey: sigma of a pixel, gray levels; None if not known yet.
+        contrast_grey: half of the step from dark to light, gray levels; negative if the outer square next to
+            corner 0 is dark.
+        outer_whole: whether the board's outer squares are about as wide as the others.
     """
 
     blur_px: float = 0.9
@@ -47,15 +48,16 @@ class Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """The board in one picture.
+    """The board in one image.
 
     Attributes:
-        pixels: (M, 2) corner centres, px, in the order of `Board.grid`, numbered right-handed as seen from the
-            board's front; square colours fix the origin as far as they can (see `grid.turns`), markers wholly.
-        sigma_px: noise of one coordinate, px, from how far the corners scatter about a smooth grid.
-        seen: (M,) the corners that were seen, all of them where nothing is said; the others' pixels are 0.
-        cov: (M, 2, 2) what the fit of each corner claims, px^2; from `sigma_px` where nothing is said.
-        look: what the next picture's fit may begin with; None where no corner model was fitted.
+        pixels: (M, 2) corner centers, px, in the order of `Board.grid`, numbered right-handed as seen from
+            the board's front. Square colors determine the origin as far as possible (see `grid.turns`),
+            markers fully.
+        sigma_px: noise of one coordinate, px, from the scatter of the corners about a smooth grid.
+        seen: (M,) whether each corner was detected, by default all; pixels of the others are 0.
+        cov: (M, 2, 2) covariance from the fit of each corner, px^2; by default from `sigma_px`.
+        look: start values for the fit in the next image; None if no corner model was fitted.
     """
 
     pixels: FloatArray
@@ -71,11 +73,11 @@ class Detection:
 
 @dataclass(frozen=True, slots=True)
 class Miss:
-    """Why a picture, or a pair of them, gives nothing.
+    """Why an image, or a stereo pair, gives no corners.
 
     Attributes:
         reason: one of a few fixed phrases.
-        detail: the numbers of this one.
+        detail: the values of this case.
     """
 
     reason: Reason
@@ -89,8 +91,8 @@ class StereoPoints:
     Attributes:
         points_c: (M, 3) in the left camera's frame, m.
         points_cov: (M, 3, 3) their covariances, m^2.
-        rms_px: root mean square of the reprojection residuals (four numbers a point), px; one of the four is
-            the distance from the epipolar line, the other three are fitted.
+        rms_px: root mean square of the reprojection residuals (four per point), px; one of the four is the
+            distance from the epipolar line, the other three are fitted.
     """
 
     points_c: FloatArray
@@ -103,13 +105,13 @@ class StereoPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardPose:
-    """Where the board is.
+    """Pose of the board.
 
     Attributes:
         T_c_k: (4, 4) board coordinates to left camera coordinates, m.
         T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
-        scale: factor on the board's points that fits best; 1 where it was held.
-        scale_sigma: its standard deviation; 0 where it was held.
+        scale: best factor on the board's points; 1 if it was fixed.
+        scale_sigma: its standard deviation; 0 if it was fixed.
         rms_px: root mean square of the reprojection residuals per coordinate, px.
     """
 

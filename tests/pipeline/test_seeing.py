@@ -104,6 +104,6 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
         return replace(settled, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
 
     monkeypatch.setattr(EXTRACTING, "settle_rig", other_size)
-    with pytest.raises(RecordingError, match="the left pictures are 640 x 480") as raised:
+    with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:
         everything(log, 2)
     assert raised.value.hint

@@ -26,7 +26,7 @@ QUARTER = math.pi / 2
             (0, 0, 0), Stretch(1.0, math.pi, QUARTER), (2.0, 2.0, QUARTER), id="quarter to the left"
         ),
         pytest.param((0, 0, 0), Stretch(1.0, math.pi, -QUARTER), (2.0, -2.0, -QUARTER), id="to the right"),
-        # Backwards round the same centre.
+        # Backwards round the same center.
         pytest.param((0, 0, 0), Stretch(1.0, -math.pi, -QUARTER), (-2.0, 2.0, -QUARTER), id="backwards"),
         pytest.param((3, 4, 1.0), Stretch(2.0, 0.0, 1.5), (3.0, 4.0, 4.0), id="spin"),
         pytest.param((3, 4, 1.0), Stretch(2.0), (3.0, 4.0, 1.0), id="rest"),
@@ -43,7 +43,7 @@ def test_motions_worked_out_by_hand(start, stretch, end):
         pytest.param(Stretch(1.0, 1.0), 5.0, 4.0, id="straight"),
         # Half the separation times the turning speed: 0.25 m/s forward on the right, backward on the left.
         pytest.param(Stretch(1.0, 0.0, 1.0), 1.25, -1.0, id="spin to the left"),
-        # The centre of a left turn of radius 0.25 m is under the left wheel, which stands.
+        # The center of a left turn of radius 0.25 m is under the left wheel, which stands.
         pytest.param(Stretch(1.0, 0.5, 2.0), 5.0, 0.0, id="about the left wheel"),
     ],
 )

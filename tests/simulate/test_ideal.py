@@ -86,7 +86,7 @@ def test_each_noise_is_as_large_as_stated():
     assert np.std(off(lambda o: o.left.pixels)) == pytest.approx(0.2, rel=0.1)
     assert np.std(off(lambda o: o.right.pixels)) == pytest.approx(0.2, rel=0.1)
     assert np.std(off(lambda o: o.joints)) == pytest.approx(np.radians(0.05), rel=0.5)
-    # The points carry their own covariance: the mean of the normalised squares of 3 numbers is 3.
+    # The points carry their own covariance: the mean of the normalized squares of 3 numbers is 3.
     squares = [
         (p := a.points_c - b.points_c)[:, None] @ np.linalg.solve(a.points_cov, p[:, :, None])
         for a, b in pairs

@@ -31,7 +31,7 @@ def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
 
 
 def contents(path: Path, scenario: Scenario):
-    """Everything that a calibration reads: prelude, signals and decoded pictures."""
+    """Everything that a calibration reads: prelude, signals and decoded images."""
     robot = ROBOTS[scenario.robot]()
     sources = robot.topics(compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:

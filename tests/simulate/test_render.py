@@ -19,7 +19,7 @@ TRUE_TO_PX = 0.02
 
 
 def saddles(picture, near, sigma_px=1.5, reach=3):
-    """(M, 2) saddle points of a smoothed picture, by a quadric in a window that is centred on each."""
+    """(M, 2) saddle points of a smoothed image, by a quadric in a window that is centered on each."""
     smooth = spline_filter(cv2.GaussianBlur(picture.astype(np.float64), (0, 0), sigma_px), order=5)
     dy, dx = (part.ravel() for part in np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(float))
     quadric = np.linalg.pinv(np.stack([np.ones_like(dx), dx, dy, dx**2, dx * dy, dy**2], axis=1))
@@ -117,7 +117,7 @@ def test_a_white_square_runs_into_the_margin_without_a_line(lens, through_lens):
     u, v = projected(lens, T_c_k, across * BOARD.square_m).T
     picture = through_lens.picture(T_c_k)
     line = map_coordinates(picture, [v, u], order=1)
-    assert np.abs(np.diff(line)).max() < 4  # grey levels in a sixtieth of a square: shading, no edge
+    assert np.abs(np.diff(line)).max() < 4  # gray levels in a sixtieth of a square: shading, no edge
     assert line.min() > 150
 
 

@@ -65,7 +65,7 @@ def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
 def seen(
     rig: StereoRig, T_c_k: np.ndarray, board: Board, square_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners in c (M, 3), and their true pixels in both pictures."""
+    """Corners in c (M, 3), and their true pixels in both images."""
     points_c = se3.act(T_c_k, square_m * board.grid())
     T_r_c = np.linalg.inv(rig.T_c_r)
     return points_c, opencv_pixels(rig.left, points_c), opencv_pixels(rig.right, se3.act(T_r_c, points_c))
@@ -73,7 +73,7 @@ def seen(
 
 @cache
 def _rays(camera: Camera) -> np.ndarray:
-    """z = 1 coordinates of all pixels' centres and of those around them, by fixed-point iteration: (..., 2)."""
+    """z = 1 coordinates of all pixels' centers and of those around them, by fixed-point iteration: (..., 2)."""
     u, v = np.meshgrid(np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1))
     target = np.stack([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
     if camera.distortion == "none":
@@ -102,7 +102,7 @@ def render(
     seed: int = 0,
     **drawn: Any,
 ) -> np.ndarray:
-    """A picture of the board, see `painted`: blurred, with noise, in whole grey levels."""
+    """An image of the board, see `painted`: blurred, with noise, in whole gray levels."""
     mixed = painted(camera, T_camera_k, board, square_m, **drawn)
     if blur_px:
         mixed = cv2.GaussianBlur(mixed, (0, 0), blur_px, borderType=cv2.BORDER_REPLICATE)
@@ -126,12 +126,12 @@ def painted(
     background: float = 110.0,
     supersample: int = 4,
 ) -> np.ndarray:
-    """The light on every pixel, grey levels: the mean of supersample^2 rays cut with the board's plane.
+    """The light on every pixel, gray levels: the mean of supersample^2 rays cut with the board's plane.
 
     The outer square diagonally next to corner 0 is dark. Outer squares are `outer` squares wide, and a light
     margin of one square surrounds them. With `picture` the board is painted over it.
     """
-    # Rays through the centres of pixels; those between are interpolated (error below 0.001 px for these lenses).
+    # Rays through the centers of pixels; those between are interpolated (error below 0.001 px for these lenses).
     rays = _rays(camera)
     H = np.linalg.inv(np.column_stack([T_camera_k[:3, 0], T_camera_k[:3, 1], T_camera_k[:3, 3]]))
     reach = max(board.columns, board.rows) / 2 + outer + 2

@@ -25,7 +25,7 @@ POSES = [  # squares of 15 to 34 px, upright and turned, frontal and tilted
 
 @pytest.fixture(scope="module")
 def scenes():
-    """Noise-free pictures and their true corners, (rows, columns, 2)."""
+    """Noise-free images and their true corners, (rows, columns, 2)."""
     camera = paper_robot().rig_cameras.left
     renderer = BoardRenderer(camera, BOARD, 0.6, np.random.default_rng(0))
     found = []

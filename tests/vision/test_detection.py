@@ -1,4 +1,4 @@
-"""Boards found, refused and told apart, in rendered and in real pictures."""
+"""Boards found, refused and told apart, in rendered and in real images."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def grey(path: Path) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def boards(shared_data: Path) -> list[Path]:
-    """Every real picture of a 9 x 6 board: OpenCV's 14, MRPT's 8, and left10."""
+    """Every real image of a 9 x 6 board: OpenCV's 14, MRPT's 8, and left10."""
     stereo = shared_data / "stereo"
     return [
         *real(stereo / "opencv_samples", "*.jpg"),
@@ -94,7 +94,7 @@ class TestRendered:
             found = detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
             assert isinstance(found, Detection)
             expected = truth(T_c_k, board).reshape(rows, columns, 2)
-            # Settled by the squares' colours alone, or as far as they can.
+            # Settled by the squares' colors alone, or as far as they can.
             possible = {(8, 8): (0, 1, 2, 3), (8, 6): (0, 2), (7, 7): (0, 2)}.get((columns, rows), (0,))
             errors = [np.abs(found.pixels - np.rot90(expected, k).reshape(-1, 2)).max() for k in possible]
             assert min(errors) < 0.5
@@ -104,7 +104,7 @@ class TestRendered:
         for roll in (0.0, 1.5):
             T_c_k = pose(0.0, 0.0, 0.9, (0, 0, roll), BOARD, SQUARE_M)
             miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), *wanted))
-            assert miss.reason == "board continues beyond the grid"
+            assert miss.reason == "board extends beyond the grid"
 
     def test_narrow_outer_squares(self) -> None:
         found = detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, outer=0.4), 9, 6)
@@ -139,7 +139,7 @@ class TestRendered:
     def test_cut_off_by_the_border(self, x: float, y: float) -> None:
         T_c_k = pose(x, y, 0.9, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
         miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), 9, 6))
-        assert miss.reason == "board partly hidden or cut off by the border"
+        assert miss.reason == "board partly occluded or outside the image"
 
     @pytest.mark.parametrize("cover", [(0, 2), (0, 0), (4, 3), (8, 5)])
     def test_hidden_corners(self, cover: tuple[int, int]) -> None:
@@ -152,12 +152,12 @@ class TestRendered:
         T_c_k = pose(0.0, 0.0, 5.2, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
         assert missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6)).reason in (
             "squares too small",
-            "no board",
+            "no board found",
         )
         T_c_k = pose(0.0, 0.0, 4.1, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
         miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6))
         assert miss.reason == "squares too small"
-        assert "need 7 px" in miss.detail
+        assert "minimum 7 px" in miss.detail
 
     def test_blurred(self) -> None:
         sharp = render(CAMERA, FACING, BOARD, SQUARE_M)
@@ -189,7 +189,7 @@ class TestRendered:
         rng = np.random.default_rng(0)
         noise = rng.integers(0, 255, (480, 640), dtype=np.uint8)
         for image in (noise, np.zeros((480, 640), np.uint8), np.zeros((20, 20), np.uint8)):
-            assert missed(detect(image, 9, 6)).reason == "no board"
+            assert missed(detect(image, 9, 6)).reason == "no board found"
 
 
 class TestReal:
@@ -210,9 +210,9 @@ class TestReal:
     def test_wrong_size_is_refused(self, boards: list[Path], wanted: tuple[int, int]) -> None:
         for path in boards if wanted == (8, 6) else boards[::4]:
             miss = missed(detect(grey(path), *wanted))
-            expected = ("board of another size", "board partly hidden or cut off by the border")
+            expected = ("board of a different size", "board partly occluded or outside the image")
             if wanted[0] < 10:
-                expected = ("board continues beyond the grid",)
+                expected = ("board extends beyond the grid",)
             assert miss.reason in expected, path.name
 
     def test_negatives(self, shared_data: Path) -> None:

@@ -1,4 +1,4 @@
-"""The board followed from picture to picture: kept where it goes, let go where it hides, never a square beside."""
+"""The board followed from image to image: kept where it goes, let go where it hides, never a square beside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_NS = 50_000_000
 
 
 def pose_at(time_s: float) -> np.ndarray:
-    """A board that goes to the right by about 10 px a picture, faster and faster, and turns."""
+    """A board that goes to the right by about 10 px an image, faster and faster, and turns."""
     return pose(
         -0.15 + 0.3 * time_s + 0.2 * time_s**2, 0.02, 1.0, (0.2, -0.2 + 0.3 * time_s, 0.1), BOARD, 0.05
     )
@@ -148,4 +148,4 @@ def test_a_board_that_leaves_the_picture_is_said_to(film):
     assert seen.look is not None
     gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.look, 9, 6)
     assert isinstance(gone, Miss)
-    assert gone.reason == "board partly hidden or cut off by the border"
+    assert gone.reason == "board partly occluded or outside the image"

@@ -22,7 +22,7 @@ KINDS = sorted(PRINTED)
 
 
 def views(kind, T_c_k, noise=2.0, blur=0.6, seed=3):
-    """Both cameras' pictures of a board, and where its corners are in them."""
+    """Both cameras' images of a board, and where its corners are in them."""
     board, random = PRINTED[kind], np.random.default_rng(seed)
     made = []
     for camera, T_c_x in ((RIG.left, np.eye(4)), (RIG.right, RIG.T_c_r)):
@@ -79,7 +79,7 @@ def test_too_little_of_a_board_is_a_miss(kind):
     image[:, 60:] = 120
     found = find_board(image, board)
     assert isinstance(found, Miss)
-    assert found.reason in ("no board", "board partly hidden or cut off by the border")
+    assert found.reason in ("no board found", "board partly occluded or outside the image")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -107,10 +107,10 @@ def test_an_observation_of_a_part_is_completed_by_its_pose(kind):
         np.testing.assert_allclose(seen.T_c_k[:3, :3], T_c_k[:3, :3], atol=0.01)
         for corners, (_, truth) in zip((seen.left, seen.right), made, strict=True):
             error = corners.pixels - truth
-            assert np.abs(error[~corners.seen]).max() < 3  # carried on to far outside the picture
+            assert np.abs(error[~corners.seen]).max() < 3  # carried on to far outside the image
         points = (board.grid() * board.square_m) @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         np.testing.assert_allclose(seen.points_c * scale, points, atol=0.06)
-        # The claim is taken from how well the board's pose explains both pictures.
+        # The claim is taken from how well the board's pose explains both images.
         error = np.concatenate(
             [(c.pixels - t)[c.seen] for c, (_, t) in zip((seen.left, seen.right), made, strict=True)]
         )

@@ -134,9 +134,9 @@ def test_board_lying_on_the_floor_cannot_be_told() -> None:
     settled, rejections = settle_numbering(truth, heads, board)
     assert settled == ()
     assert len(rejections) == 10
-    assert rejections[4].reason == "board's numbering cannot be told"
+    assert rejections[4].reason == "board orientation ambiguous"
     assert (rejections[4].station, rejections[4].time_ns) == (4, 4000)
-    assert "8 x 6 looks the same when turned by 180 degrees" in rejections[4].detail
+    assert "8 x 6 looks the same when rotated by 180 degrees" in rejections[4].detail
 
 
 def test_head_that_never_moves() -> None:

@@ -90,22 +90,22 @@ def test_shots_missing_in_one_picture_are_left_out() -> None:
 
 def test_no_pair() -> None:
     left, right = shots(3, 0.1)
-    hidden = Miss("board partly hidden or cut off by the border", "7 x 6 seen")
+    hidden = Miss("board partly occluded or outside the image", "7 x 6 seen")
     result = rejected(
         observe(
             0,
             station(3),
             [hidden, left[1], hidden],
-            [right[0], Miss("no board", "none"), hidden],
+            [right[0], Miss("no board found", "none"), hidden],
             RIG,
             BOARD,
             0.06,
         )
     )
-    assert result.reason == "board partly hidden or cut off by the border"
+    assert result.reason == "board partly occluded or outside the image"
     assert result.detail == (
-        "3 shots; left: 2 x board partly hidden or cut off by the border (7 x 6 seen); "
-        "right: 1 x no board (none); 1 x board partly hidden or cut off by the border (7 x 6 seen)"
+        "3 stereo pairs; left: 2 x board partly occluded or outside the image (7 x 6 seen); "
+        "right: 1 x no board found (none); 1 x board partly occluded or outside the image (7 x 6 seen)"
     )
 
 
@@ -120,8 +120,8 @@ def test_a_rest_that_is_none() -> None:
     left, right = shots(6, 0.05)
     drifting = [Detection(d.pixels + 3.0 * i, 0.05) for i, d in enumerate(left)]
     result = rejected(observe(0, station(6), drifting, right, RIG, BOARD, SQUARE_M))
-    assert result.reason == "board or robot moved during the rest"
-    assert "drift by up to 7.5" in result.detail
+    assert result.reason == "board or robot moved during the stop"
+    assert "drift by 7.5" in result.detail
 
 
 def test_left_and_right_of_different_boards() -> None:
@@ -129,14 +129,14 @@ def test_left_and_right_of_different_boards() -> None:
     result = rejected(
         observe(0, station(), shots(1, 0.05)[0], shots(1, 0.05, T_c_k=other)[1], RIG, BOARD, SQUARE_M)
     )
-    assert result.reason == "left and right do not fit together"
+    assert result.reason == "left and right images inconsistent"
     assert "px" in result.detail
 
 
 def test_wrong_square() -> None:
     result = rejected(observe(0, station(), *shots(1, 0.05), RIG, BOARD, 0.08))
-    assert result.reason == "squares of another size"
-    assert result.detail == "triangulated squares are 60.0 mm wide, 80.0 mm are said to be"
+    assert result.reason == "unexpected square size"
+    assert result.detail == "triangulated squares are 60.0 mm wide, expected 80.0 mm"
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 7), (8, 8)])
