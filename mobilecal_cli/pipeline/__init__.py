@@ -1,6 +1,6 @@
-"""Joins the stages; what a notebook would call.
+"""The stages of a calibration joined into commands; also the Python interface for notebooks.
 
-Nothing is loaded before it is asked for: a command takes its own part of the pipeline only.
+Modules are imported on first use, so that a command loads only what it needs.
 """
 
 from importlib import import_module
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
     from mobilecal_cli.pipeline.progress import Progress, silent
 
-#: Name → module that it is in.
+#: Name → module that defines it.
 _HOME = {
     "Calibration": "calibrating",
     "Comparison": "comparing",
@@ -48,7 +48,7 @@ _HOME = {
 _FROM_EXPORT = ("check_file", "write_file")
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - any exported name
     if name in _HOME:
         return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
     if name in _FROM_EXPORT:

@@ -1,4 +1,4 @@
-"""The jobs of a batch on a Dask cluster: the extra `cluster`."""
+"""Runs the jobs of a batch on a Dask cluster; needs the extra `cluster`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from mobilecal_cli.pipeline.fleet import Run, run_job
 
 
 def run_on(address: str, timeout_s: float = 30.0) -> Run:
-    """Workers of a scheduler, which see the same files under the same paths.
+    """Run jobs on the workers of a Dask scheduler, which must see the same files under the same paths.
 
-    A worker that dies loses nothing: the scheduler gives its jobs to others, and what had been done is found done.
+    If a worker dies, the scheduler gives its jobs to other workers, which skip finished jobs.
 
     Args:
         address: of the scheduler, `tcp://host:8786`.
-        timeout_s: how long to wait for it.
+        timeout_s: longest time to wait for the connection, s.
 
     Raises:
         ConfigError: the extra is not installed, or no scheduler answers.
@@ -27,15 +27,15 @@ def run_on(address: str, timeout_s: float = 30.0) -> Run:
             from distributed import Client, as_completed
         except ImportError as error:
             raise ConfigError(
-                "a Dask cluster needs the extra `cluster`",
-                "pip install 'mobilecal[cluster]', here and on the workers",
+                "the Dask package `distributed` is not installed",
+                "run pip install 'mobilecal[cluster]' here and on the workers",
             ) from error
         try:
             client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"--scheduler {address}: no scheduler answers: {error}",
-                "start one: dask scheduler, dask worker",
+                f"--scheduler {address}: cannot connect to the scheduler: {error}",
+                "start a scheduler and workers with dask scheduler and dask worker",
             ) from error
         with client:
             futures = {
@@ -49,5 +49,5 @@ def run_on(address: str, timeout_s: float = 30.0) -> Run:
 
 
 def _lost(job: FleetJob, error: BaseException) -> FleetRow:
-    reason = f"the workers that calibrated it died or failed: {type(error).__name__}: {error}"
+    reason = f"the worker process died or failed: {type(error).__name__}: {error}"
     return FleetRow(job.name, "ERROR", 1, reason)

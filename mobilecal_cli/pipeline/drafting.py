@@ -1,4 +1,4 @@
-"""`mobilecal init`: a recording's prelude into a draft of rig.yaml."""
+"""`mobilecal init`: a draft of rig.yaml from the robot description and topics of a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mobilecal_cli.readers import open_recording, read_prelude
 
 
 def draft(log: Path) -> str:
-    """A commented draft of rig.yaml.
+    """Commented draft of rig.yaml for a recording.
 
     Raises:
         RecordingError: the recording cannot be read.
@@ -20,10 +20,10 @@ def draft(log: Path) -> str:
 
 
 def write_draft(log: Path, output: Path, force: bool) -> None:
-    """Write the draft into a file.
+    """Write the draft to a file.
 
     Raises:
         RecordingError: the recording cannot be read.
-        OutputError: the file exists already or cannot be written.
+        OutputError: the file already exists or cannot be written.
     """
     write_file(output, draft(log).encode(), force)

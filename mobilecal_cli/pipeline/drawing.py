@@ -1,4 +1,4 @@
-"""The report's figures, drawn by a second process that gets ready while the images are looked at."""
+"""Draws the report's figures in a second process, which starts during board detection."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from mobilecal_cli.pipeline.processes import FAILED, Processes, Task
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.report import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
 
-#: By then the input is sound, and a few seconds are left.
-_BEGINS_WITH = ("finding the board's size", "looking for the board")
+#: Stages that show that the input is valid and that some seconds are left to load the plotting library.
+_BEGINS_WITH = ("finding the board's size", "detecting the board")
 
 
 def _get_ready() -> None:
-    """Load the plotting library: half of the time that the figures take."""
-    # To take the library's many objects down one by one would keep the command waiting for a third of a second.
+    """Load the plotting library, which takes half of the time of the figures."""
+    # Exit without destroying the library's objects, which would delay the command by a third of a second.
     atexit.register(os._exit, 0)
     import matplotlib.backends.backend_svg
     import matplotlib.figure  # noqa: F401
 
 
 class Draughtsman(Processes):
-    """Draws on another core, if there is one; here, if not, or if that process fails.
+    """Draws figures in a second process; in this process if there is no second core or if that process fails.
 
-    A third process would take longer to get ready than it draws.
+    More processes would take longer to start than to draw.
 
     Args:
-        jobs: processes that may be used.
+        jobs: number of processes that may be used.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -39,7 +39,7 @@ class Draughtsman(Processes):
         self._seen: Task[Drawn] | None = None
 
     def watching(self, progress: Progress) -> Progress:
-        """The same progress, at whose first image the process is started."""
+        """Wrap a progress callback so that the drawing process starts at the first image."""
 
         def told(stage: str, done: int, total: int | None) -> None:
             progress(stage, done, total)
@@ -50,17 +50,17 @@ class Draughtsman(Processes):
         return told
 
     def begin_with(self, extraction: Extraction) -> None:
-        """Begin with the figures of a report that need no solution."""
+        """Start drawing the figures that need no solution."""
         if self.started:
             with suppress(*FAILED):
                 self._seen = self.submit(draw_seen, extraction)
 
     def begin(self, solution: Solution, extraction: Extraction) -> Callable[[], Figures]:
-        """Begin with all that is left; what comes back waits until everything is there.
+        """Start drawing the remaining figures; the returned function waits for all of them.
 
         Args:
-            solution: the answer.
-            extraction: the one that `begin_with` was given.
+            solution: the result of the solver.
+            extraction: the same as for `begin_with`.
         """
         seen, solved = self._seen, None
         if seen is not None:

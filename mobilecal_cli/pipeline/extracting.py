@@ -1,4 +1,4 @@
-"""Recordings into an extraction: everything slow, and the only part that sees images."""
+"""Extraction of observations from recordings: the slow part, and the only one that decodes images."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """One log, read, looked at and measured."""
+    """Data extracted from one recording."""
 
     rig: Rig
     board: Board
@@ -50,7 +50,7 @@ class Seen:
 
 
 def sliding_joints(chain: HeadChain) -> frozenset[str]:
-    """The joints of a head that slide: their readings are m."""
+    """Names of the head's prismatic joints, with readings in m."""
     return frozenset(
         link.joint for link in chain.links if isinstance(link, JointLink) and link.kind == "prismatic"
     )
@@ -81,9 +81,9 @@ def _see(
         size = board_size(recording, rig.sources, plan.stations)
         if size is None:
             raise ObservationError(
-                f"no checkerboard was found in images of {len(plan.stations)} stations",
-                "keep the whole board in both images, in good light, with squares of 7 pixels or more; or "
-                "state its inner corners with --board, such as --board 9x6",
+                f"no checkerboard found in the images of {len(plan.stations)} stations",
+                "keep the whole board in both images, in good light, with squares of 7 pixels or more, or "
+                "set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
     scene = Scene(rig.sources, rig.cameras, board)
@@ -97,22 +97,22 @@ def _see(
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board) -> None:
-    """Look whether there is another board where the stated one is nowhere.
+    """Search for a board of another size after the configured one was not found.
 
     Raises:
-        ObservationError: naming the size that was seen.
+        ObservationError: a board of another size was found.
     """
     size = board_size(recording, rig.sources, plan.stations)
     if size is not None and set(size) != {board.columns, board.rows}:
         raise ObservationError(
-            f"the configuration says the board has {board.columns} x {board.rows} inner corners, the images "
-            f"show one of {size[0]} x {size[1]}",
-            f"state the board that was used: --board {size[0]}x{size[1]}, or board.columns and board.rows",
+            f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+            f"{size[0]} x {size[1]}",
+            f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
         )
 
 
 def board_of(config: RigConfig) -> Board | None:
-    """The board as configured, None where its size is to be found in the images."""
+    """Board from the configuration, None if its size must be estimated from the images."""
     given = config.board
     if not (given.columns and given.rows):
         return None
@@ -134,18 +134,18 @@ def extract(
     progress: Progress = silent,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """Read recordings of one robot and find the board in their images.
+    """Read recordings of one robot and detect the board in their images.
 
-    Files that follow one another in time are one recording in parts; the others are logs of their own, and
-    no leg joins stations of two logs.
+    Files that follow one another in time form one recording; other files are separate recordings. No leg
+    connects stations of two recordings.
 
     Args:
         logs: recordings.
         config: see `config.load_rig`.
-        flags: dotted keys that came from flags.
-        progress: told how far it is.
-        jobs: processes that may look at a long log's images and draw; more than one needs a main module that can be
-            imported without doing anything, as for `multiprocessing`.
+        flags: dotted keys set by command-line options.
+        progress: called with the state of the work.
+        jobs: number of processes for board detection in long recordings and for drawing; with more than one, the
+            main module must be importable without side effects, as for `multiprocessing`.
 
     Raises:
         MobilecalError: see `errors`.
@@ -159,9 +159,9 @@ def extract(
         board = one.board
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(
-                f"{parts[0]}: its head's joints are {', '.join(one.rig.chain.joints)}, those of {logs[0]} are "
+                f"{parts[0]}: the head's joints are {', '.join(one.rig.chain.joints)}, but those of {logs[0]} are "
                 f"{', '.join(seen[0].rig.chain.joints)}",
-                "give recordings of one robot",
+                "give recordings of one robot only",
             )
         seen.append(one)
         sources += [LogSource(str(path), sha256_of(path)) for path in parts]
@@ -172,7 +172,8 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     board, rig = seen[0].board, seen[0].rig
     square_m = board.square_m
     if square_m is None:
-        # One board, one square: its size is what the stereo baseline gives over all stations.
+        # All stations share one board: use the median of their square sizes, which the stereo baseline
+        # determines.
         sides = [m.square_m for one in seen for m in one.measured if isinstance(m, Measured)]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []

@@ -1,4 +1,4 @@
-"""JUnit files for CI: the criteria of a run, or what kept it from an answer."""
+"""JUnit files for CI: the criteria of a run, or the error that ended it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mobilecal_cli.report import Check, junit_error_xml, junit_xml
 
 
 def write_junit(path: Path, name: str, checks: Sequence[Check], force: bool) -> None:
-    """Every criterion as a test case.
+    """Write every criterion as a test case.
 
     Raises:
         OutputError: the file cannot be written.
@@ -20,7 +20,7 @@ def write_junit(path: Path, name: str, checks: Sequence[Check], force: bool) -> 
 
 
 def write_junit_error(path: Path, name: str, error: MobilecalError, force: bool) -> None:
-    """A run without an answer as one test case with an error.
+    """Write the error that ended a run as one test case.
 
     Raises:
         OutputError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Segments of a long log looked at by several processes, each of which reads its own part of the recording."""
+"""Board detection in worker processes; each reads its own part of the recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at,
 from mobilecal_cli.readers import Recording, open_recording
 from mobilecal_cli.vision import Measured
 
-#: So many segments of a process wait or are being looked at, so that results do not pile up.
+#: Largest number of pending segments per process, so that results do not fill the memory.
 _AHEAD = 2
 _MEASURED_AT_ONCE = 200  # stations
 
@@ -22,7 +22,7 @@ Logged = dict[str, dict[int, int]]
 
 
 class _Here:
-    """What a process of the crew keeps from one segment to the next."""
+    """State of a worker process, kept from one segment to the next."""
 
     resources = ExitStack()
     recording: Recording
@@ -40,7 +40,7 @@ def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], 
 
 
 def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
-    """When the segment's images were logged: all that it needs to know of the first pass."""
+    """Log times of the segment's images, which a worker cannot know without indexing the recording."""
     wanted = {"left": scene.sources.image["left"], "right": scene.sources.image["right"]}
     logged: Logged = {}
     for station in segment.stations:
@@ -53,13 +53,13 @@ def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
 
 
 class Crew(Processes):
-    """Processes that look at a long log's images.
+    """Worker processes that detect the board in the images of a long recording.
 
-    Where they cannot be started, or one dies, the segments that are left are looked at in this one.
+    If they cannot be started, or one dies, this process does the remaining segments.
 
     Args:
-        recording: one log, open.
-        jobs: so many processes may look.
+        recording: one recording, open.
+        jobs: largest number of worker processes.
     """
 
     def __init__(self, recording: Recording, jobs: int) -> None:
@@ -67,20 +67,20 @@ class Crew(Processes):
         self._recording, self._jobs = recording, jobs
 
     def call(self, most: int | None = None) -> None:
-        """Start them, if there may be more than one; they get ready while this one goes on.
+        """Start the worker processes in the background, if more than one may be used.
 
         Args:
-            most: so many at most have something to do; not known by default.
+            most: upper limit of useful processes; none by default.
         """
         processes = min(self._jobs, self._jobs if most is None else most)
         if not self.started and processes > 1:
             self.start(processes, _begin, [part.path for part in self._recording.parts])
 
     def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
-        """`seeing.look_at` for all segments, in their order.
+        """`seeing.look_at` for all segments, in order.
 
         Yields:
-            How many images have been looked at since the last word, and one list a segment.
+            The number of images processed since the last value; after each segment, its list of results.
         """
         done = 0
         self.call(len(segments) // 2)
@@ -98,7 +98,7 @@ class Crew(Processes):
     def measure_at(
         self, log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
     ) -> list[Measured | Rejection]:
-        """`seeing.measure_at` for all stations, by the processes that looked."""
+        """`seeing.measure_at` for all stations, in the worker processes if there are many."""
         if self.started and len(stations) > _MEASURED_AT_ONCE:
             starts = range(0, len(stations), _MEASURED_AT_ONCE)
             some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
@@ -127,17 +127,17 @@ def look(
     thorough: bool,
     progress: Progress,
 ) -> tuple[list[Looks], list[Snapshot]]:
-    """Look at every shot of every station.
+    """Detect the board in the images of all stations.
 
     Args:
-        crew: who looks. A few segments are looked at in this process.
+        `crew`: the worker processes; a few segments are processed without them.
         scene: cameras and board.
-        stations: what to look at.
-        thorough: how boards are searched for, see `vision.detect`.
-        progress: told about every image.
+        stations: stations to process.
+        thorough: see `vision.detect`.
+        progress: called after every image.
 
     Returns:
-        One `Looks` a station, and JPEGs of some stations' first images.
+        One `Looks` per station, and JPEGs of the first images of some stations.
     """
     segments = segments_of(stations, thorough)
     total = 2 * sum(len(station.shots) for station in stations)
@@ -146,7 +146,7 @@ def look(
     for step in crew.look_at(scene, segments):
         if isinstance(step, int):
             done += step
-            progress("looking for the board", done, total)
+            progress("detecting the board", done, total)
         else:
             looks += step
     snapshots = [

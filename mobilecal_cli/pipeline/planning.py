@@ -1,4 +1,4 @@
-"""Joints, wheels and stamps into a plan; where the container's index allows it, without reading all the images."""
+"""Choice of stations; uses the container's index, where possible, to avoid reading all images."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from mobilecal_cli.model import Rig, Side
 from mobilecal_cli.readers import Pictures, Recording, find_pictures, read_signals, read_stamps
 from mobilecal_cli.stations import PAIR_AT_REST_S, PAIR_MOVING_S, Plan, plan_stations, with_stamps
 
-#: With fewer bytes of images one pass over all of them is quick, and tells of everything that is odd in them.
+#: Below this number of image bytes, one pass over all images is fast and also finds all irregularities in
+#: them.
 WORTH_BYTES = 2**26
-#: Joints and wheels are read by themselves where they take no more than this share of the pass.
+#: Largest share of the bytes for which joints and wheels are read separately.
 _MOST_SHARE = 0.5
 _SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -21,16 +22,16 @@ _SIDES: tuple[Side, Side] = ("left", "right")
 def plan_log(
     recording: Recording, rig: Rig, sliding: frozenset[str], everything: bool = False
 ) -> tuple[Plan, tuple[str, ...]]:
-    """Find the moments of one log at which the board may be looked at.
+    """Choose the stations of one recording.
 
     Args:
         recording: the open recording.
         rig: its topics and the head's joints.
-        sliding: those joints that slide.
+        sliding: names of the prismatic joints.
         everything: see `plan_stations`.
 
     Returns:
-        The plan, and notes on what was odd.
+        The plan, and notes on irregularities.
 
     Raises:
         RecordingError: see `read_signals` and `plan_stations`.
@@ -46,7 +47,7 @@ def plan_log(
 
 
 def _worth_it(recording: Recording, rig: Rig) -> bool:
-    """Whether the images lie apart from joints and wheels, and are much more."""
+    """Whether the images are stored apart from joints and wheels, and are much larger."""
     motion, images = rig.sources.motion, frozenset(rig.sources.image.values())
     joints_bytes, all_bytes = recording.bytes_of(motion), recording.bytes_of(motion | images)
     return all_bytes - joints_bytes >= WORTH_BYTES and joints_bytes <= _MOST_SHARE * all_bytes
@@ -55,22 +56,22 @@ def _worth_it(recording: Recording, rig: Rig) -> bool:
 def _joints_first(
     recording: Recording, rig: Rig, sliding: frozenset[str], pictures: Pictures
 ) -> tuple[Plan, tuple[str, ...]] | None:
-    """Choose the stations by when images were logged; only of the chosen ones the stamps are read.
+    """Choose the stations by the log times of images; header stamps are read only for the chosen images.
 
     Returns:
-        None where the images' own stamps are needed to choose by.
+        None if the choice needs all header stamps.
     """
     joints, images = rig.chain.joints, rig.sources.image
     alone = read_signals(recording, rig.sources, joints, (), clocks=pictures.clocks)
     signals = replace(alone, image_ns={side: pictures.stamps(images[side]) for side in _SIDES})
     try:
         plan = plan_stations(signals, joints, sliding)
-    except RecordingError:  # the stamps themselves may do, or tell why not
+    except RecordingError:  # the header stamps may solve this, or give the reason
         return None
     if not plan.stations:
         return None
     at_rest = all(station.at_rest for station in plan.stations)
-    # Half of what keeps two images from being a pair: one of them may come sooner, the other later.
+    # Half of the pairing tolerance: one image may be early, the other late.
     if pictures.spread_ns * 1e-9 > (PAIR_AT_REST_S if at_rest else PAIR_MOVING_S) / 2:
         return None
     planned_ns: dict[Side, list[int]] = {
@@ -91,5 +92,5 @@ def _joints_first(
     }
     settled = with_stamps(plan, signals, joints, sliding, stamps)
     if len(settled.stations) < len(plan.stations):
-        return None  # the few lags were no guide
+        return None  # the sampled delays do not represent the others
     return settled, (*signals.notes, *notes, *settled.notes)

@@ -1,4 +1,4 @@
-"""Processes beside this one that stand ready for tasks."""
+"""Worker processes for tasks in the background."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from threading import Thread
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
-#: What comes of processes that cannot be started, or of which one died: the work is done in this process then.
+#: Errors when processes cannot be started or one died; the caller then does the work itself.
 FAILED = (BrokenProcessPool, OSError)
-#: Libraries that would start threads of their own in each of the processes.
+#: Settings of libraries that would start several threads in each process.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 Result = TypeVar("Result")
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes that are started meanwhile do their sums on one thread."""
+    """Limit the numerical libraries of processes started inside the block to one thread."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
@@ -51,14 +51,12 @@ def _leave_with_the_caller(files: Path | None) -> None:
 
 
 def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
-    """What a process does first: see to it that it ends with the one that called it, however that ends; get ready.
-
-    Ctrl-C ends it without a word: the command tells that it was interrupted.
+    """Initialize a worker process: it ends when its parent ends for any reason, and prints nothing on Ctrl-C.
 
     Args:
-        files: a folder of the caller's, to be removed if the caller did not live to do so.
+        files: directory of the parent, removed if the parent was killed.
         get_ready: called last.
-        given: what it is called with.
+        given: arguments of `get_ready`.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
@@ -72,13 +70,13 @@ def _do(question: Path, answer: Path) -> None:
 
 
 class Task(Generic[Result]):
-    """A task that a process was given."""
+    """A task submitted to a worker process."""
 
     def __init__(self, done: Future[None], answer: Path) -> None:
         self._done, self._answer = done, answer
 
     def result(self) -> Result:
-        """What came of it, once: waits for it. Raises what the task raised, or one of `FAILED`."""
+        """Wait for the result; call it once. Raises the task's error, or one of `FAILED`."""
         self._done.result()
         result: Result = pickle.loads(self._answer.read_bytes())
         self._answer.unlink()
@@ -86,10 +84,10 @@ class Task(Generic[Result]):
 
 
 class Processes:
-    """Some processes, from `start` to the end of a `with` block.
+    """A pool of worker processes, from `start` to the end of a `with` block.
 
-    Tasks and results pass through files: a process that dies in the middle of a pipe's long message leaves the other
-    end waiting for the rest of it for ever.
+    Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
+    other end would wait forever.
     """
 
     def __init__(self) -> None:
@@ -110,30 +108,30 @@ class Processes:
 
     @property
     def started(self) -> bool:
-        """Whether there are any."""
+        """Whether worker processes are running."""
         return self._pool is not None
 
     def start(self, count: int, get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
-        """Start so many, each of which calls `get_ready` first; none where that is not possible."""
+        """Start worker processes, each of which calls `get_ready` first; none if that fails."""
         with suppress(*FAILED, NotImplementedError), _one_thread_each():
             if self._files is None:
                 self._files = TemporaryDirectory(prefix="mobilecal-", ignore_cleanup_errors=True)
-            # Spawned, not forked: a fork would copy locks that other threads hold.
+            # Spawned, not forked: a fork would copy locked mutexes of other threads.
             spawn = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(
                 count, spawn, stand_by, (Path(self._files.name), get_ready, *given)
             )
-            for _ in range(count):  # a process is started with each of the first tasks
+            for _ in range(count):  # the pool starts a process with each of the first tasks
                 self._pool.submit(int)
 
     def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
-        """Have a task done by the next process that is free.
+        """Submit a task to the next free process.
 
         Raises:
             OSError, BrokenProcessPool: see `FAILED`.
         """
         if self._pool is None or self._files is None:
-            raise OSError("no processes were started")
+            raise OSError("no worker processes are running")
         number = next(self._numbers)
         question, answer = (Path(self._files.name, f"{number}.{what}") for what in ("task", "result"))
         question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))

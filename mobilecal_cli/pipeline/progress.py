@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""Progress reports of long work."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Told by the pipeline what it is doing."""
+    """Callback for progress."""
 
     def __call__(self, stage: str, done: int, total: int | None) -> None:
-        """Take note that `done` of `total` (None: not known) items of a stage are done."""
+        """Report that `done` of `total` (None: unknown) items of a stage are done."""
 
 
 def silent(stage: str, done: int, total: int | None) -> None:
-    """Tell nobody."""
+    """Ignore progress."""

@@ -1,4 +1,4 @@
-"""Images into detections, and detections into what a station shows: in segments, never many images in memory."""
+"""Board detection and measurement per station, in segments that limit the number of images in memory."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from mobilecal_cli.vision import (
     snapshot_jpeg,
 )
 
-SNAPSHOTS = 60  # images kept for the report, so that memory does not grow with the log
+SNAPSHOTS = 60  # images kept for the report, limited to save memory
 SIZE_PICTURES = 8
-SIZE_VOTES = 3  # so many images that agree on the board's size are enough
-#: Pairs that are looked at in one go: the board is followed from image to image inside. The segments are the same
-#: however many processes there are, and so are the corners.
+SIZE_VOTES = 3  # number of agreeing images that determine the board's size
+#: Stereo pairs per segment. Tracking runs inside a segment, so segments and results do not depend on the
+#: number of processes.
 SEGMENT_PAIRS = 250
 SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(slots=True)
 class Looks:
-    """What was seen at one station, filled as its images come by.
+    """Detections at one station, filled in while its images are read.
 
     Attributes:
         found: side → stamp → detection or miss.
         pictures: side → JPEG of the first image, for the report.
-        rejections: images that could not be decoded.
+        rejections: images that cannot be decoded.
     """
 
     found: dict[Side, dict[int, Detection | Miss]] = field(default_factory=lambda: {"left": {}, "right": {}})
@@ -54,7 +54,7 @@ class Looks:
     rejections: list[Rejection] = field(default_factory=list)
 
     def pairs(self, shots: Sequence[Shot]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
-        """Left and right findings of those shots of which both images could be decoded."""
+        """Left and right results of the stereo pairs with both images decoded."""
         left, right = self.found["left"], self.found["right"]
         whole = [shot for shot in shots if shot.left_ns in left and shot.right_ns in right]
         return [left[shot.left_ns] for shot in whole], [right[shot.right_ns] for shot in whole]
@@ -62,12 +62,12 @@ class Looks:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Stations in a row whose images are looked at in one go.
+    """Consecutive stations that are processed together.
 
     Attributes:
         stations: in order of time.
-        shown: indices, in this segment, of stations whose images the report shows.
-        thorough: how boards are searched for, see `vision.detect`.
+        shown: indices, in this segment, of stations with images in the report.
+        thorough: see `vision.detect`.
     """
 
     stations: tuple[Station, ...]
@@ -77,12 +77,12 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What all segments of a log share.
+    """Data common to all segments of a recording.
 
     Attributes:
         sources: the image topics.
-        cameras: for the images' sizes.
-        board: what to look for.
+        cameras: the stereo pair, for the image sizes.
+        board: board to detect.
     """
 
     sources: Sources
@@ -91,31 +91,31 @@ class Scene:
 
 
 def stamps(shots: Iterable[Shot]) -> dict[Side, list[int]]:
-    """The stamps of both sides' images."""
+    """Stamps of the left and the right images."""
     listed = list(shots)
     return {"left": [shot.left_ns for shot in listed], "right": [shot.right_ns for shot in listed]}
 
 
 def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
-    """Refuse images of another size than the camera info speaks of.
+    """Check that an image has the size stated in its camera_info.
 
     Raises:
-        RecordingError: with both sizes.
+        RecordingError: the sizes differ.
     """
     camera = cameras.left if side == "left" else cameras.right
     height, width = picture.shape
     if (width, height) != (camera.width, camera.height):
         raise RecordingError(
-            f"the {side} images are {width} x {height} pixels, their camera info speaks of "
+            f"the {side} images are {width} x {height} pixels, but their camera_info states "
             f"{camera.width} x {camera.height}",
-            "calibrate the cameras at the recorded size, or set binning and roi in the camera info",
+            "calibrate the cameras at the recorded size, or set binning and roi in camera_info",
         )
 
 
 def first_pictures(
     recording: Recording, sources: Sources, stations: Sequence[Station]
 ) -> Iterator[GrayImage]:
-    """A few images spread over the log, left and right, to find the board's size in."""
+    """Some images of both cameras, spread over the recording, to estimate the board's size."""
     stride = max(1, -(-len(stations) // SIZE_PICTURES))
     wanted = stamps(station.shots[0] for station in stations[::stride])
     for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
@@ -124,12 +124,12 @@ def first_pictures(
 
 
 def board_size(recording: Recording, sources: Sources, stations: Sequence[Station]) -> tuple[int, int] | None:
-    """The board's inner corners as a few images show them, None where they show none."""
+    """Inner corners (columns, rows) of the board in some images, None if none shows it."""
     return identify_size(first_pictures(recording, sources, stations), SIZE_VOTES).size
 
 
 def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
-    """Cut a log's stations into segments, and choose those whose images are kept."""
+    """Split the stations of a recording into segments, and choose the images kept for the report."""
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, pairs = [0], 0
     for i, station in enumerate(stations):
@@ -149,12 +149,12 @@ def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
 
 
 def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[int | list[Looks]]:
-    """Look at every shot of a segment's stations, in one pass over their part of the recording.
+    """Detect the board in all images of a segment, in one pass over its part of the recording.
 
     Yields:
-        1 for every image that has been looked at, and at last one `Looks` a station.
+        1 for every image processed; at the end, a list with one `Looks` per station.
     """
-    cv2.setNumThreads(1)  # an image is too small to be shared out; long logs are shared among processes
+    cv2.setNumThreads(1)  # one image is too small for several threads; long recordings use several processes
     stations = segment.stations
     wanted = stamps(shot for station in stations for shot in station.shots)
     where: Mapping[Side, dict[int, int]] = {
@@ -180,13 +180,16 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
 def measure_at(
     log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
 ) -> list[Measured | Rejection]:
-    """The board at each of some stations of a log, or why a station gives none.
+    """Measure the board at some stations of a recording.
 
     Args:
         log: index of the recording.
         scene: cameras and board.
-        stations: which.
-        looks: what was seen at each of them.
+        stations: stations to measure.
+        looks: detections at each of them.
+
+    Returns:
+        The board at each station, or a rejection.
     """
     return [_measured(log, scene, station, seen) for station, seen in zip(stations, looks, strict=True)]
 
@@ -194,6 +197,8 @@ def measure_at(
 def _measured(log: int, scene: Scene, station: Station, looks: Looks) -> Measured | Rejection:
     left, right = looks.pairs(station.shots)
     if not left:
-        detail = looks.rejections[0].detail if looks.rejections else "its images are not in the recording"
+        detail = (
+            looks.rejections[0].detail if looks.rejections else "the recording does not contain the images"
+        )
         return Rejection("readers", "images cannot be decoded", detail, station.time_ns, station.index, log)
     return measure(log, station, left, right, scene.cameras, scene.board)

@@ -1,1 +1,1 @@
-"""Robots with known truth: their drives, and recordings of them in every container."""
+"""Simulated robots with known ground truth: routes, and recordings in every container."""

@@ -1,4 +1,4 @@
-"""Messages into every kind of recording."""
+"""Writers for every recording container."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Write = Callable[[Path, Iterable[Published], Publisher], None]
 
 
 def ros_of(container: Container) -> Ros:
-    """Which ROS a container's messages are of."""
+    """ROS version of a container's messages."""
     return 1 if container.startswith("bag") or container == "mcap-ros1" else 2
 
 

@@ -1,6 +1,7 @@
-"""The simulated base: stretches of constant speed, integrated about the instantaneous center of rotation.
+"""Motion of the simulated base: segments of constant speed, integrated about the instantaneous center of
+rotation.
 
-Nothing here is shared with the solver's dead reckoning.
+This code is independent of the solver's dead reckoning.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ _STRAIGHT_RADPS = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A stretch of time with constant speeds.
+    """A time segment with constant speeds.
 
     Attributes:
-        duration_s: how long.
-        v_mps: forward speed of the base's origin.
-        w_radps: turning speed, positive to the left.
+        duration_s: duration, s.
+        v_mps: forward speed of the base's origin, m/s.
+        w_radps: turning rate, rad/s, positive to the left.
     """
 
     duration_s: float
@@ -34,7 +35,7 @@ Pose = tuple[float, float, float]
 
 
 def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
-    """Base pose (x m, y m, heading rad) after some of a stretch."""
+    """Base pose (x m, y m, heading rad) after a given time in a segment."""
     x, y, heading = pose
     if abs(stretch.w_radps) < _STRAIGHT_RADPS:
         run = stretch.v_mps * time_s
@@ -46,7 +47,7 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
 
 
 def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]:
-    """Right and left wheel speed, rad/s: each wheel rolls where its contact point goes."""
+    """Right and left wheel speeds, rad/s, for rolling without slip."""
     half = wheels.separation_m / 2
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
@@ -55,11 +56,11 @@ def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """A whole drive.
+    """A complete drive.
 
     Attributes:
-        stretches: one after the other.
-        start: first pose.
+        stretches: consecutive segments.
+        start: initial pose.
     """
 
     stretches: tuple[Stretch, ...]
@@ -67,11 +68,11 @@ class Drive:
 
     @property
     def breaks_s(self) -> FloatArray:
-        """(B + 1,) times between the stretches, from 0."""
+        """(B + 1,) boundaries between the segments, s, from 0."""
         return np.concatenate([[0.0], np.cumsum([s.duration_s for s in self.stretches])])
 
     def poses(self, times_s: FloatArray) -> FloatArray:
-        """(n, 3) base poses at some times."""
+        """(n, 3) base poses at given times."""
         at_breaks = [self.start]
         for stretch in self.stretches:
             at_breaks.append(moved(at_breaks[-1], stretch, stretch.duration_s))
@@ -85,7 +86,7 @@ class Drive:
         )
 
     def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry) -> FloatArray:
-        """(n, 2) rotation of the right and left wheel since the start, rad; linear within a stretch."""
+        """(n, 2) rotations of the right and left wheel since the start, rad; linear inside a segment."""
         rolled = [[0.0, 0.0]]
         for stretch in self.stretches:
             right, left = wheel_speeds(stretch, wheels)

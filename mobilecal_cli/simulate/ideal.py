@@ -1,4 +1,4 @@
-"""Observations straight from the truth, without images: for exact tests and for Monte Carlo studies."""
+"""Observations computed from ground truth without images, for exact tests and Monte Carlo studies."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from mobilecal_cli.vision import BoardPose, Miss, board_pose, triangulate
 
 START_NS = 1_700_000_000_000_000_000
 _TRACK_STEP_S = 0.02
-_UNIT_SIGMA_PX = 0.05  # what a good refinement claims; only a weight where no noise is added
+_UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What disturbs the measurements; all zero by default.
+    """Measurement noise; zero by default.
 
     Attributes:
-        pixel_px: sigma of each corner coordinate.
+        pixel_px: sigma of each corner coordinate, px.
         wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
-        encoder_step_rad: resolution of the wheel encoders, 0 for none.
-        joint_rad: sigma of a station's joint reading.
+        encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
+        joint_rad: sigma of a station's joint reading, rad.
     """
 
     pixel_px: float = 0.0
@@ -46,21 +46,21 @@ class Noise:
 
 
 def station_times_s(route: Route, stations: int = 40) -> FloatArray:
-    """Middles of the rests, or moments spread over a route without rests."""
+    """Middle of every rest; on a route without rests, equally spaced times."""
     if len(route.rests_s):
         return np.asarray(route.rests_s.mean(axis=1))
     return np.linspace(0.5, route.duration_s - 0.5, stations)
 
 
 def nanoseconds(times_s: FloatArray) -> IntArray:
-    """Times of a recording as stamps, int64 ns."""
+    """Header stamps for times of a recording, int64 ns."""
     return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
 
 
 def _wheel_track(
     robot: SimulatedRobot, route: Route, times_s: FloatArray, noise: Noise, random: np.random.Generator
 ) -> WheelTrack:
-    # The track needs the drive's breaks and the stations' own times: between them all is linear.
+    # The track is linear between the segment boundaries and the stations' times, so it must contain both.
     moments = np.unique(
         np.concatenate([np.arange(0, route.duration_s, _TRACK_STEP_S), route.drive.breaks_s, times_s])
     )
@@ -100,17 +100,17 @@ def ideal_extraction(
     nominal: bool = True,
     camera_late_s: float = 0.0,
 ) -> Extraction:
-    """What an extraction of this drive would be if seeing added nothing but the given noise.
+    """Extraction of a drive with ideal image processing, which adds only the given noise.
 
-    Without pixel noise the points and board poses are the exact ones; with it, points are triangulated from
-    disturbed pixels and the pose minimizes the reprojection error, as in the product.
+    Without pixel noise the points and board poses are exact. With it, points are triangulated from noisy
+    pixels and the pose minimizes the reprojection error, as for real images.
 
     Args:
-        robot, route: the truth.
+        robot, route: the ground truth.
         noise: none by default.
         seed: of the noise.
-        nominal: whether the drawing's values are known.
-        camera_late_s: how much later than joints and wheels the cameras' clock stamps what happens.
+        nominal: whether nominal values are known.
+        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
     """
     noise = noise or Noise()
     random = np.random.default_rng([seed, 2])
@@ -127,7 +127,7 @@ def ideal_extraction(
         left, right = _measured(rig, corners_k, T_c_k, noise.pixel_px, random)
         points = triangulate(rig, left, right, sigma, sigma)
         if isinstance(points, Miss):
-            raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "use less pixel noise")
+            raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
         found: BoardPose = board_pose(rig, corners_k, left, right, sigma, sigma, T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         observations.append(

@@ -1,4 +1,4 @@
-"""The print of a board with markers, for images of it."""
+"""Print of a board with markers, for rendering."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage, Markers
 
-_CELL_PX = 100  # pixels of the print a square (a tag)
+_CELL_PX = 100  # pixels of the print per square (or tag)
 
 
 def printed_area(board: Board) -> tuple[FloatArray, FloatArray]:
-    """(2,) lowest and highest x and y of what is printed on a board, in squares (tags)."""
+    """Lower and upper limits of x and y of the printed area, (2,) each, in squares (tags)."""
     if board.markers is None or board.markers.kind == "charuco":
         return np.array([-1.0, -1.0]), np.array([board.columns, board.rows], dtype=np.float64)
     gap, grid = board.markers.share, board.grid()[:, :2]
@@ -19,7 +19,7 @@ def printed_area(board: Board) -> tuple[FloatArray, FloatArray]:
 
 
 class Print:
-    """What is on the board, from -1 (dark) to 1.
+    """Brightness of the print, from -1 (dark) to 1 (light).
 
     Args:
         board, markers: the board and its markers.
@@ -43,7 +43,7 @@ class Print:
     def _grid(
         self, board: Board, markers: Markers, dictionary: cv2.aruco.Dictionary, width: int, height: int
     ) -> GrayImage:
-        """Tags, and as Kalibr prints them a dark square wherever four gaps meet."""
+        """Grid of tags, with a dark square wherever four gaps meet, as printed by Kalibr."""
         image = np.full((height, width), 255, dtype=np.uint8)
         gap = round(markers.share * _CELL_PX)
         for tag, corner in enumerate(board.grid()[::4, :2]):
@@ -58,7 +58,7 @@ class Print:
         return image
 
     def at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """The print at places on the board, in squares: arrays of one shape."""
+        """Brightness at positions on the board, in squares: arrays of equal shape."""
         u = ((x - self._low[0]) * _CELL_PX - 0.5).astype(np.float32)
         v = ((y - self._low[1]) * _CELL_PX - 0.5).astype(np.float32)
         value = cv2.remap(self._image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

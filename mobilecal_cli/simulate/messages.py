@@ -1,4 +1,4 @@
-"""What the simulated robot publishes, the same for every container."""
+"""Messages published by the simulated robot, the same for every container."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from mobilecal_cli.simulate.urdf import urdf_text
 
 Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
-_COUNTER_START_BELOW_WRAP = 500  # so that every counter wraps within a log
+_COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """One message, decoded."""
+    """One message, not yet serialized."""
 
     time_ns: int
     topic: str
@@ -37,7 +37,7 @@ class Published:
 
 
 class Publisher:
-    """Makes messages for ROS 1 or ROS 2; the two differ in field names only."""
+    """Creates messages for ROS 1 or ROS 2, which differ in field names only."""
 
     def __init__(self, ros: Ros) -> None:
         self.ros = ros
@@ -51,11 +51,11 @@ class Publisher:
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **sequence)
 
     def make(self, kind: str, **fields: Any) -> Any:  # noqa: ANN401
-        """A message of a type."""
+        """Create a message of a given type."""
         return self._types[kind](**fields)
 
     def camera_info(self, info: CameraInfo, time_ns: int) -> Any:  # noqa: ANN401
-        """sensor_msgs/CameraInfo: matrices in upper case in ROS 1."""
+        """sensor_msgs/CameraInfo; ROS 1 has matrix names in upper case."""
         matrices = {"d": info.D, "k": info.K.ravel(), "r": info.R.ravel(), "p": info.P.ravel()}
         named = {name.upper() if self.ros == 1 else name: value for name, value in matrices.items()}
         roi = self.make(
@@ -74,7 +74,7 @@ class Publisher:
         )
 
     def picture(self, grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) -> tuple[str, Any]:
-        """An image message of 8 bit, as the scenario stores images: type and message."""
+        """8-bit image in the scenario's format: message type and message."""
         image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
         header = self.header(time_ns, frame_id)
         if scenario.pictures == "mono8":
@@ -93,7 +93,7 @@ class Publisher:
 def _noisy_wheels(
     robot: SimulatedRobot, route: Route, times_s: FloatArray, scenario: Scenario, random: np.random.Generator
 ) -> FloatArray:
-    """(n, 2) what right and left encoder read, rad."""
+    """(n, 2) readings of the right and left encoder, rad."""
     angles = route.drive.wheel_angles(times_s, robot.wheels)
     if scenario.exact:
         return angles
@@ -108,7 +108,7 @@ def _state_messages(
     publisher: Publisher, robot: SimulatedRobot, route: Route, scenario: Scenario
 ) -> Iterator[Published]:
     random = np.random.default_rng([scenario.seed, 3])
-    # Joint states at their rate, and in exact logs at every change of speed too: all is linear in between.
+    # Exact recordings also sample every change of speed, because the angles are linear in between.
     times_s = np.arange(0, route.duration_s, 1 / robot.joint_rate_hz)
     if scenario.exact:
         times_s = np.unique(np.concatenate([times_s, route.drive.breaks_s]))
@@ -178,12 +178,12 @@ def published(
     publisher: Publisher,
     drawn: Callable[[int, int], None],
 ) -> Iterator[Published]:
-    """All messages of a recording, in order of time, each made when it is asked for.
+    """All messages of a recording in order of time, created lazily.
 
     Args:
-        scenario, robot, route: what is recorded.
+        scenario, robot, route: what to record.
         publisher: for ROS 1 or 2.
-        drawn: told how many stereo pairs of how many are drawn.
+        drawn: called with the number of rendered stereo pairs and their total.
     """
     description = publisher.make("std_msgs/msg/String", data=urdf_text(robot))
     return heapq.merge(

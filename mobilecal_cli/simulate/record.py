@@ -1,4 +1,4 @@
-"""A scenario onto the disk, with its truth beside it, whole or not at all."""
+"""Writes the recording of a scenario and its ground truth, both or neither."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
 def truth_path(out: Path) -> Path:
-    """Where the truth of a recording is: `<name>.truth.yaml` beside it."""
+    """Path of a recording's ground truth: `<name>.truth.yaml` in the same directory."""
     return out.with_name(f"{out.stem if out.suffix in ('.mcap', '.bag') else out.name}.truth.yaml")
 
 
 def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progress = silent) -> Path:
-    """Record a scenario.
+    """Simulate a scenario and write its recording.
 
     Args:
-        scenario: what.
+        scenario: what to simulate.
         out: the recording: a file, or a directory for rosbag2.
-        force: replace a recording that is there.
-        progress: told about every stereo pair that is drawn.
+        force: replace an existing recording.
+        progress: called after every rendered stereo pair.
 
     Returns:
-        The truth's path.
+        Path of the ground truth.
 
     Raises:
-        OutputError: something is there already, or cannot be written.
+        OutputError: the path already exists, or cannot be written.
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
@@ -44,9 +44,10 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
     robot, route = scenario.plan()
     publisher = Publisher(ros_of(scenario.container))
     messages = published(
-        scenario, robot, route, publisher, lambda done, total: progress("drawing the board", done, total)
+        scenario, robot, route, publisher, lambda done, total: progress("rendering images", done, total)
     )
-    # The writers name what is inside a rosbag2 directory after it, so only its parent is temporary.
+    # Only the parent is temporary, because the writers name files inside a rosbag2 directory after the
+    # directory.
     partial = out.with_name(f".{out.name}.{secrets.token_hex(4)}.partial")
     try:
         partial.mkdir()
@@ -55,33 +56,33 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
         _put_in_place(partial, (truth, out))
     except (OSError, sqlite3.Error) as error:
         reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"{out}: cannot be written: {reason}", "choose another place") from error
+        raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return truth
 
 
 def _check(path: Path, directory: bool, force: bool) -> None:
-    """Find out before the long work whether a path may be written, and what is there be replaced."""
+    """Check before the simulation whether a path can be written or replaced."""
     if not path.parent.is_dir():
         raise OutputError(
-            f"{path}: {path.parent} is not a directory", "make it first, or choose another place"
+            f"{path}: {path.parent} is not a directory", "create it, or choose another output path"
         )
     if path.is_symlink() or (path.exists() and not force):
         raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another name")
     if not path.exists():
         return
     if directory != path.is_dir() or not (directory or path.is_file()):
-        kind = "a directory" if path.is_dir() else "no directory"
+        kind = "a directory" if path.is_dir() else "not a directory"
         raise OutputError(f"{path}: exists and is {kind}", "choose another name")
-    # Nothing is ever deleted that no simulation wrote.
+    # Delete only files that a simulation wrote.
     for entry in sorted(path.iterdir()) if directory else ():
         if entry.name != "metadata.yaml" and not (entry.is_file() and entry.suffix in _IN_ROSBAG2):
-            raise OutputError(f"{path}: is no recording: it holds {entry.name!r}", "choose another name")
+            raise OutputError(f"{path}: not a recording: it contains {entry.name!r}", "choose another name")
 
 
 def _put_in_place(partial: Path, targets: tuple[Path, ...]) -> None:
-    """Move all to its place; what was there steps aside first, and comes back should a move fail."""
+    """Move everything to its final path; if a move fails, restore the previous files."""
     aside = partial / "old"
     aside.mkdir()
     done: list[Path] = []

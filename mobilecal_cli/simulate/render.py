@@ -1,4 +1,4 @@
-"""Images of the board, with edges that are where geometry puts them."""
+"""Rendered images of the board, with edges at their exact geometric position."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from mobilecal_cli.model import Board, Camera, FloatArray
 from mobilecal_cli.simulate.markers import Print, printed_area
 from mobilecal_cli.simulate.stereo import pixels, rays
 
-_SUB = 2  # subpixels each way; an edge is shaded over one of them, so it is not bound to their grid
+_SUB = 2  # subpixels per axis; edges are shaded over one, so that they are not aligned to their grid
 _DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0
 _MARGIN_SQUARES = 1.0
 _PAD_PX = 6
-_SHADE = 0.10  # how much the light falls off over the image's width
+_SHADE = 0.10  # decrease of the brightness over the image width
 _INVERSE_ROUNDS = 25
 
 
 def _width(position: FloatArray) -> FloatArray:
-    """How far a board coordinate spreads over one subpixel, from corner to opposite corner."""
+    """Extent of one subpixel in a board coordinate, between opposite corners."""
     rise, run = np.gradient(position)
     return np.asarray(np.abs(rise) + np.abs(run) + 1e-12)
 
 
 def _edge_wave(position: FloatArray, width: FloatArray) -> FloatArray:
-    """A wave that changes sign at every whole number, +1 from 0 to 1, shaded over a subpixel at each change."""
+    """Square wave that changes sign at whole numbers, +1 from 0 to 1, with edges shaded over one subpixel."""
     nearest = np.round(position)
     sign = np.where(nearest % 2 == 0, 1.0, -1.0)
     return np.asarray(sign * np.clip(2 * (position - nearest) / width, -1, 1))
 
 
 def _covered(position: FloatArray, width: FloatArray, low: float, high: float) -> FloatArray:
-    """Share of a subpixel that lies between two lines of the board."""
+    """Share of a subpixel between two lines of the board."""
     above = np.clip((position - low) / width + 0.5, 0, 1)
     return np.asarray(above * np.clip((high - position) / width + 0.5, 0, 1))
 
 
 class BoardRenderer:
-    """Draws one board into one camera's images.
+    """Renders one board in one camera's images.
 
     Args:
         camera: pinhole, with plumb_bob distortion or none.
-        board: its square given.
-        blur_px: sigma of the lens' blur.
+        board: with known square size.
+        blur_px: sigma of the lens blur, px.
         random: for the background.
     """
 
@@ -52,7 +52,8 @@ class BoardRenderer:
         pixel_rays = rays(
             camera, np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1), _INVERSE_ROUNDS
         )
-        # Rays bend by 0.0002 px between two pixels, so linear interpolation gives those of the subpixels.
+        # Rays change direction by 0.0002 px between two pixels, so linear interpolation is exact enough for
+        # subpixels.
         fine = (width * _SUB, height * _SUB)
         self._rays = np.asarray(
             cv2.resize(pixel_rays, fine, interpolation=cv2.INTER_LINEAR), dtype=np.float64
@@ -63,7 +64,7 @@ class BoardRenderer:
         self._last = (np.zeros((0, 0)), np.zeros((0, 0)))
 
     def _clutter(self, random: np.random.Generator) -> FloatArray:
-        """A wall with blurred boxes and stripes on it."""
+        """Background: a wall with blurred boxes and stripes."""
         height, width = self._camera.height, self._camera.width
         wall = np.full((height, width), 120.0)
         for _ in range(14):
@@ -73,9 +74,9 @@ class BoardRenderer:
         return np.asarray(cv2.GaussianBlur(wall, (0, 0), 3.0), dtype=np.float64)
 
     def picture(self, T_x_k: FloatArray) -> FloatArray:
-        """The noise-free image (height, width), in gray levels, of a board at T_x_k in the camera's frame.
+        """Noise-free image (height, width), in gray levels, of a board at T_x_k in the camera frame.
 
-        The same array comes back for the same pose in turn, as in a rest: it is not to be changed.
+        Consecutive calls with the same pose, as in a rest, return the same array: do not modify it.
         """
         if not np.array_equal(self._last[0], T_x_k):
             self._last = (T_x_k, self._drawn(T_x_k))
@@ -103,7 +104,7 @@ class BoardRenderer:
             wide_x, wide_y = _width(x), _width(y)
             middle, swing = (_DARK + _LIGHT) / 2, (_LIGHT - _DARK) / 2
             if self._print is None:
-                # The square outside corner 0, from -1 to 0 both ways, is dark.
+                # The square outside corner 0 (-1 to 0 on both axes) is dark.
                 pattern = middle - swing * _edge_wave(x, wide_x) * _edge_wave(y, wide_y)
             else:
                 pattern = middle + swing * self._print.at(x, y)
@@ -112,7 +113,8 @@ class BoardRenderer:
             on_paper *= _covered(y, wide_y, low[1] - _MARGIN_SQUARES, high[1] + _MARGIN_SQUARES)
             behind = np.repeat(np.repeat(image[y0:y1, x0:x1], _SUB, axis=0), _SUB, axis=1)
             fine = on_paper * (on_pattern * pattern + (1 - on_pattern) * _PAPER) + (1 - on_paper) * behind
-            # The lens blurs before the pixels sample: after it, edges would move with their place in a pixel.
+            # Blur before sampling, as a lens does: otherwise edges would shift with their position inside a
+            # pixel.
             blurred = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
             image[y0:y1, x0:x1] = blurred.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
         return np.asarray(image * self._light)

@@ -1,7 +1,7 @@
-"""Robots whose every number is known.
+"""Simulated robots with known parameters.
 
-A robot is described once, by its joints in order; the head chain, the URDF and the simulator's own forward
-kinematics are three independent readings of that description.
+Each robot is defined once, by its joints in order. The head chain, the URDF and the simulator's own forward
+kinematics are derived from that definition independently.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """One joint of the head's chain, as a URDF states it.
+    """One joint of the head chain, as in a URDF.
 
     Attributes:
         name: the joint's name, "" for a fixed one.
         link: name of its child link.
         xyz_m, rpy_rad: origin in the parent link (fixed-axis roll, pitch, yaw).
         axis: unit vector; unused for a fixed joint.
-        limit_rad: the joint turns within +- this.
+        limit_rad: joint limit in both directions, rad.
     """
 
     name: str
@@ -61,22 +61,22 @@ def pose(xyz_m: FloatArray | Vector, rotation: Rotation) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRobot:
-    """A robot with known truth. `T_h_c` and `wheels` are what a calibration is to find.
+    """A robot with known ground truth: `T_h_c` and `wheels` are the values that a calibration estimates.
 
     Attributes:
         name: of the robot.
-        joints: base to head, in order.
-        pan, tilt: names of the two joints that aim the head.
-        infos: the two cameras as their CameraInfo states them: left, right.
+        joints: from base to head.
+        pan, tilt: names of the pan and the tilt joint.
+        infos: CameraInfo of the left and right camera.
         T_h_c: (4, 4) true head-eye transform: left camera to head coordinates, m.
-        wheels: true wheels.
-        nominal_wheels: what the drawing says; the URDF's wheels lie by these.
-        T_h_c_nominal: (4, 4) what the drawing says; the URDF's cameras lie by it.
-        encoder_step_rad: resolution of the wheel encoders.
-        wheel_signal: wheels as positions in the joint states, or as tick counters of their own.
+        wheels: true wheel radii and separation.
+        nominal_wheels: nominal values, used in the URDF.
+        T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
+        encoder_step_rad: resolution of the wheel encoders, rad.
+        wheel_signal: wheels as positions in the joint states, or as separate tick counters.
         ticks_per_revolution, tick_bits: of the tick counters.
-        joint_noise_rad: sigma of one joint reading.
-        joint_rate_hz: rate of the joint states (and ticks).
+        joint_noise_rad: sigma of one joint reading, rad.
+        joint_rate_hz: rate of the joint states (and ticks), Hz.
     """
 
     name: str
@@ -97,7 +97,7 @@ class SimulatedRobot:
 
     @property
     def base_frame(self) -> str:
-        """Name of the vehicle frame."""
+        """Name of the base frame."""
         return "base_link"
 
     @property
@@ -117,7 +117,7 @@ class SimulatedRobot:
 
     @property
     def chain(self) -> HeadChain:
-        """The head chain, as the solver knows it."""
+        """The head chain in the solver's format."""
         links: list[FixedLink | JointLink] = []
         for joint in self.joints:
             links.append(FixedLink(pose(joint.xyz_m, Rotation.from_euler("xyz", joint.rpy_rad))))
@@ -126,7 +126,7 @@ class SimulatedRobot:
         return HeadChain(self.base_frame, self.head_frame, tuple(links), self.pan, self.tilt)
 
     def head_pose(self, joints_rad: FloatArray) -> FloatArray:
-        """T_v_h by the simulator's own forward kinematics: (J,) → (4, 4)."""
+        """T_v_h from the simulator's own forward kinematics: (J,) → (4, 4)."""
         T_v_h = np.eye(4)
         angles = iter(joints_rad)
         for joint in self.joints:
@@ -157,10 +157,10 @@ class SimulatedRobot:
         )
 
     def rig(self, nominal: bool = True) -> Rig:
-        """What a calibration knows beforehand.
+        """Robot description for a calibration.
 
         Args:
-            nominal: with the drawing's values as priors, or with none.
+            nominal: whether to include nominal values as priors.
         """
         prior = Nominal(self.T_h_c_nominal, self.nominal_wheels) if nominal else Nominal()
         settled = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
@@ -168,21 +168,21 @@ class SimulatedRobot:
 
 
 def _head_eye(euler_zyx_deg: Vector, translation_mm: Vector) -> FloatArray:
-    """T_h_c from Table 1's numbers: (ax, ay, az) with R = Rz(az) Ry(ay) Rx(ax), and mm."""
-    # scipy's lower-case sequence turns about fixed axes: x first, then y, then z.
+    """T_h_c from the angles (ax, ay, az) of Table 1, with R = Rz(az) Ry(ay) Rx(ax), and mm."""
+    # The lower-case sequence in scipy rotates about fixed axes: first x, then y, then z.
     rotation = Rotation.from_euler("xyz", euler_zyx_deg, degrees=True)
     return pose(np.array(translation_mm) / 1000, rotation)
 
 
 def _nominal_head_eye(T_h_c: FloatArray) -> FloatArray:
-    """A drawing's value: a few degrees and centimeters beside the truth."""
+    """Nominal head-eye transform, a few degrees and centimeters from the true one."""
     beside = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
     result: FloatArray = T_h_c @ beside
     return result
 
 
 def paper_robot() -> SimulatedRobot:
-    """The robot of the paper's Table 1 (optimized column): pitch and roll axes below a pan-tilt head."""
+    """Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head."""
     T_h_c = _head_eye((-164.22, 89.38, -166.40), (13.60, -64.34, -70.77))
     quarter = np.pi / 2
     return SimulatedRobot(
@@ -211,8 +211,9 @@ def paper_robot() -> SimulatedRobot:
 
 
 def tick_robot() -> SimulatedRobot:
-    """A small robot with a plain pan-tilt head, 16 bit tick counters and 4096 ticks a turn."""
-    # Camera axes (right, down, forward) in a head frame of x forward, y left, z up, mounted a little askew.
+    """Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution."""
+    # Camera axes (right, down, forward) in a head frame (x forward, y left, z up), mounted with a small
+    # rotation.
     optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     T_h_c = pose((0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * optical)
     return SimulatedRobot(

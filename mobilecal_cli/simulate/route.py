@@ -1,4 +1,4 @@
-"""Routes in front of the board: where the base stops, how it gets there, and where the head looks."""
+"""Planned routes in front of the board: stops of the base, motion between them, and the head's joint angles."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ _MARGIN_PX = 22.0
 _SMALLEST_SQUARE_PX = 11.0
 _NEAREST_M, _FARTHEST_M = 1.05, 2.5
 _TRIES = 4000
-_LARGE_TURN_PLANS = 40  # about a third of the plans hold no large turn
+_LARGE_TURN_PLANS = 40  # about a third of the plans contain no large turn
 _KNOT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """A drive with the head's motion on top, and the board in front of it.
+    """Motion of the base and the head, and the pose of the board.
 
     Attributes:
-        motion: what kind it is.
-        drive: the base.
-        knots_s: (K,) times at which the head's joints are set.
-        knots_rad: (K, J) joints there.
-        rests_s: (R, 2) begin and end of every rest; none on a moving route.
+        motion: kind of motion.
+        drive: motion of the base.
+        knots_s: (K,) times of the joint setpoints, s.
+        knots_rad: (K, J) joint setpoints, rad.
+        rests_s: (R, 2) start and end of every rest, s; empty for a moving route.
         T_w_k: (4, 4) board coordinates to world coordinates.
-        board: the checkerboard; its square is known here.
+        board: the checkerboard, with known square size.
     """
 
     motion: Motion
@@ -58,11 +58,11 @@ class Route:
 
     @property
     def duration_s(self) -> float:
-        """Length of the recording."""
+        """Duration of the recording, s."""
         return float(self.drive.breaks_s[-1])
 
     def joints(self, times_s: FloatArray) -> FloatArray:
-        """(n, J) joint angles: a smooth way from knot to knot, and a standstill during rests."""
+        """(n, J) joint angles, rad: smooth between setpoints, constant during rests."""
         if self.motion == "moving":
             return np.asarray(CubicSpline(self.knots_s, self.knots_rad)(times_s), dtype=np.float64)
         index = np.clip(np.searchsorted(self.knots_s, times_s, side="right") - 1, 0, len(self.knots_s) - 2)
@@ -72,13 +72,13 @@ class Route:
         return np.asarray((1 - smooth) * self.knots_rad[index] + smooth * self.knots_rad[index + 1])
 
     def corners_k(self) -> FloatArray:
-        """(M, 3) the board's corners in its own frame, m."""
+        """(M, 3) the board's corners in the board frame, m."""
         return self.board.grid() * (self.board.square_m or 0.0)
 
 
 def board_in_world(board: Board, distance_m: float, height_m: float) -> FloatArray:
-    """T_w_k of an upright board that faces the robot, a little askew: (4, 4)."""
-    # Seen from the robot: x to the right, y down, z away.
+    """T_w_k of an upright board that faces the robot with a small rotation, (4, 4)."""
+    # As seen from the robot: x to the right, y down, z away.
     facing = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     askew = Rotation.from_euler("xyz", [2.0, 6.0, -1.5], degrees=True)
     square = board.square_m or 0.0
@@ -88,7 +88,7 @@ def board_in_world(board: Board, distance_m: float, height_m: float) -> FloatArr
 
 
 class Planner:
-    """Plans a route for one robot; every random choice comes from one generator."""
+    """Plans routes for one robot, with all random choices from one generator."""
 
     def __init__(self, robot: SimulatedRobot, board: Board, random: np.random.Generator) -> None:
         self._robot = robot
@@ -102,14 +102,14 @@ class Planner:
         self._pan, self._tilt = names.index(robot.pan), names.index(robot.tilt)
 
     def board_in_cameras(self, base: Pose, joints_rad: FloatArray) -> Iterator[FloatArray]:
-        """(M, 3) corners in the left and in the right optical frame."""
+        """(M, 3) corners in the left and in the right camera frame, m."""
         T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
         for T_c_x in (np.eye(4), self._robot.rig_cameras.T_c_r):
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
             yield self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
-        """Whether both images hold the whole board, with squares large enough to be found."""
+        """Whether both images show the whole board, with squares large enough for detection."""
         rig = self._robot.rig_cameras
         for camera, points in zip(
             (rig.left, rig.right), self.board_in_cameras(base, joints_rad), strict=True
@@ -126,7 +126,7 @@ class Planner:
         return True
 
     def look_at(self, base: Pose, point_w: FloatArray, resting_rad: FloatArray) -> FloatArray:
-        """Joints that point the left camera at a point by pan and tilt: (J,)."""
+        """Joint angles, (J,), that point the left camera at a point by pan and tilt."""
         T_v_w = np.linalg.inv(base_in_world(np.array([base]))[0])
         point_v = T_v_w @ [*point_w, 1.0]
 
@@ -144,7 +144,7 @@ class Planner:
         return joints
 
     def _body(self) -> FloatArray:
-        """Other joints than pan and tilt: a small lean."""
+        """Small random angles for the joints other than pan and tilt."""
         return self._random.uniform(-0.08, 0.08, len(self._robot.joint_names))
 
     def _within_limits(self, joints_rad: FloatArray) -> bool:
@@ -152,7 +152,7 @@ class Planner:
         return bool(np.all(np.abs(joints_rad) <= limits))
 
     def gaze(self, base: Pose) -> FloatArray | None:
-        """Joints that look somewhere near the board's center with all of it in view, None when none do."""
+        """Joint angles with the whole board in view, aimed near its center; None if there are none."""
         for reach in (0.30, 0.22, 0.15, 0.08):
             point = self._centre_w + self._random.uniform(-reach, reach, 3)
             joints = self.look_at(base, point, self._body())
@@ -161,20 +161,20 @@ class Planner:
         return None
 
     def panned(self, base: Pose) -> FloatArray:
-        """Joints that look near the board by pan alone; all others stay at zero."""
+        """Joint angles that point near the board by pan alone; all others are zero."""
         point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
         level = np.zeros(len(self._robot.joint_names))
         level[self._pan] = self.look_at(base, point, level)[self._pan]
         return level
 
     def looking(self, base: Pose, motion: Motion, first: FloatArray) -> FloatArray | None:
-        """Joints for a stop, None where the board cannot be seen; `first` is for a head that never moves."""
+        """Joint angles for a stop, None if the board is not in view; `first` is for a fixed head."""
         if motion == "head_fixed":
             return first
         return self.panned(base) if motion == "pan_only" else self.gaze(base)
 
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
-        """Some way on from a pose: turn, drive (on an arc), turn."""
+        """Random motion from a pose: turn, drive (on an arc), turn."""
         random = self._random
         turn, run, bend = random.uniform(-0.7, 0.7), random.uniform(-0.9, 0.9), random.uniform(-0.5, 0.5)
         facing = math.atan2(self._centre_w[1] - base[1], self._centre_w[0] - base[0])
@@ -198,13 +198,13 @@ class Planner:
         return [s for s in (first, arc, last) if s.duration_s > 0]
 
     def _long_way(self, before_rad: float, there_rad: float, last_turn: float) -> float:
-        """The other way round, where that keeps the leg's turn at 300 degrees or less (so, from 60 degrees on)."""
+        """Turn in the opposite direction, if the leg's turn is then at most 300 degrees."""
         total = there_rad - before_rad + last_turn
         other = total - math.copysign(2 * math.pi, total)
         return last_turn + other - total if abs(other) <= math.radians(300) else last_turn
 
     def allowed(self, base: Pose) -> bool:
-        """Whether a pose is a good place to stop at."""
+        """Whether a pose is suitable for a stop."""
         distance = math.hypot(self._centre_w[0] - base[0], self._centre_w[1] - base[1])
         return (
             _NEAREST_M < distance < _FARTHEST_M and abs(base[1]) < 0.9 and base[0] < self._centre_w[0] - 0.9
@@ -212,10 +212,10 @@ class Planner:
 
 
 def plan_stops(planner: Planner, motion: Motion, stations: int, robot: SimulatedRobot) -> Route:
-    """A route that stops at every station.
+    """Plan a route that stops at every station.
 
     Raises:
-        ConfigError: the board cannot be kept in view (a robot or board far from the usual size).
+        ConfigError: the board cannot be kept in view (unusual size of the robot or the board).
     """
     base: Pose = (0.0, 0.0, 0.0)
     fixed = planner.look_at(base, planner._centre_w, np.zeros(len(robot.joint_names)))
@@ -223,7 +223,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
     first = planner.looking(base, motion, fixed)
     if first is None:
         raise ConfigError(
-            "the simulated robot does not see the whole board from its start", "use a smaller board"
+            "the simulated robot cannot see the whole board from its start pose", "use a smaller board"
         )
     clock, knots_s, knots, rests = REST_S, [0.0, REST_S], [first, first], [(0.0, REST_S)]
     tries = 0
@@ -231,8 +231,8 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
         tries += 1
         if tries > _TRIES:
             raise ConfigError(
-                f"no route for motion {motion!r}: after {tries} tries only {len(rests)} of {stations} stations "
-                "see the whole board",
+                f"no route found for motion {motion!r}: only {len(rests)} of {stations} stations see the whole board "
+                f"after {tries} tries",
                 "use fewer stations or a smaller board",
             )
         way = planner.leg(base, motion)
@@ -265,7 +265,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
 
 
 def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator) -> Route:
-    """A route that never rests: the base weaves on arcs, the head follows the board and looks around on it."""
+    """Plan a route without rests: the base drives on arcs, and the head follows the board."""
     base: Pose = (0.0, 0.0, 0.0)
     stretches: list[Stretch] = []
     clock, joints = 0.0, []
@@ -280,7 +280,7 @@ def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator
             if gaze is not None:
                 break
         else:
-            raise ConfigError("no moving route keeps the board in view", "use a smaller board")
+            raise ConfigError("no moving route found that keeps the board in view", "use a smaller board")
         stretches.append(stretch)
         knots_s.append(clock)
         joints.append(gaze)
@@ -308,9 +308,9 @@ def plan_route(
     """Plan a route that keeps the board in view.
 
     Args:
-        robot: who drives.
-        motion: "standard", or one that leaves something unseen, or "moving", which never rests.
-        stations: number of stops; a moving route lasts three seconds for each.
+        robot: robot to plan for.
+        motion: "standard", a motion with unobservable parameters, or "moving", which never rests.
+        stations: number of stops; a moving route takes three seconds per station.
         board: 9x6 corners with squares of 80 mm by default.
         seed: of all random choices.
 
@@ -326,12 +326,12 @@ def plan_route(
         if motion != "large_turns" or largest_turn_rad(route) > math.pi:
             return route
     raise ConfigError(
-        f"no route of {stations} stations turns by more than half a turn between two of them",
+        f"no route of {stations} stations contains a turn of more than 180 degrees between two of them",
         "use more stations",
     )
 
 
 def largest_turn_rad(route: Route) -> float:
-    """By how much the base turns at most from one rest to the next."""
+    """Largest turn of the base between two consecutive rests, rad."""
     headings = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
     return float(np.abs(np.diff(headings)).max(initial=0.0))

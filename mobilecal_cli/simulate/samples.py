@@ -1,4 +1,4 @@
-"""`make logs`: the recordings in sample_logs/, from their seeds."""
+"""`make logs`: writes the recordings in sample_logs/, with fixed seeds."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SAMPLES: dict[str, Scenario] = {
 }
 
 
-# A counter of unknown resolution is the one thing that no log tells.
-TICK_RIG = """# What the log of the tick robot does not tell: how its wheels are counted.
+# No recording contains the resolution of a tick counter.
+TICK_RIG = """# Wheel encoders of the tick robot, whose resolution is not in the recording.
 schema_version: 1
 wheels:
   left:  {topic: /wheel_ticks/left,  field: data, ticks_per_revolution: 4096, bits: 16}
@@ -30,7 +30,7 @@ wheels:
 
 
 def main(directory: Path) -> None:
-    """Write every sample into a directory, over what is there."""
+    """Write all samples to a directory, replacing existing ones."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "tick_robot.rig.yaml").write_text(TICK_RIG, encoding="utf-8")
     for name, scenario in SAMPLES.items():

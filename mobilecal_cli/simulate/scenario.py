@@ -1,4 +1,4 @@
-"""What is to be simulated, and the truth that is written beside it."""
+"""Description of a simulation, and the ground truth written with its recording."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ _REST_MARGIN_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A recording to be made.
+    """Description of a simulated recording.
 
     Attributes:
         robot: a name in `ROBOTS`.
-        motion: how base and head move.
+        motion: motion of base and head.
         seed: of every random choice.
-        stations: number of stops; a moving route lasts three seconds for each.
-        container: kind of recording.
-        pictures: how images are stored.
+        stations: number of stops; a moving route takes three seconds per station.
+        container: format of the recording.
+        pictures: format of the images.
         jpeg_quality: of JPEGs.
-        pictures_per_rest: stereo pairs at each stop.
-        board: the checkerboard that the route keeps in view, its square given.
-        kind: what is printed there: that checkerboard, or, about its center, a board with markers out of `PRINTED`,
-            which are larger, so that many images show a part of them.
-        exact: no noise at all, encoders without steps, images without loss.
-        pixel_noise_grey: sigma of the sensor's noise, gray levels.
-        blur_px: sigma of the lens' blur, px.
+        pictures_per_rest: stereo pairs per stop.
+        board: the checkerboard that the route keeps in view, with known square size.
+        kind: printed board: that checkerboard, or a larger board with markers from `PRINTED` at the same center,
+            which many images show in part.
+        exact: no noise, encoders of unlimited resolution, lossless images.
+        pixel_noise_grey: sigma of the sensor noise, gray levels.
+        blur_px: sigma of the lens blur, px.
         wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
-        camera_late_s: how much later than joints and wheels the cameras' clock stamps what happens.
+        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
     """
 
     robot: str = "paper"
@@ -83,7 +83,7 @@ class Scenario:
         return robot, replace(route, board=printed, T_w_k=route.T_w_k @ shift)
 
     def picture_times_s(self, route: Route) -> list[float]:
-        """Moments of the stereo pairs: inside the rests, or ten a second where there are none."""
+        """Times of the stereo pairs, s: inside the rests; without rests, ten per second."""
         if not len(route.rests_s):
             return [float(t) for t in np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)]
         return [
@@ -94,7 +94,7 @@ class Scenario:
 
 
 def _plain(value: float) -> str:
-    """A plain decimal, which every YAML loader reads as a number."""
+    """Plain decimal number, readable by every YAML loader."""
     return np.format_float_positional(value, precision=13, unique=True, fractional=False, trim="0")
 
 
@@ -103,10 +103,10 @@ def _row(values: object) -> str:
 
 
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
-    """The text of truth.yaml: the nine numbers under the keys of params.yaml, and where the robot stood."""
+    """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
     quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
     lines = [
-        "# What a calibration of this simulated recording should find. Lengths in m, angles in rad, times in s.",
+        "# Ground truth of this simulated recording. Lengths in m, angles in rad, times in s.",
         "schema_version: 1",
         "head_eye:",
         f"  parent_frame: {robot.head_frame}",
@@ -137,7 +137,9 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     if len(route.rests_s):
         times = route.rests_s.mean(axis=1)
         lines.append(f"joints: [{', '.join(robot.joint_names)}]")
-        lines.append("stations:  # base: x m, y m, heading rad, in the world, which is the base at the start")
+        lines.append(
+            "stations:  # base: x (m), y (m), heading (rad) in the world frame (the base frame at the start)"
+        )
         lines += [
             f"  - {{time_s: {_plain(t)}, base: {_row(base)}, joints_rad: {_row(joints)}}}"
             for t, base, joints in zip(times, route.drive.poses(times), route.joints(times), strict=True)

@@ -1,4 +1,4 @@
-"""The simulated stereo pair: two cameras that differ a little, with the rectification a ROS driver would state."""
+"""Simulated stereo pair: two slightly different cameras, with the rectification of a ROS driver."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ BASELINE_M = 0.12
 def stereo_infos(
     prefix: str, focal_px: float = 550.0, shift_px: float = 0.0
 ) -> tuple[CameraInfo, CameraInfo]:
-    """Left and right calibration of a 640x480 pair with 0.12 m baseline and moderate plumb_bob distortion.
+    """CameraInfo of the left and right camera: 640x480, 0.12 m baseline, moderate plumb_bob distortion.
 
     Args:
         prefix: of the frame names, "<prefix>_left_optical" and "<prefix>_right_optical".
-        focal_px: about the focal length of both.
-        shift_px: moves the principal points, so that two robots do not share their cameras.
+        focal_px: approximate focal length of both cameras, px.
+        shift_px: offset of the principal points, so that two robots have different cameras, px.
 
     Returns:
-        R and P rectify as ROS does: P[0, 3] of the right camera is -f * baseline.
+        Left and right, with R and P as in ROS: P[0, 3] of the right camera is -f * baseline.
     """
     K_left = np.array([[focal_px, 0, 322.4 + shift_px], [0, focal_px + 0.8, 236.1 - shift_px], [0, 0, 1]])
     K_right = np.array(
@@ -33,7 +33,7 @@ def stereo_infos(
     R_c_r = Rotation.from_rotvec([0.0063, -0.0081, 0.0047])
     p_c_r = np.array([BASELINE_M, -0.0011, 0.0018])
     p_c_r *= BASELINE_M / np.linalg.norm(p_c_r)
-    # Rectified axes: x along the baseline, z midway between the two optical axes as far as x allows.
+    # Rectified axes: x along the baseline, z as near as possible to the mean of both optical axes.
     x = p_c_r / np.linalg.norm(p_c_r)
     forward = np.array([0.0, 0.0, 1.0]) + R_c_r.as_matrix()[:, 2]
     y = np.cross(forward, x)
@@ -51,7 +51,7 @@ def stereo_infos(
 
 
 def stereo_rig(left: CameraInfo, right: CameraInfo) -> StereoRig:
-    """The pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+    """Stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
     T_c_r = np.eye(4)
     T_c_r[:3, :3] = left.R.T @ right.R
     T_c_r[:3, 3] = left.R.T @ np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
@@ -63,7 +63,7 @@ def stereo_rig(left: CameraInfo, right: CameraInfo) -> StereoRig:
 
 
 def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
-    """plumb_bob: z = 1 coordinates (..., 2) → distorted ones. The simulator's own, written from the definition."""
+    """Apply plumb_bob distortion to z = 1 coordinates (..., 2); independent of the solver's code."""
     k1, k2, p1, p2, k3 = D
     x, y = flat[..., 0], flat[..., 1]
     r2 = x**2 + y**2
@@ -78,7 +78,7 @@ def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
 
 
 def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatArray:
-    """Inverse of `distort` by fixed-point iteration, which contracts for lenses like these."""
+    """Inverse of `distort` by fixed-point iteration, which converges for moderate distortion."""
     flat = distorted
     for _ in range(rounds):
         flat = flat + (distorted - distort(D, flat))
@@ -86,7 +86,7 @@ def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatAr
 
 
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:
-    """Points in the camera's optical frame (..., 3) → (..., 2) px, by the simulator's own projection."""
+    """Project points in the camera frame, (..., 3), to (..., 2) px; independent of the solver's code."""
     flat = points[..., :2] / points[..., 2:]
     if np.any(camera.D):
         flat = distort(camera.D, flat)

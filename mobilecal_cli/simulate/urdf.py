@@ -1,4 +1,4 @@
-"""A simulated robot's URDF, as its /robot_description states it."""
+"""URDF of a simulated robot, published on /robot_description."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def urdf_text(robot: SimulatedRobot) -> str:
-    """The URDF: the head's joints, the two wheels where the drawing has them."""
+    """URDF with the head's joints and the nominal wheels."""
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>", '  <link name="base_link"/>']
     parent = robot.base_frame
     for joint in robot.joints:

@@ -97,7 +97,7 @@ def test_no_board_anywhere(make, tmp_path):
     grey = np.random.default_rng(0).integers(90, 110, (480, 640)).astype(np.uint8)
     jpeg = cv2.imencode(".jpg", grey)[1].reshape(-1)
     log = make(lambda topic, m: replace(m, data=jpeg) if topic in IMAGES else m)
-    refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard was found", "whole board")
+    refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "whole board")
     refused(run("calibrate", log, "--board", "9x6", cwd=tmp_path), 4, "at 0 of 12 stations", "whole board")
 
 
@@ -106,7 +106,7 @@ def test_the_wrong_board_size(paper, tmp_path):
     refused(
         run("calibrate", paper, "--board", "8x6", cwd=tmp_path),
         4,
-        "the pictures show one of 9 x 6",
+        "but the images show 9 x 6",
         "--board 9x6",
     )
 

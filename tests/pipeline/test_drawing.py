@@ -25,8 +25,8 @@ def begin(draughtsman: Draughtsman, extraction) -> list[str]:
     progress = draughtsman.watching(lambda stage, *_: told.append(stage))
     progress("reading", 0, None)
     assert not draughtsman.started
-    progress("looking for the board", 1, 2)
-    progress("looking for the board", 2, 2)
+    progress("detecting the board", 1, 2)
+    progress("detecting the board", 2, 2)
     draughtsman.begin_with(extraction)
     return told
 
@@ -34,7 +34,7 @@ def begin(draughtsman: Draughtsman, extraction) -> list[str]:
 def test_another_process_draws_the_same(drawn):
     solution, extraction, here = drawn
     with Draughtsman(2) as draughtsman:
-        assert begin(draughtsman, extraction) == ["reading", "looking for the board", "looking for the board"]
+        assert begin(draughtsman, extraction) == ["reading", "detecting the board", "detecting the board"]
         assert draughtsman.started
         there = draughtsman.begin(solution, extraction)()
     assert there == here

@@ -49,7 +49,7 @@ def test_an_error_comes_back():
 
 
 def test_without_processes_nothing_is_taken():
-    with Processes() as some, pytest.raises(OSError, match="no processes"):
+    with Processes() as some, pytest.raises(OSError, match="no worker processes"):
         some.submit(int)
 
 
