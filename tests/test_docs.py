@@ -45,7 +45,7 @@ def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
 def test_every_error_says_what_to_do(generator):
     """Except for errors of the readers about a single image, which become rejections with their own cure."""
     lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
-    without = {module.removeprefix("| ") for module, _, cure in lines if cure in ("|", " |")}
+    without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/images", "readers/video"}
 
 

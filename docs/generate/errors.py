@@ -131,7 +131,7 @@ def catalogue() -> str:
         parts.append(f"\n## `{kind.code}`: exit code {kind.exit_code}\n\n{inspect.getdoc(kind)}\n\n")
         parts.append("| raised in | message | what to do |\n| --- | --- | --- |\n")
         parts += [
-            f"| {entry.module} | {_cell(entry.message)} | {_cell(entry.cure)} |\n"
+            f"| `{entry.module}` | {_cell(entry.message)} | {_cell(entry.cure)} |\n"
             for entry in sorted(found[name])
         ]
     return "".join(parts)
