@@ -1,5 +1,4 @@
-"""Motion of the simulated base: segments of constant speed, integrated about the instantaneous center of
-rotation.
+"""Motion of the simulated base in segments of constant speed, integrated as exact arcs.
 
 This code is independent of the solver's dead reckoning.
 """

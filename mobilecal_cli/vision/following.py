@@ -109,10 +109,10 @@ class _Vain:
 class BoardFollower:
     """Tracks the board through the images of one camera, in order of time.
 
-    The position is predicted from the last two detections if they are at most half a second old; if the board
-    is not there, optical flow predicts it. Otherwise the whole image is searched. After the first detection,
-    a search needs as many saddle points as the board has corners, with a tenth of their response. After a
-    failed search, the next one waits, unless the saddle response has increased strongly.
+    The position is extrapolated from the last two detections; after a gap of half a second the last position
+    is used. If the board is not there, optical flow predicts it. Otherwise the whole image is searched. After
+    the first detection, a search needs as many saddle points as the board has corners, with a tenth of their
+    response. After a failed search, the next one waits, unless the saddle response has increased strongly.
 
     A second board is searched for until the first detection, and in every thorough search.
 
@@ -127,7 +127,7 @@ class BoardFollower:
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._spots: float | None = None
         self._lost = False
-        self._vain: _Vain | None = None  # set while the board has not been detected since
+        self._vain: _Vain | None = None  # None after a detection
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
         """Detect the board in the next image.

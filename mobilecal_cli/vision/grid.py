@@ -101,8 +101,7 @@ def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
 
 
 def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Residuals of scattered corners from a smooth map of the board: a homography and a low-degree
-    polynomial.
+    """Residuals of scattered corners from a smooth map: a homography and a low-degree polynomial.
 
     Args:
         uv: (n, 2) positions on the board, any unit, n at least 6.

@@ -1,5 +1,4 @@
-"""Numbering of boards that look the same when rotated, made consistent over all stations by the robot's
-motion.
+"""Consistent numbering over all stations of a board that looks the same when rotated, from the motion.
 
 The head chain gives the vertical in the head frame at every station, h_i = R_v_h^T z. Head and camera are one
 rigid body and the board does not move. With A = R_c_h and the vertical n in the board frame,

@@ -57,8 +57,7 @@ def _no_pair(left: Sequence[Detection | Miss], right: Sequence[Detection | Miss]
 def _best_fit(
     rig: StereoRig, left: Corners, right: Corners, board: Board
 ) -> tuple[StereoPoints | Miss, Corners]:
-    """Triangulate the corners that both cameras see, with the right image numbered consistently with the
-    left.
+    """Triangulate the corners that both cameras see, after renumbering the right image to match the left.
 
     The first numbering that fits is used. No other can fit, because its rows would be several squares apart.
     """

@@ -56,8 +56,7 @@ def refine_once(image: GrayImage, pixels: FloatArray, edge_px: float, outer_whol
 
 
 def refine(image: GrayImage, pixels: FloatArray, edge_px: float, window: float = _NARROW) -> FloatArray:
-    """Refine corners to where the gradients in a window intersect (Foerstner and Guelch 1987, iterated by
-    OpenCV).
+    """Refine corners by the gradients in a window (Foerstner and Guelch 1987, as iterated by OpenCV).
     The window stays inside the squares next to a corner.
 
     Args:

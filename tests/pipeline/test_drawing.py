@@ -1,4 +1,4 @@
-"""Figures drawn by another process are the same figures, and are drawn here where that fails."""
+"""Figures drawn by another process are the same; if that process fails, this one draws them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joints and wheels first, then only the pictures that are wanted: the same plan as in one pass."""
+"""Reading joints and wheels first, then only the chosen images, gives the same plan as one pass."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def planned(paths, joints_first, read=()):
         }
         found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, wanted)}
         assert recording.damage == ()
-    # Each picture shows its own time: those that are looked at are the right ones.
+    # Each image shows its own time, so that the chosen ones can be checked.
     assert found == {
         (side, ns): round((ns - r.START_NS) / S * 10) % 256
         for side, stamps in wanted.items()
@@ -204,7 +204,7 @@ def test_a_moving_log_whose_lag_varies_needs_all_stamps(tmp_path):
 
 
 def test_a_lag_that_the_few_pictures_do_not_show(tmp_path):
-    """Over the fourth rest the pictures came a second late; the few that are looked at miss it."""
+    """During the fourth rest the images are a second late, which the sampled ones do not show."""
     few = {round(0.1 + k, 1) for k in np.linspace(0, 236, 9).astype(int) * 0.1}
 
     def lag(topic, t):

@@ -1,4 +1,4 @@
-"""Processes that stand ready: what they answer, and what is left when somebody dies."""
+"""Worker processes: results, errors, and cleanup after a crash."""
 
 from __future__ import annotations
 

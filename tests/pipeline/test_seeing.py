@@ -1,4 +1,4 @@
-"""Segments, processes and threads: the same corners in the same order, whoever looks."""
+"""Segments, processes and threads: the same corners in the same order for any number of processes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def same(a, b) -> bool:
 
 @pytest.fixture(params=[True, False], ids=["called early", "called when needed"])
 def segmented(request, monkeypatch) -> None:
-    """A short log is cut into several segments; the crew is called before or after the log is planned."""
+    """A short log is split into several segments; the workers start before or after the planning."""
     monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
     monkeypatch.setattr(looking, "_MEASURED_AT_ONCE", 7)
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)

@@ -1,4 +1,4 @@
-"""Recordings: the same values in every container, the same bytes from the same seed, and nothing by halves."""
+"""Recordings: the same values in every container, the same bytes from the same seed, and no partial output."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
 
 
 def contents(path: Path, scenario: Scenario):
-    """Everything that a calibration reads: prelude, signals and decoded images."""
+    """Everything that a calibration reads: robot description, signals and decoded images."""
     robot = ROBOTS[scenario.robot]()
     sources = robot.topics(compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:

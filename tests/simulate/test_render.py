@@ -1,4 +1,4 @@
-"""Rendered corners, measured by a saddle fit that knows nothing of the renderer, against OpenCV's projection."""
+"""Rendered corners, measured by an independent saddle point fit, against OpenCV's projection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras and boards of known truth, and a renderer that owes nothing to the code under test."""
+"""Cameras and boards with known ground truth, and a renderer independent of the code under test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Covariances of corners: from the fit to the observation, and what they are worth there."""
+"""Covariances of corners, from the fit to the observation."""
 
 from __future__ import annotations
 

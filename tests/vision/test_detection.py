@@ -1,4 +1,4 @@
-"""Boards found, refused and told apart, in rendered and in real images."""
+"""Detection of boards in rendered and real images: accepted, rejected, and distinguished."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class TestRendered:
             found = detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
             assert isinstance(found, Detection)
             expected = truth(T_c_k, board).reshape(rows, columns, 2)
-            # Settled by the squares' colors alone, or as far as they can.
+            # Determined by the square colors as far as possible.
             possible = {(8, 8): (0, 1, 2, 3), (8, 6): (0, 2), (7, 7): (0, 2)}.get((columns, rows), (0,))
             errors = [np.abs(found.pixels - np.rot90(expected, k).reshape(-1, 2)).max() for k in possible]
             assert min(errors) < 0.5

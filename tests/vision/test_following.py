@@ -1,4 +1,4 @@
-"""The board followed from image to image: kept where it goes, let go where it hides, never a square beside."""
+"""Tracking of the board: it follows motion, stops at occlusion, and is never off by one square."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_NS = 50_000_000
 
 
 def pose_at(time_s: float) -> np.ndarray:
-    """A board that goes to the right by about 10 px an image, faster and faster, and turns."""
+    """A board that moves to the right by about 10 px per image, accelerates and rotates."""
     return pose(
         -0.15 + 0.3 * time_s + 0.2 * time_s**2, 0.02, 1.0, (0.2, -0.2 + 0.3 * time_s, 0.1), BOARD, 0.05
     )

@@ -1,4 +1,4 @@
-"""Boards with markers, seen in part: corners against where the simulated robot's geometry puts them."""
+"""Partly visible boards with markers: corners against the geometry of the simulated robot."""
 
 from __future__ import annotations
 
@@ -107,10 +107,10 @@ def test_an_observation_of_a_part_is_completed_by_its_pose(kind):
         np.testing.assert_allclose(seen.T_c_k[:3, :3], T_c_k[:3, :3], atol=0.01)
         for corners, (_, truth) in zip((seen.left, seen.right), made, strict=True):
             error = corners.pixels - truth
-            assert np.abs(error[~corners.seen]).max() < 3  # carried on to far outside the image
+            assert np.abs(error[~corners.seen]).max() < 3  # predicted far outside the image
         points = (board.grid() * board.square_m) @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         np.testing.assert_allclose(seen.points_c * scale, points, atol=0.06)
-        # The claim is taken from how well the board's pose explains both images.
+        # The claimed noise comes from the reprojection error of the board's pose.
         error = np.concatenate(
             [(c.pixels - t)[c.seen] for c, (_, t) in zip((seen.left, seen.right), made, strict=True)]
         )

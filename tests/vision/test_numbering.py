@@ -1,4 +1,4 @@
-"""Boards that look the same when turned, settled by the motion."""
+"""Numbering of boards that look the same when rotated, resolved by the motion."""
 
 from __future__ import annotations
 

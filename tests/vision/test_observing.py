@@ -1,4 +1,4 @@
-"""Stations: real pairs against Bouguet's calibration, and every way in which shots can disagree."""
+"""Stations: real pairs against Bouguet's calibration, and every inconsistency of stereo pairs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def shots(
 
 
 def observe(*seen: object) -> Observation | Rejection:
-    """What a station gives: of what `measure` takes, and a square's side, m."""
+    """Observation or rejection from the arguments of `measure` and a square's side, m."""
     *pictures, square_m = seen
     result = measure(*pictures)
     return settle_square(result, square_m) if isinstance(result, Measured) else result
