@@ -1,6 +1,6 @@
-"""mobilecal: head-eye and wheel calibration of a differential-drive robot from one recording.
+"""mobilecal: head-eye and wheel calibration of a differential-drive robot from a recording.
 
-Importing this package does no work; `mobilecal_cli.pipeline` is what a notebook would call.
+Importing this package has no side effects. From a notebook, use `mobilecal_cli.pipeline`.
 """
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""The command, and python -m mobilecal_cli: Ctrl-C leaves alike at any moment, also while modules are loaded."""
+"""Entry point of the command; Ctrl-C exits in the same way at any time, also during imports."""
 
 import sys
 
@@ -6,7 +6,7 @@ _INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line and leave with the exit code that fits."""
+    """Run the command line; exit with code 130 on Ctrl-C."""
     try:
         from mobilecal_cli.cli import main as run
 
@@ -14,10 +14,10 @@ def main() -> None:
         return
     except KeyboardInterrupt:
         pass
-    except SystemExit as leaving:  # typer has turned Ctrl-C into an exit by now
+    except SystemExit as leaving:  # typer turns Ctrl-C into an exit
         if leaving.code != _INTERRUPTED:
             raise
-    print("interrupted: what was not finished was not written", file=sys.stderr)
+    print("interrupted: unfinished output was not written", file=sys.stderr)
     sys.exit(_INTERRUPTED)
 
 

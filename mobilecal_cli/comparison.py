@@ -1,4 +1,4 @@
-"""Calibrations of one robot side by side: differences in units, in standard deviations, and in what a user feels."""
+"""Comparison of calibrations of one robot: change in units, in standard deviations, and its effect on the robot."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from mobilecal_cli.model.arrays import freeze
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference:
-    """One calibration less another.
+    """Change from one calibration a to another b.
 
     Attributes:
         change: (9,) in the order of `NINE`: rotation vector of R_b R_a^T in the head's frame, rad; m.
-        std: (9,) of it, for independent recordings; 0 where one of the two does not know the number.
-        known: (9,) numbers that both know.
-        chi2: change in units of its covariance, squared, over the known numbers; None where there are none.
-        chance: that chance alone makes it as large; None where there are none.
-        shared: the two were made from a common recording, so that the standard deviations say too much.
-        ray_m: shift of a point two metres ahead of the camera.
-        along_m_per_m: more distance dead reckoned per metre straight on.
-        heading_rad_per_m: heading gained where the first goes straight on.
-        heading_rad_per_turn: heading gained in a full turn on the spot.
+        std: (9,) standard deviation of `change` for independent recordings; 0 where `known` is false.
+        known: (9,) whether the parameter is observable in both.
+        chi2: squared Mahalanobis distance of the known parameters; None if there are none.
+        chance: probability of a chi-squared this large if the robot did not change; None if there is none.
+        shared: both use a common recording, so they are not independent and the test is weak.
+        ray_m: shift of a point 2 m ahead of the camera.
+        along_m_per_m: change of the distance by dead reckoning per meter of straight driving.
+        heading_rad_per_m: change of heading per meter where a drives straight.
+        heading_rad_per_turn: change of heading in a full turn in place.
     """
 
     change: FloatArray
@@ -49,15 +49,15 @@ class Difference:
 
     @property
     def sigmas(self) -> FloatArray:
-        """(9,) change over its standard deviation, NaN where that is not known."""
+        """Change in standard deviations, (9,); NaN where unknown."""
         return np.where(self.known, self.change / np.where(self.known, self.std, 1.0), np.nan)
 
 
 def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
-    """What has changed from one calibration to another.
+    """Change from the first calibration to the second.
 
     Raises:
-        ConfigError: they speak of other frames.
+        ConfigError: the frames differ.
     """
     for one, other, what in (
         (first.parent_frame, second.parent_frame, "head"),
@@ -65,8 +65,8 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     ):
         if one != other:
             raise ConfigError(
-                f"the calibrations speak of different frames: the {what} is {one!r} in one and {other!r} in the other",
-                "compare calibrations of one robot, made with the same head.head_frame and cameras.reference",
+                f"the {what} frames of the calibrations differ: {one!r} in one and {other!r} in the other",
+                "compare calibrations of one robot with the same head.head_frame and cameras.reference",
             )
     change = nine_apart(first, second)
     known, covariance = _known(first, second)
@@ -79,7 +79,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         chance = _chance(chi2, int(known.sum()))
     a, b = first.wheels, second.wheels
     right, left = b.radius_right_m / a.radius_right_m, b.radius_left_m / a.radius_left_m
-    # A full turn on the spot by the first: each wheel rolls b_a / 2 times 2 pi, one of them backwards.
+    # A full turn in place by a: each wheel rolls b_a / 2 times 2 pi, one of them backwards.
     turned = 2 * math.pi * (right + left) / 2 * a.separation_m / b.separation_m
     ahead = np.array([0.0, 0.0, AHEAD_M])
     shift = se3.act(second.T_parent_child, ahead[None]) - se3.act(first.T_parent_child, ahead[None])
@@ -98,7 +98,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
 
 
 def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
-    """(9,) in the order of `NINE`: rotation vector of R_b R_a^T, rad, and differences of the lengths, m."""
+    """Change from a to b, (9,), in the order of `NINE`: rotation vector of R_b R_a^T, rad; lengths, m."""
     a, b = first.wheels, second.wheels
     R_b_a = second.T_parent_child[:3, :3] @ first.T_parent_child[:3, :3].T
     return np.array(
@@ -113,7 +113,7 @@ def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
 
 
 def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, FloatArray]:
-    """(9,) numbers that both know, and (9, 9) covariance of the difference of independent calibrations."""
+    """Which parameters both observe, (9,), and the covariance of the difference if independent, (9, 9)."""
     a, b = first.knowledge, second.knowledge
     if a is None or b is None:
         return np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
@@ -121,21 +121,21 @@ def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, 
 
 
 def _chance(chi2: float, freedom: int) -> float:
-    """That chance alone makes a sum of squares as large (Pearson's chi-squared test)."""
-    from scipy.special import chdtrc  # heavy, and whoever draws a report needs none of it
+    """Probability of a sum of squares this large (Pearson's chi-squared test)."""
+    from scipy.special import chdtrc  # slow to import, and reports do not need it
 
     return float(chdtrc(freedom, chi2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """One number over several calibrations.
+    """The nine parameters over several calibrations.
 
     Attributes:
-        change: (n, 9) against the first calibration.
-        std: (n, 9) of each calibration by itself, 0 where it does not know the number.
-        chance: (9,) that calibrations of a robot that did not change are so far apart; NaN where fewer than two
-            know the number.
+        change: (n, 9) change from the first calibration.
+        std: (n, 9) standard deviations of each calibration, 0 where a parameter is not observable.
+        chance: (9,) probability of a spread this large if the robot did not change; NaN where fewer than two
+            calibrations observe the parameter.
     """
 
     change: FloatArray
@@ -144,10 +144,10 @@ class History:
 
 
 def history(robots: Sequence[CalibratedRobot]) -> History:
-    """All calibrations against the first, and whether each number stays.
+    """Change of all calibrations from the first, with a test of each parameter.
 
     Raises:
-        ConfigError: they speak of other frames.
+        ConfigError: the frames differ.
     """
     change = np.stack([difference(robots[0], robot).change for robot in robots])
     std = np.zeros_like(change)

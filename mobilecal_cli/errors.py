@@ -1,4 +1,4 @@
-"""The errors that a user meets. Each has an exit code of its own; anything else is a bug (exit code 1)."""
+"""Errors for the user. Each kind has its own exit code; anything else is a bug (exit code 1)."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import ClassVar
 
 
 class MobilecalError(Exception):
-    """Base of every error that mobilecal raises on purpose.
+    """Base class of the errors.
 
     Args:
-        message: what is wrong, where, with the numbers.
+        message: what is wrong and where, with the numbers.
         hint: what to do next.
     """
 
     exit_code: ClassVar[int] = 1
-    #: The kind in one word, for programs.
+    #: The kind as one word, for programs.
     code: ClassVar[str] = "bug"
 
     def __init__(self, message: str, hint: str = "") -> None:
@@ -24,42 +24,42 @@ class MobilecalError(Exception):
 
 
 class ConfigError(MobilecalError):
-    """An unknown key, a bad value or a bad file in the configuration or on the command line."""
+    """An unknown key, an invalid value or an unreadable file in the configuration or on the command line."""
 
     exit_code = 2
     code = "config"
 
 
 class RecordingError(MobilecalError):
-    """A recording that cannot be read, or lacks a topic, a field or the data that the task needs."""
+    """A recording that cannot be read, or lacks a required topic, field or data."""
 
     exit_code = 3
     code = "recording"
 
 
 class ObservationError(MobilecalError):
-    """The board was not seen at enough stations."""
+    """The board was detected at too few stations."""
 
     exit_code = 4
     code = "observation"
 
 
 class SolveError(MobilecalError):
-    """The nine numbers cannot be had from these observations: not observable, or not converged."""
+    """The nine parameters cannot be estimated: not observable, or not converged."""
 
     exit_code = 5
     code = "solve"
 
 
 class QualityError(MobilecalError):
-    """Solved and written, but a gate failed."""
+    """The result was written, but the verdict is not PASS."""
 
     exit_code = 6
     code = "quality"
 
 
 class OutputError(MobilecalError):
-    """An output cannot be written, or exists already."""
+    """An output cannot be written, or already exists."""
 
     exit_code = 7
     code = "output"

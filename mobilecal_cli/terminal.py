@@ -1,32 +1,55 @@
-"""What the terminal shows while a command works: a bar on a terminal, nothing elsewhere."""
+"""Terminal output: progress while a command runs, and the verdict at its end."""
 
 from __future__ import annotations
 
 import logging
+import os
 import sys
+import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.pipeline import Progress, silent
+
+_WIDTH = 80
+_BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
+_PLAIN = "\x1b[0m"
+
+
+def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = False) -> str:
+    """The verdict as wrapped lines; the level is colored on a terminal, unless NO_COLOR is set.
+
+    Args:
+        level: "PASS", "FAIL" or "NOT ENOUGH".
+        reason: one or two sentences.
+        next_step: what to do now.
+        to_stderr: for standard error instead of standard output.
+    """
+    stream = sys.stderr if to_stderr else sys.stdout
+    lines = textwrap.wrap(f"{level}: {visible(reason)}", _WIDTH)
+    if stream.isatty() and not os.environ.get("NO_COLOR"):
+        lines[0] = f"{_BOLD[level]}{level}{_PLAIN}{lines[0][len(level) :]}"
+    return "\n".join([*lines, *textwrap.wrap(f"Next: {visible(next_step)}", _WIDTH)])
 
 
 @contextmanager
 def _stages() -> Iterator[Progress]:
-    """A line on standard error for every stage, with the time that it took, and what the code has to tell."""
+    """Print each stage with its duration, and the log messages of the code, on standard error."""
     began = time.perf_counter()
     stage_began, current, last = began, "starting", ""
 
-    def told(now: float) -> None:
+    def report(now: float) -> None:
         print(f"[{now - began:8.2f} s] {current}{last}: {now - stage_began:.2f} s", file=sys.stderr)
 
     def show(stage: str, done: int, total: int | None) -> None:
         nonlocal stage_began, current, last
         if stage != current:
             now = time.perf_counter()
-            told(now)
+            report(now)
             stage_began, current = now, stage
-        last = "" if total is None else f" {done}/{total}"
+        last = "" if total is None and not done else f" {_count(done, total)}"
 
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("           %(message)s"))
@@ -37,18 +60,27 @@ def _stages() -> Iterator[Progress]:
     try:
         yield show
     finally:
-        told(time.perf_counter())
+        report(time.perf_counter())
         log.removeHandler(handler)
         log.setLevel(level)
 
 
+def _count(done: int, total: int | None) -> str:
+    """Progress as text: "3/12", or "37 steps" where the total is unknown; "" before the first step."""
+    if total is not None:
+        return f"{done}/{total}"
+    return f"{done} steps" if done else ""
+
+
 @contextmanager
 def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progress]:
-    """A progress bar with counts and time left on standard error, if that is a terminal.
+    """Progress on standard error, if that is a terminal.
+
+    A stage with a known total has a bar and the time left; any other stage has its steps and the elapsed time.
 
     Args:
-        quiet: nothing at all.
-        verbose: a line for every stage instead, also where there is no terminal.
+        quiet: show nothing.
+        verbose: print a line per stage instead, also where standard error is no terminal.
     """
     if verbose:
         with _stages() as show_stage:
@@ -57,22 +89,38 @@ def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progres
     if quiet or not sys.stderr.isatty():
         yield silent
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
+    from rich.console import Console, RenderableType
+    from rich.progress import BarColumn, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.progress import Progress as Bar
+    from rich.text import Text
+
+    class KnownBar(ProgressColumn):
+        """A bar for a stage with a known total, nothing for any other."""
+
+        def render(self, task: Task) -> RenderableType:
+            return Text() if task.total is None else BarColumn().render(task)
+
+    class Clock(ProgressColumn):
+        """Time left of a stage with a known total, elapsed time of any other."""
+
+        def render(self, task: Task) -> RenderableType:
+            seconds = task.elapsed if task.total is None else task.time_remaining
+            return Text("" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d}")
 
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
-        BarColumn(),
+        KnownBar(),
         TextColumn("{task.fields[counts]}"),
-        TimeRemainingColumn(),
     )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None, counts="")
+    with Bar(*columns, Clock(), console=Console(stderr=True), transient=True) as bar:
+        current, task = "starting", bar.add_task("starting", total=None, counts="")
 
         def show(stage: str, done: int, total: int | None) -> None:
-            counts = "" if total is None else f"{done}/{total}"
-            bar.update(task, description=stage, completed=done, total=total, counts=counts)
+            nonlocal current, task
+            if stage != current:  # a task keeps its total and its clock, so each stage has its own
+                bar.remove_task(task)
+                current, task = stage, bar.add_task(stage, total=total, counts="")
+            bar.update(task, completed=done, total=total, counts=_count(done, total))
 
         yield show

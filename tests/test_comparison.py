@@ -10,7 +10,9 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, WheelGeometry
+from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.report import change_from_nominal, comparison_text
+from mobilecal_cli.report.changes import change_rows
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -69,6 +71,24 @@ def test_what_one_of_them_does_not_know_is_left_out():
 def test_another_robot_is_refused():
     with pytest.raises(ConfigError, match="'head' in one and 'neck'"):
         difference(robot(), robot(head="neck"))
+
+
+def test_nominal_values_have_no_sigma():
+    change = change_from_nominal(robot(), Nominal(wheels=WheelGeometry(0.11, 0.1, 0.5)))
+    rows = change_rows(change)
+    assert rows["radius_right"] == ("-10.000", "")
+    assert rows["t_x"] == ("", "")
+    assert {sigmas for _, sigmas in rows.values()} == {""}
+    assert change.chance is None
+
+
+def test_the_text_has_digits_that_match_the_sigma():
+    moved = se3.transform(np.eye(3), np.array([0.00123, 0.0, 0.0]))
+    text = comparison_text(("a", "b"), [difference(robot(), robot(moved, log="b"))], None)
+    row = next(line.split() for line in text.splitlines() if "t_x" in line)
+    assert row == ["t_x", "+1.2", "2.8", "+0.4", "mm"]
+    assert "Change from a to b" in text
+    assert "probability by chance 100 %" in text
 
 
 def test_history_tells_what_moves():

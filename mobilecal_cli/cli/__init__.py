@@ -6,17 +6,23 @@ import sys
 
 from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.errors import MobilecalError, QualityError
 
 __all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
 
+#: The order of `mobilecal --help`: the everyday commands first.
+_ORDER = ("calibrate", "inspect", "init", "suggest", "evaluate", "compare", "export", "batch", "simulate")
+app.registered_commands.sort(key=lambda command: _ORDER.index(command.callback.__name__))  # type: ignore[union-attr]
+
 
 def main() -> None:
-    """Run the command line and leave with the exit code that fits."""
+    """Run the command line; on an error, print it and exit with its code."""
     try:
         app()
+    except QualityError as error:  # `conclude` has printed the verdict
+        sys.exit(error.exit_code)
     except MobilecalError as error:
-        from mobilecal_cli.model.text import visible  # names out of a log must not steer the terminal
+        from mobilecal_cli.model.text import visible  # names from a recording must not control the terminal
 
         print(f"error: {visible(error.message)}", file=sys.stderr)
         if error.hint:

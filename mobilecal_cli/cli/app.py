@@ -1,4 +1,4 @@
-"""The application that the commands join, and what they have in common."""
+"""The application that the commands belong to, and its common options."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mobilecal_cli import __version__
 
 app = typer.Typer(
     name="mobilecal",
-    help="Calibrate a differential-drive robot's stereo head and wheels from a recording of a checkerboard.",
+    help="Calibrate the stereo head and the wheels of a differential-drive robot.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -18,8 +18,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         typer.echo(f"mobilecal {__version__}")
         raise typer.Exit
 
@@ -27,10 +27,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Calibrate a differential-drive robot's stereo head and wheels from a recording of a checkerboard.
+    """Calibrate the stereo head and the wheels of a differential-drive robot from a recording of a checkerboard.
 
     Example: mobilecal calibrate log.mcap
     """

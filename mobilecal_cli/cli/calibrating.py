@@ -1,4 +1,4 @@
-"""Commands that solve, and try what was solved."""
+"""Commands that calibrate, and that test a calibration."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ from mobilecal_cli.cli.options import (
     Verbose,
     flags_of,
 )
-from mobilecal_cli.errors import MobilecalError, QualityError
+from mobilecal_cli.cli.verdict import conclude
+from mobilecal_cli.errors import MobilecalError
 
 
 class MethodName(StrEnum):
-    """How the nine numbers are solved for."""
+    """Methods that estimate the nine parameters."""
 
     linear = "linear"
     paper = "paper"
@@ -39,16 +40,14 @@ class MethodName(StrEnum):
 
 
 @contextmanager
-def _told_to(junit: Path | None, name: str, force: bool) -> Iterator[None]:
-    """What goes wrong also goes to a JUnit file, but for a file that must not be replaced."""
+def _errors_to(junit: Path | None, name: str, force: bool) -> Iterator[None]:
+    """Write an error to the JUnit file as well, unless that file must not be replaced."""
     from mobilecal_cli import pipeline
 
     if junit is not None:
         pipeline.check_file(junit, force)
     try:
         yield
-    except QualityError:
-        raise
     except MobilecalError as error:
         if junit is not None:
             pipeline.write_junit_error(junit, name, error, force)
@@ -70,42 +69,48 @@ def calibrate(
         ),
     ] = MethodName.ml,
     board: Annotated[
-        str | None, typer.Option(help="Inner corners, such as 9x6. [default: found by itself]")
+        str | None, typer.Option(help="Inner corners, for example 9x6. [default: detected]")
     ] = None,
     square_m: Annotated[
-        float | None, typer.Option(help="Side of a square, m. [default: from the stereo pair]")
+        float | None, typer.Option(help="Side of a square, m. [default: measured by the stereo pair]")
     ] = None,
     stations: Annotated[
         StationsName | None,
         typer.Option(
-            help="auto: rests, or the best moments of a moving log; all: every picture. [default: auto]",
+            help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
             show_default=False,
         ),
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(
-            min=1, help="Processes that look at a long log's pictures and draw. [default: one a core]"
-        ),
+        typer.Option(min=1, help="Worker processes for images and figures. [default: one per core]"),
     ] = None,
     setting: Settings = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(help="NAME or NAME=VALUE (m, rad): hold it there; also head_eye, wheels."),
+        typer.Option(
+            metavar="NAME[=VALUE]", help="Fix a parameter (m, rad), or head_eye or wheels. Repeatable."
+        ),
     ] = None,
-    prior: Annotated[list[str] | None, typer.Option(help="NAME=VALUE±SIGMA: what is known of it.")] = None,
+    prior: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter. Repeatable.")
+    ] = None,
     estimate: Annotated[
-        list[str] | None, typer.Option(help="NAME,...: numbers beside the nine, such as pan_zero or mount.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME,...", help="Additional parameters to estimate, for example pan_zero or mount."
+        ),
     ] = None,
     gate: Gates = None,
     hold_out: Annotated[
         float | None,
         typer.Option(
-            min=0.0, max=0.8, help="Leave so large a share of each log's end out, and try the result on it."
+            min=0.0, max=0.8, help="Share at the end of each recording to hold out and to test the result on."
         ),
     ] = None,
     last: Annotated[
-        Path | None, typer.Option(help="params.yaml of the last calibration. [default: the nominal values]")
+        Path | None,
+        typer.Option(help="params.yaml to compare the result with. [default: the nominal values]"),
     ] = None,
     as_json: AsJson = False,
     junit: JUnit = None,
@@ -113,9 +118,9 @@ def calibrate(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Read recordings, solve for all nine numbers, and write parameters and a report.
+    """Calibrate head and wheels, and write parameters and a report.
 
-    Several recordings of one robot are solved together; files that follow one another are one recording.
+    Recordings of one robot are calibrated together. Files that continue each other count as one recording.
 
     Example: mobilecal calibrate log.mcap --config rig.yaml --output result
 
@@ -126,7 +131,7 @@ def calibrate(
     from mobilecal_cli.solvers import asked_of
     from mobilecal_cli.terminal import progress_bar
 
-    with _told_to(junit, str(logs[0]), force):
+    with _errors_to(junit, str(logs[0]), force):
         flags = flags_of(setting, board, square_m, stations)
         asked = asked_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
@@ -149,33 +154,37 @@ def calibrate(
     if as_json:
         typer.echo((result.directory / "report.json").read_text(encoding="utf-8"), nl=False)
     elif not quiet:
-        typer.echo(summary_table(result.solution, result.extraction, result.verdict, result.trial))
-        typer.echo(f"written: {result.directory / 'params.yaml'}, {result.directory / 'report.html'}")
-    if result.verdict.level != "PASS":
-        raise QualityError(
-            f"{result.verdict.level}: {result.verdict.reason}",
-            f"{result.verdict.next_step} (see {result.directory / 'report.html'})",
-        )
+        typer.echo(summary_table(result.solution, result.extraction, result.trial))
+    verdict = result.verdict
+    conclude(
+        verdict.level,
+        verdict.reason,
+        verdict.next_step,
+        written=f"{result.directory / 'params.yaml'}, {result.directory / 'report.html'}",
+        quiet=as_json or quiet,
+    )
 
 
 @app.command()
 def evaluate(
     logs: Logs,
-    params: Annotated[Path, typer.Argument(help="params.yaml of an earlier calibration.")],
+    params: Annotated[Path, typer.Argument(help="params.yaml of the calibration to test.")],
     before: Annotated[
         Path | None,
-        typer.Option(help="params.yaml whose wheels drift is compared with. [default: the nominal wheels]"),
+        typer.Option(help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]"),
     ] = None,
     config: Config = None,
     setting: Settings = None,
     gate: Gates = None,
     as_json: AsJson = False,
     junit: JUnit = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the JUnit file.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing JUnit file.")] = False,
     verbose: Verbose = False,
     quiet: NoBar = False,
 ) -> None:
-    """Try a calibration on a recording that it was not made from: what it predicts from stop to stop, and its drift.
+    """Test a calibration on another recording.
+
+    Prints the prediction errors from station to station, and the drift of dead reckoning.
 
     Example: mobilecal evaluate another.mcap log_calibration/params.yaml
 
@@ -185,7 +194,7 @@ def evaluate(
     from mobilecal_cli.report import evaluation_json, evaluation_text
     from mobilecal_cli.terminal import progress_bar
 
-    with _told_to(junit, str(logs[0]), force):
+    with _errors_to(junit, str(logs[0]), force):
         with progress_bar(quiet, verbose) as progress:
             found = pipeline.evaluate(
                 logs,
@@ -204,14 +213,15 @@ def evaluate(
         typer.echo(evaluation_text(found.evaluation, found.checks), nl=False)
     failed = [check for check in found.checks if check.outcome != "good"]
     if failed:
-        raise QualityError("; ".join(check.why for check in failed), failed[0].next_step)
+        conclude("FAIL", " ".join(check.why for check in failed), failed[0].next_step, quiet=as_json)
 
 
 @app.command()
 def suggest(logs: Logs, config: Config = None, setting: Settings = None, quiet: NoBar = False) -> None:
-    """Say which stops would improve a recording most: where to drive, where to look, and what it would bring.
+    """Suggest additional stops that improve a calibration most.
 
-    Reads recordings, or the extraction.npz of an earlier calibration, and writes nothing.
+    For each stop: where to drive, where to point the head, and the standard deviation to expect. Reads recordings or
+    an extraction.npz. Writes nothing.
 
     Example: mobilecal suggest log.mcap
     """

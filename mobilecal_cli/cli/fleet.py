@@ -1,4 +1,4 @@
-"""The command for many robots."""
+"""The command that calibrates many robots."""
 
 from __future__ import annotations
 
@@ -9,25 +9,27 @@ import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import Config, Gates, Quiet, Settings, flags_of
-from mobilecal_cli.errors import QualityError
+from mobilecal_cli.cli.verdict import conclude
 
 
 @app.command()
 def batch(
     source: Annotated[
-        Path, typer.Argument(help="Directory of recordings, one a robot; or a manifest (YAML).")
+        Path, typer.Argument(help="Directory with one recording per robot, or a manifest (YAML).")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Directory for all robots' results.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Directory for the results of all robots.")],
     config: Config = None,
     setting: Settings = None,
     gate: Gates = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes. [default: one a core]")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one per core]")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, instead of processes here.")
+        str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate many robots: one directory each, one table of all; what is done already is not done again.
+    """Calibrate many robots and tabulate the results.
+
+    Writes one directory per robot, and one table of all robots. Robots that are already done are skipped.
 
     Example: mobilecal batch recordings/ --output fleet/
 
@@ -52,11 +54,14 @@ def batch(
         )
     if not quiet:
         typer.echo(fleet_text(rows), nl=False)
-        typer.echo(f"written: {output / 'summary.csv'}, {output / 'summary.html'}")
-    failed = [row for row in rows if row.verdict != "PASS"]
-    if failed:
-        raise QualityError(
-            f"{len(failed)} of {len(rows)} robots do not pass: {', '.join(row.name for row in failed[:10])}"
-            + (" ..." if len(failed) > 10 else ""),
-            f"see {output / 'summary.html'}",
-        )
+    failed = [row.name for row in rows if row.verdict != "PASS"]
+    names = ", ".join(failed[:10]) + (", ..." if len(failed) > 10 else "")
+    conclude(
+        "FAIL" if failed else "PASS",
+        f"{len(failed)} of {len(rows)} robots did not pass: {names}."
+        if failed
+        else f"{len(rows)} of {len(rows)} robots passed.",
+        f"See {output / 'summary.html'}.",
+        written=f"{output / 'summary.csv'}, {output / 'summary.html'}",
+        quiet=quiet,
+    )

@@ -1,4 +1,4 @@
-"""Commands that look at a recording without solving it."""
+"""Commands that read a recording without calibrating."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ def inspect(
     as_json: AsJson = False,
     quiet: NoBar = False,
 ) -> None:
-    """Say what a recording holds, what would be used of it, and what is missing for a calibration.
+    """Show what a recording contains and what is missing.
 
-    Looks at a part of a long recording only, so it answers in seconds, and writes nothing.
+    Lists the topics, the settings that a calibration would use, the motion and the board. Samples a long recording,
+    so that it takes seconds. Writes nothing.
 
     Example: mobilecal inspect log.mcap
     """
@@ -36,13 +37,13 @@ def inspect(
 
 @app.command()
 def init(
-    log: Annotated[Path, typer.Argument(help="A recording.")],
+    log: Annotated[Path, typer.Argument(help="Recording to read.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write, - for standard output.")
+        Path, typer.Option("--output", "-o", help="File to write; - for standard output.")
     ] = Path("rig.yaml"),
     force: Force = False,
 ) -> None:
-    """Write a commented draft of rig.yaml from what a recording tells.
+    """Write a commented draft of rig.yaml from a recording.
 
     Example: mobilecal init log.mcap --output rig.yaml
     """
@@ -52,4 +53,4 @@ def init(
         typer.echo(pipeline.draft(log), nl=False)
         return
     pipeline.write_draft(log, output, force)
-    typer.echo(f"written: {output}")
+    typer.echo(f"Written: {output}")

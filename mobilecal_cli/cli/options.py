@@ -1,4 +1,4 @@
-"""What several commands take."""
+"""Arguments and options that several commands share."""
 
 from __future__ import annotations
 
@@ -10,29 +10,38 @@ import typer
 
 from mobilecal_cli.errors import ConfigError
 
-Logs = Annotated[list[Path], typer.Argument(help="Recordings of one robot: MCAP, rosbag2, .db3, ROS 1 .bag.")]
-Config = Annotated[Path | None, typer.Option("--config", "-c", help="rig.yaml; see `mobilecal init`.")]
+Logs = Annotated[
+    list[Path], typer.Argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")
+]
+Config = Annotated[
+    Path | None, typer.Option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
+]
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", help="KEY=VALUE over rig.yaml, such as wheels.left.sign=-1.")
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable."
+    ),
 ]
 Gates = Annotated[
     list[str] | None,
-    typer.Option("--gate", help="NAME=LIMIT: fail (exit code 6) where a figure leaves it; may be repeated."),
+    typer.Option(
+        "--gate", metavar="NAME=LIMIT", help="Exit with code 6 if the figure exceeds the limit. Repeatable."
+    ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace an output that is there already.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and no summary.")]
-NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
+NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Say what is done and how long it takes, on standard error.")
+    bool, typer.Option("--verbose", "-v", help="Print each stage and its duration on standard error.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="JSON for programs on standard output instead of text.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[
-    Path | None, typer.Option("--junit", help="Also write every criterion as JUnit XML to this file.")
+    Path | None, typer.Option("--junit", help="Also write every criterion to this file as JUnit XML.")
 ]
 
 
 class StationsName(StrEnum):
-    """Which moments are looked at."""
+    """Which moments of a recording are used."""
 
     auto = "auto"
     all = "all"
@@ -44,10 +53,10 @@ def flags_of(
     square_m: float | None = None,
     stations: StationsName | None = None,
 ) -> dict[str, Any]:
-    """The flags as dotted keys over rig.yaml.
+    """The flags as dotted keys that override rig.yaml.
 
     Raises:
-        ConfigError: one that is no setting, or no board.
+        ConfigError: a flag is not a valid setting or board size.
     """
     from mobilecal_cli.config import parse_setting
 
@@ -55,7 +64,10 @@ def flags_of(
     if board is not None:
         columns, x, rows = board.lower().partition("x")
         if not (x and columns.isdigit() and rows.isdigit()):
-            raise ConfigError(f"--board {board}: not COLUMNSxROWS", "count the inner corners: --board 9x6")
+            raise ConfigError(
+                f"--board {board}: not of the form COLUMNSxROWS",
+                "count the inner corners, for example --board 9x6",
+            )
         flags |= {"board.columns": int(columns), "board.rows": int(rows)}
     if square_m is not None:
         flags["board.square_m"] = square_m

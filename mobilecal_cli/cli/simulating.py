@@ -1,4 +1,4 @@
-"""The command that records robots of known truth."""
+"""The command that simulates recordings with known truth."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mobilecal_cli.cli.options import Force, Quiet
 
 
 class RobotName(StrEnum):
-    """Robots of known truth."""
+    """Simulated robots."""
 
     paper = "paper"
     tick = "tick"
 
 
 class MotionName(StrEnum):
-    """How a simulated robot moves."""
+    """Motions of a simulated robot."""
 
     standard = "standard"
     head_fixed = "head_fixed"
@@ -33,7 +33,7 @@ class MotionName(StrEnum):
 
 
 class ContainerName(StrEnum):
-    """Kinds of recordings."""
+    """Container formats of recordings."""
 
     mcap = "mcap"
     mcap_lz4 = "mcap-lz4"
@@ -47,7 +47,7 @@ class ContainerName(StrEnum):
 
 
 class BoardName(StrEnum):
-    """Boards that are simulated."""
+    """Simulated boards."""
 
     checkerboard = "checkerboard"
     charuco = "charuco"
@@ -55,7 +55,7 @@ class BoardName(StrEnum):
 
 
 class PictureName(StrEnum):
-    """How a simulated recording stores pictures."""
+    """Image encodings of a simulated recording."""
 
     jpeg = "jpeg"
     png = "png"
@@ -66,28 +66,34 @@ class PictureName(StrEnum):
 def simulate(
     out: Annotated[Path, typer.Argument(help="Recording to write: a file, or a directory for rosbag2.")],
     robot: Annotated[
-        RobotName, typer.Option(help="paper: the paper's; tick: pan-tilt with tick counters.")
+        RobotName, typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters.")
     ] = (RobotName.paper),
-    motion: Annotated[MotionName, typer.Option(help="How base and head move.")] = MotionName.standard,
-    seed: Annotated[int, typer.Option(min=0, help="Of every random choice.")] = 0,
-    stations: Annotated[int, typer.Option(min=2, help="Stops; without stops, three seconds each.")] = 12,
+    motion: Annotated[
+        MotionName, typer.Option(help="Motion of the base and the head.")
+    ] = MotionName.standard,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    stations: Annotated[
+        int, typer.Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
+    ] = 12,
     container: Annotated[
-        ContainerName | None, typer.Option(help="Kind of recording. [default: by the name's ending]")
+        ContainerName | None, typer.Option(help="Container format. [default: from the file extension]")
     ] = None,
-    pictures: Annotated[PictureName, typer.Option(help="How images are stored.")] = PictureName.jpeg,
+    pictures: Annotated[PictureName, typer.Option(help="Image encoding.")] = PictureName.jpeg,
     board: Annotated[
-        BoardName, typer.Option(help="What hangs on the wall; boards with markers are seen in part.")
+        BoardName, typer.Option(help="Board on the wall; boards with markers may be partly visible.")
     ] = BoardName.checkerboard,
     exact: Annotated[
-        bool, typer.Option("--exact", help="No noise, encoders without steps (use with png).")
+        bool, typer.Option("--exact", help="No noise and no encoder quantization (use with png).")
     ] = False,
     camera_late: Annotated[
-        float, typer.Option(min=-0.2, max=0.2, help="Seconds by which the cameras' clock is late.")
+        float, typer.Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")
     ] = 0.0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Record a simulated robot with known truth, which is written beside it.
+    """Simulate a recording with known truth.
+
+    The truth is written to a YAML file next to the recording.
 
     Example: mobilecal simulate drive.mcap --robot paper --seed 7
     """
@@ -110,4 +116,4 @@ def simulate(
     with progress_bar(quiet) as progress:
         truth = record(scenario, out, force, progress)
     if not quiet:
-        typer.echo(f"written: {out}, {truth}")
+        typer.echo(f"Written: {out}, {truth}")

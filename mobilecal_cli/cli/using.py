@@ -1,4 +1,4 @@
-"""Commands that work on calibrations alone."""
+"""Commands that read calibrations only."""
 
 from __future__ import annotations
 
@@ -9,29 +9,34 @@ import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Force
-from mobilecal_cli.errors import QualityError
+from mobilecal_cli.cli.verdict import conclude
 from mobilecal_cli.targets import Target
 
 
 @app.command()
 def compare(
     files: Annotated[
-        list[Path], typer.Argument(help="params.yaml files of one robot, the first to compare with.")
+        list[Path], typer.Argument(help="params.yaml files of one robot; the first is the reference.")
     ],
     max_sigma: Annotated[
-        float | None, typer.Option(min=0.0, help="Fail where a number moved by more standard deviations.")
+        float | None, typer.Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
     ] = None,
     max_ray_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Fail where a point 2 m ahead moved by more, mm.")
+        float | None, typer.Option(min=0.0, help="Limit on the shift of a point 2 m ahead, mm.")
     ] = None,
     max_heading_deg: Annotated[
-        float | None, typer.Option(min=0.0, help="Fail where a turn on the spot moved by more, deg.")
+        float | None, typer.Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="SVG file: every number over all calibrations.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="SVG file to write: every parameter over all calibrations.")
+    ] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Say how far calibrations of one robot are apart: in units, in standard deviations, and in what a user feels.
+    """Compare calibrations of one robot.
+
+    Prints the change of each parameter in units and in sigmas, and its effect on the robot. A limit that is exceeded
+    ends with exit code 6.
 
     Example: mobilecal compare monday/params.yaml friday/params.yaml --max-sigma 4
 
@@ -46,31 +51,33 @@ def compare(
     else:
         typer.echo(comparison_text(found.names, found.differences, found.past), nl=False)
     if found.broken:
-        raise QualityError(
-            "the calibrations are apart: " + "; ".join(found.broken),
-            "calibrate once more to tell a changed robot from a bad recording",
+        conclude(
+            "FAIL",
+            f"The calibrations differ by more than the limit: {'; '.join(found.broken)}.",
+            "Calibrate again to tell a changed robot from a bad recording.",
+            quiet=as_json,
         )
 
 
 @app.command()
 def export(
     params: Annotated[Path, typer.Argument(help="params.yaml of a calibration.")],
-    to: Annotated[Target, typer.Option(help="The format.")],
+    to: Annotated[Target, typer.Option(help="Output format.")],
     urdf: Annotated[
-        Path | None, typer.Option(help="For --to urdf: the file to patch, which stays as it is.")
+        Path | None, typer.Option(help="URDF to patch, for --to urdf; the file itself is not changed.")
     ] = None,
     left_joint: Annotated[
-        str | None, typer.Option(help="Name of the left wheel's joint. [default: as calibrated]")
+        str | None, typer.Option(help="Joint of the left wheel. [default: as calibrated]")
     ] = None,
     right_joint: Annotated[
-        str | None, typer.Option(help="Name of the right wheel's joint. [default: as calibrated]")
+        str | None, typer.Option(help="Joint of the right wheel. [default: as calibrated]")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write a calibration as a URDF, xacro properties, ros2_control parameters, a static transform and more.
+    """Export a calibration as URDF, xacro, ros2_control and more.
 
     Example: mobilecal export out/params.yaml --to urdf --urdf robot.urdf --output robot_calibrated.urdf
 
@@ -90,4 +97,4 @@ def export(
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if output is not None:
-        typer.echo(f"written: {output}")
+        typer.echo(f"Written: {output}")

@@ -1,4 +1,4 @@
-"""The main job: recordings in, nine numbers and a report out."""
+"""`mobilecal calibrate` and `suggest`: from recordings to the nine parameters and a report."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What a calibration gave.
+    """Result of a calibration.
 
     Attributes:
-        solution, extraction, verdict: the answer, what it rests on, and what it is worth.
-        directory: where the files are.
-        trial: the calibration tried on what was held out, if anything was.
+        solution, extraction, verdict: the solution, its data and the verdict on it.
+        directory: output directory.
+        trial: test of the calibration on the held-out stations, if there are any.
     """
 
     solution: Solution
@@ -67,14 +67,14 @@ def default_output(log: Path) -> Path:
 
 
 def _created() -> str:
-    """Now in UTC, or the moment that SOURCE_DATE_EPOCH names, for outputs that repeat byte for byte."""
+    """Current time in UTC; SOURCE_DATE_EPOCH overrides it, for reproducible output."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
     return now.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solution:
-    """Solve; where that fails for want of motion, say which."""
+    """Solve; an error is extended by the motion that the recording lacks."""
     try:
         return solve(extraction, method, asked=asked)
     except SolveError as error:
@@ -82,13 +82,13 @@ def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solu
         if not gaps:
             raise
         because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
-        raise SolveError(f"{error.message}: {because}", f"{cures}; or: {error.hint}") from error
+        raise SolveError(f"{error.message}: {because}", f"{cures}; or {error.hint}") from error
 
 
 def suggest(
     logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
 ) -> tuple[str, ...]:
-    """What to record next, as numbered lines, the best first.
+    """Suggested additional stops as numbered lines, the best first.
 
     Raises:
         MobilecalError: see `errors`.
@@ -98,8 +98,8 @@ def suggest(
     progress("solving", 0, None)
     sentences = suggestion_sentences(_solved(extraction, "ml", None), extraction)
     if not sentences:
-        return ("No stop near the last one would show the whole board: move the robot, and record again.",)
-    head = "One more stop at the end of this recording, the most useful first:"
+        return ("No stop near the last one shows the whole board. Move the robot and record again.",)
+    head = "Additional stop at the end of this recording, most useful first:"
     return (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
 
 
@@ -132,16 +132,16 @@ def calibrate(
         logs: recordings of one robot, or one extraction.npz.
         output: directory to write; `<log name>_calibration` by default.
         config_path: rig.yaml.
-        flags: dotted key → value, over the file.
+        flags: dotted key → value, overriding the file.
         method: see `solvers.solve`.
-        asked: what is fixed, what has a prior and what is estimated beside the nine; for the method "ml".
-        gates: `NAME=LIMIT`, over those of the file.
-        hold_out: so large a share of every log, its end, is left out, and the calibration is tried on it.
-        last: params.yaml of this robot's last calibration, to compare with; the nominal values by default.
-        force: replace an output directory that is there.
-        progress: told how far it is.
-        jobs: processes that may look at a long log's pictures and draw; more than one needs a main module that can be
-            imported without doing anything, as for `multiprocessing`.
+        asked: fixed parameters, priors and additional parameters; for the method "ml".
+        gates: `NAME=LIMIT`, overriding those of the file.
+        hold_out: share at the end of each recording to hold out and to test the calibration on.
+        last: params.yaml to compare the result with; the nominal values by default.
+        force: replace an existing output directory.
+        progress: called with the progress.
+        jobs: worker processes for images and figures; more than one needs a main module without side effects on
+            import, as for `multiprocessing`.
 
     Raises:
         MobilecalError: see `errors`; nothing is written then.

@@ -1,4 +1,4 @@
-"""`mobilecal compare`: params.yaml files of one robot side by side."""
+"""`mobilecal compare`: compare params.yaml files of one robot."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from mobilecal_cli.report import history_plot
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How far calibrations may be apart; None: as far as they are.
+    """Largest allowed change between calibrations; None for no limit.
 
     Attributes:
-        sigma: any number, in standard deviations of the difference.
-        ray_mm: the point two metres ahead of the camera.
-        heading_deg: heading of a full turn on the spot.
+        sigma: change of any parameter, in standard deviations.
+        ray_mm: shift of a point 2 m ahead of the camera, mm.
+        heading_deg: change of heading per full turn, deg.
     """
 
     sigma: float | None = None
@@ -32,35 +32,33 @@ class Limits:
     heading_deg: float | None = None
 
     def broken_by(self, found: Difference) -> list[str]:
-        """What a difference exceeds, in words with the numbers."""
+        """The limits that a difference exceeds, as text."""
         broken = []
         if self.sigma is not None:
             if not found.known.any():
-                broken.append("no standard deviations to compare with")
+                broken.append("no standard deviations for the limit in sigma")
             sigmas = np.nan_to_num(np.abs(found.sigmas))
             worst = int(np.argmax(sigmas))
             if sigmas[worst] > self.sigma:
-                broken.append(
-                    f"{NINE[worst]} by {sigmas[worst]:.1f} standard deviations (limit {self.sigma:g})"
-                )
+                broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {self.sigma:g})")
         if self.ray_mm is not None and found.ray_m * 1e3 > self.ray_mm:
-            broken.append(f"a point 2 m ahead by {found.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
+            broken.append(f"point 2 m ahead by {found.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
         turn_deg = abs(math.degrees(found.heading_rad_per_turn))
         if self.heading_deg is not None and turn_deg > self.heading_deg:
-            broken.append(f"heading by {turn_deg:.3f} degrees per turn (limit {self.heading_deg:g})")
+            broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {self.heading_deg:g})")
         return broken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Calibrations side by side.
+    """Several calibrations and their differences.
 
     Attributes:
-        names: of the files.
-        robots: what they hold.
-        differences: each but the first against the first.
-        past: whether each number stays; None for two files.
-        broken: limits that are exceeded, in words.
+        names: file names.
+        robots: the calibrations.
+        differences: change from the first to each other one.
+        past: test of each parameter over all calibrations; None for two files.
+        broken: limits that are exceeded, as text.
     """
 
     names: tuple[str, ...]
@@ -73,20 +71,20 @@ class Comparison:
 def compare(
     files: Sequence[Path], limits: Limits, plot: Path | None = None, force: bool = False
 ) -> Comparison:
-    """Compare calibrations with the first of them.
+    """Compare calibrations with the first one.
 
     Args:
         files: params.yaml files, two or more.
-        limits: how far they may be apart.
-        plot: SVG file to draw all numbers over all calibrations into.
-        force: replace the plot.
+        limits: largest allowed change.
+        plot: SVG file to write: every parameter over all calibrations.
+        force: replace an existing plot.
 
     Raises:
-        ConfigError: a file cannot be read, there is one only, or they are of different robots.
+        ConfigError: a file cannot be read, there is only one, or their frames differ.
         OutputError: the plot cannot be written.
     """
     if len(files) < 2:
-        raise ConfigError("one calibration alone cannot be compared", "name two or more params.yaml files")
+        raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
     if plot is not None:
         check_file(plot, force)
     robots = tuple(read_params(path) for path in files)

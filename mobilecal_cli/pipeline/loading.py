@@ -1,4 +1,4 @@
-"""What the commands work on: recordings, or the extraction.npz of an earlier run."""
+"""Input of the commands: recordings, or the extraction.npz of an earlier run."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ def load(
     progress: Progress,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """Extract recordings, or take an extraction.npz of an earlier run as it is.
+    """The extraction of recordings, or the one in an extraction.npz, with its snapshots.
 
     Args:
         logs: recordings, or one extraction.npz.
-        config: what `config_path` and `flags` come to.
+        config: the combination of `config_path` and `flags`.
         config_path: rig.yaml.
-        flags: dotted key → value, over the file.
-        progress: told how far it is.
+        flags: dotted key → value, overriding the file.
+        progress: called with the progress.
         jobs: see `extract`.
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
-        ConfigError: an extraction together with other logs or with settings, which it carries itself.
+        ConfigError: an extraction was given together with recordings or with settings.
     """
     given = frozenset(key for key, value in flags.items() if value is not None)
     if not any(_is_extraction(path) for path in logs):
         return extract(logs, config, given, progress, jobs)
     if len(logs) > 1 or config_path is not None or given:
         raise ConfigError(
-            f"{logs[0]}: an extraction carries its own settings and stands alone",
-            "give it without other logs, --config and settings, or give the recordings instead",
+            f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
+            "give it without recordings, --config and settings, or give the recordings instead",
         )
     extraction = extraction_from_npz(logs[0])
     _check(extraction, logs[0])
@@ -55,10 +55,10 @@ def load(
 
 
 def _check(extraction: Extraction, path: Path) -> None:
-    """Refuse an extraction whose parts do not belong together.
+    """Reject an extraction whose parts do not match.
 
     Raises:
-        RecordingError: an observation of a log that is not there.
+        RecordingError: the numbers of logs, tracks and observations do not match.
     """
     tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
     if (
@@ -67,7 +67,7 @@ def _check(extraction: Extraction, path: Path) -> None:
         or any(not 0 <= o.log < logs for o in extraction.observations)
     ):
         raise RecordingError(
-            f"{path}: damaged: {logs} logs, {tracks} wheel tracks, {joints} joint tracks, and observations that fit "
-            "no log",
-            "calibrate from the recordings again",
+            f"{path}: damaged: {logs} recordings, {tracks} wheel tracks, {joints} joint tracks, or observations "
+            "without a recording",
+            "calibrate again from the recordings",
         )

@@ -1,4 +1,4 @@
-"""The settings in force, as rig.yaml would state them."""
+"""The effective settings, structured as in rig.yaml."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _board(board: Board) -> dict[str, Any]:
 
 
 def settings_of(extraction: Extraction) -> dict[str, Any]:
-    """Every setting that the result depends on, nested as in rig.yaml, and what settled each."""
+    """Every setting that the result depends on, nested as in rig.yaml, with its source."""
     rig, board = extraction.rig, extraction.board
     elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
     settings: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""What has changed against the last calibration, or against the drawing."""
+"""Change since the last calibration, or from the nominal values."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.units import SHOWN
 
-#: Chance does that once in ten thousand robots that did not change.
+#: Probability of a false alarm for a robot that did not change.
 _UNLIKELY = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The nine numbers less those of before.
+    """Change of the nine parameters.
 
     Attributes:
-        against: what they are compared with, in words.
-        value: (9,) rad and m, NaN where there is nothing to compare with.
-        sigmas: (9,) in standard deviations, NaN where none is known.
-        chance: that a robot that did not change gives as much; None against a drawing, which knows no sigma.
+        against: label of the reference.
+        value: (9,) rad and m, NaN where the reference has no value.
+        sigmas: (9,) in standard deviations, NaN where none is known; all NaN against nominal values.
+        chance: probability of a change this large if the robot did not change; None against nominal values.
     """
 
     against: str
@@ -35,17 +35,17 @@ class Change:
 
 
 def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Change:
-    """Against an earlier calibration, in standard deviations of the difference.
+    """Change since an earlier calibration.
 
     Raises:
-        ConfigError: it is of other frames.
+        ConfigError: the frames differ.
     """
     found = difference(last, robot)
     return Change(name, found.change, found.sigmas, None if found.shared else found.chance)
 
 
 def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | None:
-    """Against what was known before the recording, in standard deviations of the calibration; None for nothing."""
+    """Difference from the nominal values, which have no standard deviation; None if none are stated."""
     if nominal.T_h_reference is None and nominal.wheels is None:
         return None
     T = robot.T_parent_child if nominal.T_h_reference is None else nominal.T_h_reference
@@ -55,16 +55,11 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
         value[:6] = np.nan
     if nominal.wheels is None:
         value[6:] = np.nan
-    sigmas = np.full(9, np.nan)
-    if robot.knowledge is not None:
-        std = np.sqrt(np.diag(robot.knowledge.covariance))
-        known = robot.knowledge.observable & (std > 0)
-        sigmas[known] = value[known] / std[known]
-    return Change("the nominal values", value, sigmas, None)
+    return Change("the nominal values", value, np.full(9, np.nan), None)
 
 
 def change_rows(change: Change | None) -> dict[str, tuple[str, str]]:
-    """Number → its change in deg or mm, and in standard deviations, ready to be shown; "" where not known."""
+    """Parameter → its change in deg or mm and in sigmas, formatted; "" where unknown."""
     if change is None:
         return {}
     rows = {}
@@ -75,16 +70,16 @@ def change_rows(change: Change | None) -> dict[str, tuple[str, str]]:
 
 
 def change_checks(change: Change | None) -> Iterator[Check]:
-    """Whether the robot is still the one that was calibrated last."""
+    """Whether the robot has changed since the last calibration."""
     if change is None or change.chance is None:
         return
     worst = int(np.argmax(np.abs(np.nan_to_num(change.sigmas))))
-    moved = f"{NINE[worst]} moved by {change.sigmas[worst]:+.1f} standard deviations"
+    moved = f"{NINE[worst]} by {change.sigmas[worst]:+.1f} sigma"
     yield Check(
-        "the robot is as it was calibrated last",
-        moved,
-        f"as large by chance in more than {100 * _UNLIKELY:g} % of cases",
+        "change since the last calibration",
+        f"largest: {moved}",
+        f"probability by chance at least {100 * _UNLIKELY:g} %",
         "look" if change.chance < _UNLIKELY else "good",
         f"The robot has changed since {visible(change.against)}: {moved}.",
-        "Look for a loose camera or worn tyres; where nothing is found, record and calibrate once more.",
+        "Check for a loose camera and worn tires. If nothing is found, record and calibrate again.",
     )

@@ -7,7 +7,7 @@ from typing import Literal
 
 Outcome = Literal["good", "look", "bad", "short"]
 
-# With less movement a parameter rests on a difference about as small as the noise.
+# With less motion the signal of a parameter is about as small as the noise.
 MIN_TURNED_DEG, MIN_DRIVEN_M = 20.0, 0.2
 
 
@@ -16,11 +16,11 @@ class Check:
     """One criterion.
 
     Attributes:
-        name: what was looked at.
-        measured, limit: in words with units.
-        outcome: "good", "look" (worth a look, passes), "bad" (fails) or "short" (too little data to tell).
-        why: a sentence for when it is not good.
-        next_step: what to do then.
+        name: label.
+        measured, limit: values with units, as text.
+        outcome: "good", "look" (passes with a warning), "bad" (fails) or "short" (not enough data).
+        why: the reason if it is not good.
+        next_step: what to do in that case.
     """
 
     name: str
@@ -32,5 +32,5 @@ class Check:
 
 
 def graded(value: float, look: float, bad: float) -> Outcome:
-    """The outcome of a value that should be small."""
+    """The outcome of a value with two upper limits."""
     return "bad" if value > bad else "look" if value > look else "good"

@@ -1,4 +1,4 @@
-"""Calibrations side by side, as text and as JSON."""
+"""Comparison of calibrations, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -13,28 +13,32 @@ from mobilecal_cli.comparison import Difference, History
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.numbers import decimals_of, std_text
 from mobilecal_cli.report.units import SHOWN
 
 COMPARISON_SCHEMA = 1
-#: Chance is blamed for what it does once in so many.
+#: Significance level.
 _UNLIKELY = 0.01
 
 
 def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
-    """Every calibration against the first; with three and more also whether each number stays."""
+    """Change from the first calibration to each other one; for three or more also a test of each parameter."""
     lines = []
     for name, found in zip(names[1:], differences, strict=True):
-        lines += [f"{visible(name)} less {visible(names[0])}", ""]
-        lines += [f"  {'':<14}{'change':>12}{'std':>12}{'sigmas':>9}"]
+        lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
+        lines += [f"  {'':<14}{'change':>12}{'1 sigma':>12}{'in sigma':>10}"]
         for k, number in enumerate(NINE):
             unit, factor = SHOWN[number]
-            std = f"{found.std[k] * factor:.3f}" if found.known[k] else "-"
-            sigmas = f"{found.sigmas[k]:+.1f}" if found.known[k] else "-"
-            lines.append(f"  {number:<14}{found.change[k] * factor:>+12.3f}{std:>12}{sigmas:>9}  {unit}")
-        lines += ["", *(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in _felt(found))]
+            s, digits = found.std[k] * factor, decimals_of(found.std[k] * factor)
+            std, sigmas = (std_text(s), f"{found.sigmas[k]:+.1f}") if found.known[k] else ("-", "-")
+            lines.append(
+                f"  {number:<14}{found.change[k] * factor:>+12.{digits}f}{std:>12}{sigmas:>10}  {unit}"
+            )
+        lines += ["", "  r is a small rotation about the head's axes.", ""]
+        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in _felt(found))]
         lines += ["", f"  {_says(found)}", ""]
     if past is not None:
-        lines += [f"Over all {len(names)} calibrations, against a robot that does not change:", ""]
+        lines += [f"All {len(names)} calibrations, tested against a robot that does not change", ""]
         for number, chance in zip(NINE, past.chance, strict=True):
             lines.append(f"  {number:<14}{_stays(chance)}")
         lines.append("")
@@ -43,32 +47,37 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
 
 def _felt(found: Difference) -> tuple[tuple[str, float, str], ...]:
     return (
-        (f"a point that the camera sees {AHEAD_M:g} m ahead", found.ray_m * 1e3, "mm"),
-        ("dead reckoning straight on: distance", found.along_m_per_m * 1e3, "mm per m"),
-        ("dead reckoning straight on: heading", math.degrees(found.heading_rad_per_m), "deg per m"),
-        ("dead reckoning on the spot: heading", math.degrees(found.heading_rad_per_turn), "deg per turn"),
+        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", found.ray_m * 1e3, "mm"),
+        ("Dead reckoning: distance, driving straight", found.along_m_per_m * 1e3, "mm per m"),
+        ("Dead reckoning: heading, driving straight", math.degrees(found.heading_rad_per_m), "deg per m"),
+        ("Heading per full turn", math.degrees(found.heading_rad_per_turn), "deg"),
     )
 
 
 def _says(found: Difference) -> str:
     if found.chance is None:
-        return "Without standard deviations of both nothing says whether this is chance."
+        return "No significance test: at least one calibration has no standard deviations."
     verdict = (
-        "more than chance: the robot has changed, or one of the two is wrong"
+        "The robot has changed, or one of the two calibrations is wrong."
         if found.chance < _UNLIKELY
-        else "no more than chance does"
+        else "The change is not significant."
     )
-    note = "; they share a recording, so this says little" if found.shared else ""
+    note = " The calibrations share a recording, so this test is weak." if found.shared else ""
     return (
-        f"chi-squared {found.chi2:.1f} of {int(found.known.sum())} numbers, as large by chance in "
-        f"{100 * found.chance:.2g} % of cases: {verdict}{note}."
+        f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
+        f"{_percent(found.chance)}. {verdict}{note}"
     )
+
+
+def _percent(probability: float) -> str:
+    share = 100 * probability
+    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
 
 
 def _stays(chance: float) -> str:
     if not math.isfinite(chance):
-        return "not known by two or more"
-    return f"{'moves' if chance < _UNLIKELY else 'stays'} (as far apart by chance in {100 * chance:.2g} % of cases)"
+        return "unknown in all but one calibration"
+    return f"{'changed' if chance < _UNLIKELY else 'unchanged'} (probability by chance {_percent(chance)})"
 
 
 def comparison_json(
@@ -77,7 +86,7 @@ def comparison_json(
     differences: Sequence[Difference],
     past: History | None,
 ) -> str:
-    """The same for programs: rad and m, units in the keys."""
+    """The comparison as JSON: rad and m, or the unit in the key."""
     data: dict[str, Any] = {
         "schema_version": COMPARISON_SCHEMA,
         "order": list(NINE),

@@ -1,4 +1,4 @@
-"""Limits that a user sets on a calibration's or an evaluation's figures: `--gate NAME=LIMIT`, `gates:` in rig.yaml."""
+"""Gates: limits on the figures of a calibration or an evaluation, `--gate NAME=LIMIT` or `gates:` in rig.yaml."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mobilecal_cli.model import NINE, Drift, Evaluation, Extraction, Solution
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.numbers import reference_std
 
-#: A gate's figure: its value, None where the recording does not tell it.
+#: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
 
-#: Figures of which more is better; of all others less.
+#: Figures with a lower limit; all others have an upper limit.
 _AT_LEAST = frozenset({"stations", "legs", "hold_out.stations", "hold_out.legs"})
 _STD_KEYS = (
     *(f"std.head_eye.{name}_rad" for name in NINE[:3]),
@@ -55,8 +55,8 @@ class Gate:
     """A limit on one figure.
 
     Attributes:
-        name: of the figure.
-        limit: at most this, or at least for figures of which more is better.
+        name: name of the figure.
+        limit: upper limit, or lower limit for the figures in `_AT_LEAST`.
     """
 
     name: str
@@ -66,15 +66,15 @@ class Gate:
 def gates_of(
     flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False
 ) -> tuple[Gate, ...]:
-    """Gates of the command line over those of the configuration.
+    """Gates of the command line and the configuration; the command line takes precedence.
 
     Args:
         flags: `NAME=LIMIT`.
         config: name → limit.
-        evaluating: for the figures of `evaluate`, not of `calibrate`; other gates of the configuration are left alone.
+        evaluating: for `evaluate`; gates of the configuration that apply to `calibrate` only are ignored.
 
     Raises:
-        ConfigError: no limit, no number, or a figure that there is none of.
+        ConfigError: the limit is missing or no number, or the figure is unknown.
     """
     known = _EVALUATED if evaluating else _CALIBRATED
     every = {*_EVALUATED, *_CALIBRATED}
@@ -93,18 +93,20 @@ def gates_of(
         except ValueError:
             limits[name] = math.nan
         if not equals or not math.isfinite(limits[name]):
-            raise ConfigError(f"--gate {text}: not NAME=LIMIT", "for example --gate reprojection_rms_px=0.5")
+            raise ConfigError(
+                f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
+            )
     return tuple(Gate(name, limit) for name, limit in limits.items())
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-    return ConfigError(f"{where}: no such figure", hint)
+    return ConfigError(f"{where}: unknown figure", hint)
 
 
 def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None) -> Figures:
-    """Every figure of a calibration that a gate may limit."""
+    """Every figure of a calibration that a gate can limit."""
     cameras, found = extraction.rig.cameras, solution.uncertainty
     figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
     figures |= {
@@ -135,7 +137,7 @@ def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation 
 
 
 def evaluated_figures(found: Evaluation) -> Figures:
-    """Every figure of an evaluation that a gate may limit."""
+    """Every figure of an evaluation that a gate can limit."""
     after = drift_figures(found.after)
     return {
         "stations": float(found.stations),
@@ -149,7 +151,7 @@ def evaluated_figures(found: Evaluation) -> Figures:
 
 
 def drift_figures(drift: Drift) -> dict[str, float | None]:
-    """A drift in mm per m and degrees per turn."""
+    """Drift in mm per m and degrees per full turn."""
     return {
         "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
         "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
@@ -162,17 +164,25 @@ def rms(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
 
 
 def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
-    """Each gate as a criterion of the verdict; what is not known does not pass."""
+    """Each gate as a criterion of the verdict; an unknown figure fails."""
     for gate in gates:
         value, least = figures[gate.name], gate.name in _AT_LEAST
         passes = value is not None and (value >= gate.limit if least else value <= gate.limit)
-        measured = "not known" if value is None else f"{value:.6g}"
-        limit = f"at {'least' if least else 'most'} {gate.limit:g}"
+        measured = "unknown" if value is None else _rounded(value, gate.limit)
         yield Check(
             f"gate {gate.name}",
             measured,
-            limit,
+            f"at {'least' if least else 'most'} {gate.limit:g}",
             "good" if passes else "bad",
-            f"The gate {gate.name} is not kept: {measured}, {limit} is asked for.",
-            "See the report for the cause; mobilecal suggest says what to record next.",
+            f"Gate failed: {gate.name} = {measured} (limit {gate.limit:g}).",
+            "See the report for the cause. `mobilecal suggest` lists stops that improve the result.",
         )
+
+
+def _rounded(value: float, limit: float) -> str:
+    """A value with three digits, or more where three equal the limit."""
+    for digits in (3, 6, 9):
+        text = f"{value:.{max(digits, len(str(int(abs(value)))))}g}"
+        if float(text) != limit or value == limit:
+            break
+    return text

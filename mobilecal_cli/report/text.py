@@ -1,72 +1,95 @@
-"""The short summary for a terminal: plain lines, nothing from the log can steer the terminal."""
+"""The summary for the terminal, as plain text."""
 
 from __future__ import annotations
 
+import math
 import textwrap
+from collections.abc import Iterator
 
-from mobilecal_cli import se3
-from mobilecal_cli.model import Evaluation, Extraction, Solution
+from mobilecal_cli.model import NINE, Evaluation, Extraction, FloatArray, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
+    decimals_of,
     nine_numbers,
     reference_frame,
-    reference_pose,
-    sigmas,
+    reference_std,
+    rotation_of,
     stations_looked_at,
-    written,
+    std_text,
 )
-from mobilecal_cli.report.verdict import Verdict
 
-_WIDTH = 96
+_WIDTH = 80
+_LENGTHS = ("Translation x", "Translation y", "Translation z", "Radius, right", "Radius, left", "Separation")
+_CLOCKS = (("time_joints", "Cameras to joints"), ("time_wheels", "Cameras to wheels"))
 
 
-def summary_table(
-    solution: Solution, extraction: Extraction, verdict: Verdict, trial: Evaluation | None = None
-) -> str:
-    """The nine numbers with units, the quality and the verdict, as lines of text."""
-    rig = extraction.rig
-    ax, ay, az, tx, ty, tz, right, left, separation = nine_numbers(solution.parameters, rig.cameras)
-    margin_deg = se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3])
+def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation | None = None) -> str:
+    """The nine parameters with their standard deviations, the clock offsets and the quality, as lines of text.
+
+    Names from the recording are escaped, so that they cannot control the terminal.
+    """
+    cameras = extraction.rig.cameras
+    numbers = nine_numbers(solution.parameters, cameras)
+    std_m = reference_std(solution, cameras)[3:] or (math.nan,) * 6
+    lengths = [
+        _row(name, value, None if s is None else 1e3 * s, "mm", 2)
+        for name, value, s in zip(_LENGTHS, numbers[3:], std_m, strict=True)
+    ]
+    frames = f"{visible(reference_frame(cameras))} in {visible(extraction.rig.chain.head_frame)}"
     lines = [
-        f"Camera {visible(reference_frame(rig.cameras))} on the head {visible(rig.chain.head_frame)}",
-        _row("rotation x, y, z", (f"{ax:.3f}", f"{ay:.3f}", f"{az:.3f}"), "deg"),
-        _row("translation x, y, z", (f"{tx:.2f}", f"{ty:.2f}", f"{tz:.2f}"), "mm"),
-    ]
-    if margin_deg < NEAR_LOCK_DEG:
-        lines.append(f"  (y is {margin_deg:.1f} deg from gimbal lock: use the quaternion in params.yaml)")
-    used, looked = len(extraction.observations), stations_looked_at(extraction)
-    lines += [
+        f"Camera: {frames}" + (" (± 1 sigma)" if solution.uncertainty is not None else ""),
+        *_rotation(solution, extraction),
+        *lengths[:3],
         "Wheels",
-        _row("radius right, left", (f"{right:.2f}", f"{left:.2f}", ""), "mm"),
-        _row("separation", (f"{separation:.2f}", "", ""), "mm"),
-        "Quality",
-        _row("stations used, looked at", (str(used), str(looked), ""), ""),
-        _row("point error, linear's", _pair(solution.point_rms_m, solution.linear.point_rms_m), "mm"),
-        _row("reprojection error", (f"{solution.reprojection_rms_px:.2f}", "", ""), "px"),
+        *lengths[3:],
     ]
-    known = [written(sigma) for sigma in sigmas(solution, rig.cameras)]
-    if known:
-        lines += [
-            "One standard deviation",
-            _row("rotation about x, y, z", (known[0], known[1], known[2]), "deg"),
-            _row("translation x, y, z", (known[3], known[4], known[5]), "mm"),
-            _row("radii, separation", (known[6], known[7], known[8]), "mm"),
-        ]
+    clocks = [(name, *solution.extras[key]) for key, name in _CLOCKS if key in solution.extras]
+    if clocks:
+        lines.append("Clock offsets, to be added to the image time stamps")
+        lines += [_row(name, 1e3 * value, 1e3 * s or None, "ms", 3) for name, value, s in clocks]
+    refined, linear = (f"{1e3 * error:.2f}" for error in (solution.point_rms_m, solution.linear.point_rms_m))
+    lines += [
+        "Quality",
+        _line("Stations used", str(len(extraction.observations)), f"of {stations_looked_at(extraction)}"),
+        _line("Point error: refined / linear", refined, f"/ {linear} mm"),
+        _line("Reprojection error", f"{solution.reprojection_rms_px:.2f}", "px"),
+    ]
     if trial is not None:
-        lines += ["Tried on the stations that were held out", evaluation_text(trial, ()).rstrip("\n")]
+        lines += ["Test on the held-out stations", evaluation_text(trial, ()).rstrip("\n")]
     for outlier in solution.outliers:
-        lines += textwrap.wrap(f"Left out: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
-    head = f"{verdict.level}: {verdict.reason}"
-    lines += ["", *textwrap.wrap(head, _WIDTH), *textwrap.wrap(f"Next: {verdict.next_step}", _WIDTH)]
+        lines += textwrap.wrap(f"Outlier: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
     return "\n".join(lines) + "\n"
 
 
-def _pair(first_m: float, second_m: float) -> tuple[str, str, str]:
-    return f"{first_m * 1e3:.2f}", f"{second_m * 1e3:.2f}", ""
+def _rotation(solution: Solution, extraction: Extraction) -> Iterator[str]:
+    """Rotation vector and quaternion; away from gimbal lock also the Euler angles."""
+    found, known = rotation_of(solution, extraction.rig.cameras), solution.uncertainty
+    yield from _angles("Rotation vector {}", found.vector_deg, found.vector_std_deg)
+    if known is not None and found.vector_std_deg is None:
+        fixed = [name for name, ok in zip(NINE[:3], known.observable[:3], strict=True) if not ok]
+        yield f"    ({', '.join(fixed)} fixed: for the other standard deviations see the report)"
+    yield f"  {'Quaternion x, y, z, w':<26}" + "".join(f"{q:>11.6f}" for q in found.quaternion_xyzw)
+    if found.euler_deg is None:
+        yield f"    ({found.lock_deg:.1f} deg from gimbal lock, limit {NEAR_LOCK_DEG:g}: no Euler angles)"
+    else:
+        yield from _angles("Euler angle {} (ZYX)", found.euler_deg, found.euler_std_deg)
 
 
-def _row(name: str, values: tuple[str, str, str], unit: str) -> str:
-    numbers = "".join(f"{value:>11}" for value in values)
-    return f"  {name:<26}{numbers}  {unit}".rstrip()
+def _angles(name: str, values: FloatArray, std: FloatArray | None) -> Iterator[str]:
+    for axis, value, s in zip("xyz", values, (math.nan,) * 3 if std is None else std, strict=True):
+        yield _row(name.format(axis), value, s, "deg", 3)
+
+
+def _row(name: str, value: float, std: float | None, unit: str, decimals: int) -> str:
+    """One parameter; a standard deviation of None means that it is fixed, NaN that none is known."""
+    if std is None:
+        return _line(name, f"{value:.{decimals}f}", f"{unit}, fixed")
+    if not math.isfinite(std):
+        return _line(name, f"{value:.{decimals}f}", unit)
+    return _line(name, f"{value:.{decimals_of(std, decimals)}f}", f"± {std_text(std)} {unit}")
+
+
+def _line(name: str, value: str, rest: str) -> str:
+    return f"  {name:<30}{value:>12} {rest}".rstrip()

@@ -67,7 +67,8 @@ def records(out):
 
 def test_a_failure_stops_no_other_robot(local):
     out, done = local
-    assert "1 of 7 robots do not pass: broken" in done.stderr
+    assert "FAIL: 1 of 7 robots did not pass: broken." in done.stdout
+    assert done.stderr == ""
     rows = list(csv.DictReader(table(out).splitlines()))
     assert [row["robot"] for row in rows] == ["broken", *(f"robot_{n}" for n in range(ROBOTS_HERE))]
     assert [row["verdict"] for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE

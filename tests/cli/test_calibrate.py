@@ -55,8 +55,9 @@ def test_all_outputs_are_written(first, workplace):
     assert first.code == 0, first.err
     directory = workplace / "paper_robot_calibration"
     assert sorted(path.name for path in directory.iterdir()) == OUTPUTS
-    assert "PASS" in first.out
-    assert "written: paper_robot_calibration/params.yaml" in first.out
+    assert first.out.count("PASS") == 1
+    assert "\x1b" not in first.out  # color is for terminals
+    assert "Written: paper_robot_calibration/params.yaml" in first.out
     assert first.err == ""  # no progress bar where there is no terminal
 
 
@@ -116,7 +117,7 @@ def test_an_extraction_is_solved_again(first, workplace):
     )
     refused = run("calibrate", npz, "--board", "9x6", "--output", "refused", cwd=workplace)
     assert refused.code == 2
-    assert "carries its own settings" in refused.err
+    assert "an extraction contains its settings" in refused.err
 
 
 def test_each_method(first, workplace):
@@ -277,6 +278,9 @@ def test_help_and_version(tmp_path):
     for command in ("calibrate", "init", "simulate"):
         assert command in shown.out
         assert "Example: mobilecal" in run(command, "--help", cwd=tmp_path).out
+    summaries = shown.out.partition("Commands:\n")[2].splitlines()
+    assert [line.split()[0] for line in summaries][:3] == ["calibrate", "inspect", "init"]
+    assert all(line.endswith(".") and "..." not in line and len(line) <= 80 for line in summaries)
     assert run("--version", cwd=tmp_path).out.startswith("mobilecal 0.")
 
 
@@ -320,5 +324,5 @@ def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, library, after_s):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err == "interrupted: what was not finished was not written\n"
+    assert err == "interrupted: unfinished output was not written\n"
     assert list(tmp_path.iterdir()) == []

@@ -50,11 +50,11 @@ def test_flags_lie_over_the_configuration():
 @pytest.mark.parametrize(
     ("flags", "config", "says", "hint"),
     [
-        (["reprojection_px=1"], {}, "--gate reprojection_px=1: no such figure", "reprojection_rms_px"),
+        (["reprojection_px=1"], {}, "--gate reprojection_px=1: unknown figure", "reprojection_rms_px"),
         ([], {"std.wheels.seperation_m": 1}, "gates.std.wheels.seperation_m", "std.wheels.separation_m"),
-        (["stations"], {}, "not NAME=LIMIT", "for example"),
-        (["stations=many"], {}, "not NAME=LIMIT", "for example"),
-        (["stations=nan"], {}, "not NAME=LIMIT", "for example"),
+        (["stations"], {}, "not of the form NAME=LIMIT", "for example"),
+        (["stations=many"], {}, "not of the form NAME=LIMIT", "for example"),
+        (["stations=nan"], {}, "not of the form NAME=LIMIT", "for example"),
     ],
 )
 def test_bad_gates(flags, config, says, hint):
@@ -65,7 +65,7 @@ def test_bad_gates(flags, config, says, hint):
 
 def test_an_evaluation_leaves_the_gates_of_calibrations_alone():
     assert gates_of([], {"point_rms_mm": 12, "legs": 5}, evaluating=True) == (Gate("legs", 5),)
-    with pytest.raises(ConfigError, match="no such figure"):
+    with pytest.raises(ConfigError, match="unknown figure"):
         gates_of(["point_rms_mm=12"], {}, evaluating=True)
 
 
@@ -87,8 +87,8 @@ def test_each_side_of_a_limit():
     gates = [Gate(name, limit) for name, limit in zip(names, (3, 3, 7, 4.0, 100), strict=True)]
     checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
     assert [check.outcome for check in checks] == ["good", "bad", "bad", "good", "bad"]
-    assert checks[1].why == "The gate legs is not kept: 2, at least 3 is asked for."
-    assert "not known" in checks[4].why
+    assert checks[1].why == "Gate failed: legs = 2 (limit 3)."
+    assert "unknown (limit 100)" in checks[4].why
 
 
 def test_a_broken_gate_fails_a_sound_calibration():
@@ -116,6 +116,16 @@ def test_figures_of_a_calibration_are_those_of_its_files():
     unknown = figures_of(solve(extraction, "lm"), extraction)
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
+
+
+def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
+    figures = {"stations": 1234.0, "point_rms_mm": 2.84886, "reprojection_rms_px": 0.5000012}
+    gates = [Gate(name, limit) for name, limit in zip(figures, (2000, 0.5, 0.5), strict=True)]
+    assert [check.why for check in gate_checks(gates, figures)] == [
+        "Gate failed: stations = 1234 (limit 2000).",
+        "Gate failed: point_rms_mm = 2.85 (limit 0.5).",
+        "Gate failed: reprojection_rms_px = 0.500001 (limit 0.5).",
+    ]
 
 
 def test_junit():

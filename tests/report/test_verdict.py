@@ -44,7 +44,7 @@ def test_a_sound_calibration_passes(solution, extraction):
     verdict = judge(solution, extraction)
     assert verdict.level == "PASS"
     assert verdict.reason == (
-        "12 stations agree with one another to 9.8 mm, 0.5 % of the distance to the board."
+        "The point error over 12 stations is 9.8 mm, 0.5 % of the distance to the board."
     )
     assert verdict.next_step == "Use params.yaml on the robot."
     assert {check.outcome for check in verdict.checks} == {"good"}
@@ -61,17 +61,17 @@ def test_too_few_stations_come_before_any_failure():
     solution = make_solution(extraction)
     verdict = judge(with_legs(solution, [0.5] * 6), extraction)
     assert verdict.level == "NOT ENOUGH"
-    assert verdict.reason.startswith("Only 7 stations show the board")
+    assert verdict.reason.startswith("The board is in both images at 7 stations only (limit 8")
     assert judge(make_solution(make_extraction(n=8)), make_extraction(n=8)).level == "PASS"
 
 
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("pan_range_deg", 9.9, "the head panned by 9.9 degrees only"),
-        ("tilt_range_deg", 4.9, "the head tilted"),
-        ("turned_deg", 19.0, "the base turned"),
-        ("driven_m", 0.1, "the base drove by 0.1 m only"),
+        ("pan_range_deg", 9.9, "pan range of the head in the recording is 9.9 degrees only (limit 10)"),
+        ("tilt_range_deg", 4.9, "tilt range of the head"),
+        ("turned_deg", 19.0, "rotation of the base"),
+        ("driven_m", 0.1, "path length of the base in the recording is 0.1 m only (limit 0.2)"),
     ],
 )
 def test_too_little_motion(solution, extraction, key, value, said):
@@ -95,7 +95,9 @@ def failing(solution, extraction, said):
 def test_a_rival_answer(solution, extraction):
     linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.012)
     failing(
-        dataclasses.replace(solution, linear=linear), extraction, "almost equally well (10.9 and 12.0 mm)"
+        dataclasses.replace(solution, linear=linear),
+        extraction,
+        "almost equally well: point errors 10.9 and 12.0 mm",
     )
     linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.02)
     assert judge(dataclasses.replace(solution, linear=linear), extraction).level == "PASS"
@@ -103,20 +105,20 @@ def test_a_rival_answer(solution, extraction):
 
 def test_wheels_far_from_their_nominal_sizes(solution, extraction):
     double = WheelGeometry(WHEELS.radius_right_m, 2 * WHEELS.radius_left_m, WHEELS.separation_m)
-    failing(
-        solution, with_nominal(extraction, double), "left wheel's radius comes out at 227.6 mm, about half of"
-    )
+    failing(solution, with_nominal(extraction, double), "left wheel radius is 227.6 mm, about half of")
     verdict = judge(solution, with_nominal(extraction, dataclasses.replace(WHEELS, separation_m=0.55)))
     assert verdict.level == "PASS"
-    assert "Worth a look first: The wheel separation comes out at 508.8 mm, 0.93 times" in verdict.next_step
+    assert "Check first: The wheel separation is 508.8 mm, 0.93 times" in verdict.next_step
 
 
 def test_a_stereo_pair_that_does_not_fit(solution, extraction):
-    failing(solution, with_seen(extraction, reprojection_px=1.3), "do not agree on a flat board: 1.30 px")
+    failing(
+        solution, with_seen(extraction, reprojection_px=1.3), "reprojection error of the board is 1.30 px"
+    )
 
 
 def test_squares_of_another_size(solution, extraction):
-    failing(solution, with_seen(extraction, square_m=0.075), "squares of 75.00 mm, but 80.00 mm are stated")
+    failing(solution, with_seen(extraction, square_m=0.075), "squares of 75.00 mm, but 80.00 mm is stated")
     unstated = dataclasses.replace(extraction, board=dataclasses.replace(extraction.board, square_m=None))
     assert judge(solution, with_seen(unstated, square_m=0.075)).level == "PASS"
 
@@ -126,7 +128,11 @@ def test_methods_that_disagree(solution, extraction):
         solution.parameters.T_h_c @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0])), solution.parameters.wheels
     )
     linear = dataclasses.replace(solution.linear, parameters=far)
-    failing(dataclasses.replace(solution, linear=linear), extraction, "Two ways of solving disagree")
+    failing(
+        dataclasses.replace(solution, linear=linear),
+        extraction,
+        "The linear and the refined solution differ by",
+    )
 
 
 def test_one_leg_that_stands_out(solution, extraction):
@@ -134,10 +140,9 @@ def test_one_leg_that_stands_out(solution, extraction):
     errors[4] = 0.011  # five times the others, but a small share of the distance
     verdict = judge(with_legs(solution, errors), extraction)
     assert verdict.level == "PASS"
-    assert "Between stations 4 and 5 something moved" in verdict.next_step
+    assert "The point error between stations 4 and 5 is 11.0 mm (median 2.0 mm)." in verdict.next_step
     errors[4] = 0.022
-    failing(with_legs(solution, errors), extraction, "Between stations 4 and 5 something moved")
-    failing(with_legs(solution, errors), extraction, "miss by 22.0 mm, where 2.0 mm are usual")
+    failing(with_legs(solution, errors), extraction, "between stations 4 and 5 is 22.0 mm (median 2.0 mm)")
     errors[4] = 0.009
     assert judge(with_legs(solution, errors), extraction).next_step == "Use params.yaml on the robot."
 
@@ -146,7 +151,7 @@ def test_one_leg_that_stands_out_in_the_pictures_only(solution, extraction):
     px = np.full(11, 0.5)
     px[7] = 12.0
     residuals = dataclasses.replace(solution.residuals, leg_reprojection_px=px)
-    failing(dataclasses.replace(solution, residuals=residuals), extraction, "12.0 px, where 0.5 px are usual")
+    failing(dataclasses.replace(solution, residuals=residuals), extraction, "is 12.0 px (median 0.5 px)")
 
 
 def test_wheels_of_two_sizes(solution, extraction):
@@ -155,12 +160,12 @@ def test_wheels_of_two_sizes(solution, extraction):
     failing(
         dataclasses.replace(solution, refinement=None, parameters=odd),
         extraction,
-        "the left one's at 113.8 mm",
+        "left 113.8 mm",
     )
 
 
 def test_all_legs_bad(solution, extraction):
-    failing(with_legs(solution, [0.05] * 11), extraction, "miss by 50.0 mm at 2.1 m")
+    failing(with_legs(solution, [0.05] * 11), extraction, "The point error is 50.0 mm at 2.1 m")
 
 
 def test_depth_noise_is_no_fault_of_the_calibration(solution, extraction):
@@ -170,14 +175,16 @@ def test_depth_noise_is_no_fault_of_the_calibration(solution, extraction):
 
 def test_pixels_off(solution, extraction):
     failing(
-        dataclasses.replace(solution, reprojection_rms_px=9.0), extraction, "miss by 9.0 px in the pictures"
+        dataclasses.replace(solution, reprojection_rms_px=9.0),
+        extraction,
+        "The reprojection error is 9.0 px (limit 8.2 px)",
     )
 
 
 def test_many_rejections_are_worth_a_look(solution, extraction):
     verdict = judge(solution, dataclasses.replace(extraction, counts={"stations": 40}))
     assert verdict.level == "PASS"
-    assert "28 of 40 stations were left out; most often: board partly hidden." in verdict.next_step
+    assert "28 of 40 stations were rejected (most often: board partly hidden)." in verdict.next_step
 
 
 def solved(extraction, **changes):

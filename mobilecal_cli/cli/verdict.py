@@ -1,0 +1,31 @@
+"""The verdict as the commands print it: once, and with the exit code that it means."""
+
+from __future__ import annotations
+
+import typer
+
+from mobilecal_cli.errors import QualityError
+
+
+def conclude(level: str, reason: str, next_step: str, *, written: str = "", quiet: bool = False) -> None:
+    """Print the verdict on standard output.
+
+    Args:
+        level: "PASS", "FAIL" or "NOT ENOUGH".
+        reason: one or two sentences.
+        next_step: what to do now.
+        written: the files written, "" for none.
+        quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
+
+    Raises:
+        QualityError: the level is not PASS; the message has been printed.
+    """
+    from mobilecal_cli.terminal import verdict_text
+
+    passed = level == "PASS"
+    if not quiet or not passed:
+        typer.echo(verdict_text(level, reason, next_step, to_stderr=quiet), err=quiet)
+    if written and (not quiet or not passed):
+        typer.echo(f"Written: {written}", err=quiet)
+    if not passed:
+        raise QualityError(f"{level}: {reason}", next_step)
