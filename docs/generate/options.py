@@ -33,7 +33,8 @@ def page() -> str:
 def _names(item: Any) -> str:  # noqa: ANN401 - typer's own classes
     if item.param_type_name == "argument":
         return f"`{(item.metavar or item.name).upper()}`"
-    return ", ".join(f"`{name}`" for name in (*item.opts, *item.secondary_opts))
+    value = f" {item.metavar}" if item.metavar else ""
+    return ", ".join(f"`{name}{value}`" for name in (*item.opts, *item.secondary_opts))
 
 
 def _help(item: Any) -> str:  # noqa: ANN401

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -73,10 +74,12 @@ def _created() -> str:
     return now.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _solved(extraction: Extraction, method: Method, asked: Asked | None) -> Solution:
+def _solved(extraction: Extraction, method: Method, asked: Asked | None, progress: Progress) -> Solution:
     """Solve; an error is extended by the motion that the recording lacks."""
+    steps = itertools.count(1)
+    progress("solving", 0, None)
     try:
-        return solve(extraction, method, asked=asked)
+        return solve(extraction, method, asked=asked, on_step=lambda: progress("solving", next(steps), None))
     except SolveError as error:
         gaps = motion_gaps(extraction)
         if not gaps:
@@ -95,8 +98,7 @@ def suggest(
     """
     extraction, _ = load(logs, load_rig(config_path, flags), config_path, flags, progress)
     require_stations(extraction)
-    progress("solving", 0, None)
-    sentences = suggestion_sentences(_solved(extraction, "ml", None), extraction)
+    sentences = suggestion_sentences(_solved(extraction, "ml", None, progress), extraction)
     if not sentences:
         return ("No stop near the last one shows the whole board. Move the robot and record again.",)
     head = "Additional stop at the end of this recording, most useful first:"
@@ -158,8 +160,7 @@ def calibrate(
         if method != "ml":
             require_observable(extraction)
         draughtsman.begin_with(extraction)
-        progress("solving", 0, None)
-        solution = _solved(extraction, method, asked)
+        solution = _solved(extraction, method, asked, progress)
         nominal = extraction.rig.nominal.wheels
         trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
         settings = settings_of(extraction) | ({} if hold_out is None else {"hold_out": hold_out})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,7 +155,9 @@ def _solved(S: FloatArray, s: FloatArray) -> FloatArray:
         ) from error
 
 
-def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
+def descend(
+    start: Terms, ties: Ties, near: float = NEAR, on_step: Callable[[], None] = lambda: None
+) -> Optimum:
     """Minimize the sum of squares of all inlier measurements by Levenberg-Marquardt.
 
     The legs' covariance stays that of the start; call again from the result to update it.
@@ -164,6 +167,7 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
         ties: constraints and priors on the named global parameters.
         near: a step that would reduce the sum of squares by less is not taken: the result is within about the square
             root of this from the minimum, in standard deviations.
+        on_step: called before each step.
 
     Raises:
         SolveError: did not converge within 120 steps, or the normal equations are singular.
@@ -180,6 +184,7 @@ def descend(start: Terms, ties: Ties, near: float = NEAR) -> Optimum:
     cost = terms.cost + ties.prior_terms(problem, state)[2]
     damping, history, arrived = 0.0, [cost], False
     while len(history) <= _MAX_STEPS + 1:
+        on_step()
         information, gradient, _ = ties.prior_terms(problem, state)
         S = basis.T @ (system.S + np.diag(information)) @ basis
         s = basis.T @ (system.s + gradient)

@@ -145,7 +145,10 @@ def _anchor(extraction: Extraction, asked: Asked, found: Parameters | None) -> P
 class Fitter:
     """Fits of one extraction under the user's constraints and priors."""
 
-    def __init__(self, extraction: Extraction, asked: Asked) -> None:
+    def __init__(
+        self, extraction: Extraction, asked: Asked, on_step: Callable[[], None] = lambda: None
+    ) -> None:
+        self._on_step = on_step
         self._extraction = extraction
         self._asked = asked
         self.problem = problem_of(extraction, extras_for(extraction, asked))
@@ -241,7 +244,7 @@ class Fitter:
             if len(held) or self._asked.fixed:
                 self._require_anchor(held)
             ties = self.ties(anchor, held)
-            optimum = descend(start, ties, near)
+            optimum = descend(start, ties, near, self._on_step)
             state = optimum.state
             again = self.shown(optimum.information, state.parameters.wheels)
             if _same_space(again.hidden, held):
@@ -251,7 +254,7 @@ class Fitter:
     def refit(self, fit: Fit, selection: Selection) -> Fit:
         """Optimize roughly with another selection, from a fit and with the same fixed directions."""
         start = terms_before(self.problem, fit.optimum.state, selection, fit.noise)
-        optimum = descend(start, fit.ties, self.rough.near)
+        optimum = descend(start, fit.ties, self.rough.near, self._on_step)
         return self._fitted(optimum, selection, fit.noise, fit.ties, fit.directions, fit.held)
 
     def _fitted(

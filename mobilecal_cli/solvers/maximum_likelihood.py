@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +25,10 @@ _MOST_DECISIONS = 60
 class Solver:
     """Robust maximum-likelihood solver for one extraction."""
 
-    def __init__(self, extraction: Extraction, asked: Asked) -> None:
-        self._fitter = Fitter(extraction, asked)
+    def __init__(
+        self, extraction: Extraction, asked: Asked, on_step: Callable[[], None] = lambda: None
+    ) -> None:
+        self._fitter = Fitter(extraction, asked, on_step)
         self._decisions = Decisions(self._fitter)
         self._pose_cov = np.stack([o.T_c_k_cov for o in extraction.observations])
 

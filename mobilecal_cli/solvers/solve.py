@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -64,6 +65,7 @@ def solve(
     method: Method = "ml",
     start_ratios: FloatArray | None = None,
     asked: Asked | None = None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> Solution:
     """Solution for all nine parameters.
 
@@ -74,13 +76,14 @@ def solve(
             (eq. 19 by Levenberg-Marquardt).
         start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
         asked: constraints, priors and additional parameters, for "ml" only.
+        on_step: called before each optimization step, for "ml" only.
 
     Raises:
         SolveError: did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
             parameter has no nominal value.
     """
     try:
-        return _solved(extraction, method, start_ratios, asked or Asked())
+        return _solved(extraction, method, start_ratios, asked or Asked(), on_step)
     except np.linalg.LinAlgError as error:
         raise SolveError(
             f"numerical failure in the solver: {error}",
@@ -89,11 +92,15 @@ def solve(
 
 
 def _solved(
-    extraction: Extraction, method: Method, start_ratios: FloatArray | None, asked: Asked
+    extraction: Extraction,
+    method: Method,
+    start_ratios: FloatArray | None,
+    asked: Asked,
+    on_step: Callable[[], None],
 ) -> Solution:
     loops = closed_loops(extraction)
     if method == "ml":
-        return _by_likelihood(extraction, loops, start_ratios, asked)
+        return _by_likelihood(extraction, loops, start_ratios, asked, on_step)
     linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
     check_signs(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
@@ -140,9 +147,13 @@ def _with_extras(loops: Loops, fit: Fit) -> Loops:
 
 
 def _by_likelihood(
-    extraction: Extraction, loops: Loops, start_ratios: FloatArray | None, asked: Asked
+    extraction: Extraction,
+    loops: Loops,
+    start_ratios: FloatArray | None,
+    asked: Asked,
+    on_step: Callable[[], None],
 ) -> Solution:
-    solver = Solver(extraction, asked)
+    solver = Solver(extraction, asked, on_step)
     if solver.plain:
         linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
         check_signs(linear.parameters.wheels)
@@ -153,9 +164,8 @@ def _by_likelihood(
     scale = scale_of(extraction, found)
     if scale is not None and scale.apart and "square_scale" not in asked.extras:
         _LOG.info("square size and stereo baseline are inconsistent: the square size is estimated")
-        fit = Solver(extraction, replace(asked, extras=(*asked.extras, "square_scale"))).solve(
-            linear.parameters
-        )
+        extended = replace(asked, extras=(*asked.extras, "square_scale"))
+        fit = Solver(extraction, extended, on_step).solve(linear.parameters)
         found = evidence_of(fit)
         scale = scale_of(extraction, found)
     fit = over_logs(fit)
