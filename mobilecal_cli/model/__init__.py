@@ -1,4 +1,4 @@
-"""The values that flow between the stages: frozen, shapes checked once, arrays read-only."""
+"""The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays."""
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge

@@ -1,4 +1,4 @@
-"""How a value takes its arrays: copied, read-only, float64, shape checked once."""
+"""Array fields of the data types: copied, read-only, of one element type, with checked shapes."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def freeze(
     Args:
         value: the dataclass instance, inside its ``__post_init__``.
         dtype: element type of the named attributes.
-        shapes: attribute name → shape; a string stands for a size that must be the same wherever it is named.
+        shapes: attribute name → shape; a string names a size that must be the same everywhere.
 
     Returns:
-        The sizes that the strings stood for.
+        The sizes that the strings name.
 
     Raises:
-        ValueError: a shape does not fit, or a float is not finite (a programming error, never the user's).
+        ValueError: a shape is wrong or a float is not finite (a programming error, never a user's error).
     """
     sizes: dict[str, int] = {}
     for name, shape in shapes.items():
@@ -52,11 +52,11 @@ def freeze(
 
 
 def freeze_corners(value: object, seen: BoolArray) -> None:
-    """Freeze `pixels` (M, 2) and `seen` (M,) of a view of a board; all corners are seen where `seen` is empty.
+    """Freeze `pixels` (M, 2) and `seen` (M,) of a board detection; an empty `seen` means all corners.
 
     Args:
         value: the dataclass instance, inside its ``__post_init__``.
-        seen: what it was given as `seen`.
+        seen: the given value of `seen`.
 
     Raises:
         ValueError: see `freeze`.
@@ -68,12 +68,12 @@ def freeze_corners(value: object, seen: BoolArray) -> None:
 
 
 def freeze_covariances(value: object, name: str, given: FloatArray, default: float) -> None:
-    """Freeze one (M, 2, 2) covariance a corner, after `freeze_corners`; where none is given, `default` times the unit.
+    """Freeze one (2, 2) covariance per corner, (M, 2, 2), after `freeze_corners`; default: `default` times identity.
 
     Args:
         value: the dataclass instance, inside its ``__post_init__``.
         name: the attribute.
-        given: what it was given.
+        given: its given value.
         default: variance of one coordinate.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A calibration as params.yaml holds it."""
+"""The contents of params.yaml."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mobilecal_cli.model.rig import Side, WheelGeometry
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """How well the nine numbers of a params.yaml are known.
+    """Uncertainty of the nine parameters of a params.yaml.
 
     Attributes:
-        covariance: (9, 9) in the order of `NINE`: small rotation vector in the parent's frame, rad; m.
-        observable: (9,) false for numbers that are held at nominal values; `covariance` does not speak of them.
+        covariance: (9, 9) in the order of `NINE`: small rotation vector in the parent frame, rad; m.
+        observable: (9,) false for parameters fixed at nominal values; `covariance` does not apply to them.
     """
 
     covariance: FloatArray
@@ -31,18 +31,18 @@ class Knowledge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedRobot:
-    """The calibration as params.yaml holds it.
+    """A calibration as stored in params.yaml.
 
     Attributes:
-        parent_frame: the head's frame.
-        child_frame: the reference camera's optical frame.
+        parent_frame: head frame.
+        child_frame: optical frame of the reference camera.
         T_parent_child: (4, 4) child coordinates to parent coordinates, m.
         wheels: radii and separation.
-        knowledge: None where the method knew none.
-        created: when, ISO 8601, "" where the file does not say.
-        logs: the recordings that it was made from.
-        wheel_joints: names of the wheels' joints, where they were read from joint states.
-        nominal_wheels: the wheels as they were known before, if they were.
+        knowledge: None for methods that give no uncertainty.
+        created: time, ISO 8601; "" if the file does not contain it.
+        logs: recordings used for the calibration.
+        wheel_joints: names of the wheel joints if the wheels were read from joint states.
+        nominal_wheels: nominal wheels, if any.
     """
 
     parent_frame: str

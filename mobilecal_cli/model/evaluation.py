@@ -1,4 +1,4 @@
-"""A calibration tried on stations that it was not made from, and calibrations side by side."""
+"""Evaluation of a calibration on stations that were not used for it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """How far dead reckoning leaves the way that the cameras see, over all pairs of stations of a log.
+    """Error of dead reckoning relative to the motion that the cameras measure, over all pairs of stations.
 
     Attributes:
-        m_per_m: rms error of the place over the rms length of the way; None where the base hardly drove.
-        rad_per_rad: rms error of the heading over the rms rotation; None where the base hardly turned.
+        m_per_m: rms position error over rms distance; None if the base hardly drove.
+        rad_per_rad: rms heading error over rms rotation; None if the base hardly turned.
     """
 
     m_per_m: float | None
@@ -24,18 +24,18 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """A calibration tried on a recording.
+    """Evaluation of a calibration on a recording.
 
-    Each leg's camera motion is predicted by the parameters alone (eq. 18) and compared with what the board shows.
+    The parameters predict the camera motion of each leg (eq. 18); the board measures it.
 
     Attributes:
-        stations: with the board in both cameras.
+        stations: number of stations with the board in both cameras.
         legs: (L, 3) log, first and second station of each leg.
-        reprojection_px: (L,) rms distance of carried to detected corners, both cameras.
-        rotation_rad: (L,) angle between predicted and seen rotation of the camera.
-        translation_m: (L,) distance between predicted and seen place of the camera.
-        driven_m, turned_rad: sums over the legs of the way and of the rotation, by the calibrated wheels.
-        before: drift with the wheels as they were known before, None where they were not.
+        reprojection_px: (L,) rms distance between predicted and detected corners, both cameras.
+        rotation_rad: (L,) angle between predicted and measured rotation of the camera.
+        translation_m: (L,) distance between predicted and measured position of the camera.
+        driven_m, turned_rad: total distance and rotation of the base, with the calibrated wheels.
+        before: drift with the nominal wheels, None without nominal wheels.
         after: drift with the calibrated wheels.
     """
 

@@ -1,4 +1,4 @@
-"""What an estimate tells beside its numbers: evidence for more of them, the logs one by one, what to record next."""
+"""Results beyond the nine parameters: model comparison, scale check, single recordings, suggestions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from mobilecal_cli.model.arrays import FloatArray, freeze
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Whether the log supports more numbers than the nine.
+    """Whether the data support a group of additional parameters.
 
     Attributes:
-        group: what `--estimate` calls them.
-        values: name → value and standard deviation: as estimated, or as they would be to first order.
-        state: "estimated" (they are in the answer), "offered" (the log shows them, and they are not) or "hidden"
-            (the log does not show them).
-        chi2: twice the gain in log-likelihood over leaving them at zero, to second order.
-        bic: chi2 less the Bayesian information criterion's price; above 0 the log supports them.
+        group: its name for `--estimate`.
+        values: parameter → value and standard deviation: as estimated, or to first order if not estimated.
+        state: "estimated", "offered" (observable but not estimated) or the state of an unobservable group.
+        chi2: twice the gain in log-likelihood compared with zero values, to second order.
+        bic: chi2 minus the penalty of the Bayesian information criterion; above 0 the data support the group.
     """
 
     group: str
@@ -31,13 +30,13 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class ScaleCheck:
-    """The board's squares and the stereo baseline are two yardsticks; this is their ratio.
+    """Consistency of the two references for scale: the stated squares and the stereo baseline.
 
     Attributes:
-        ratio: size of the squares, measured by the baseline, over their stated size.
-        std: of the ratio.
+        ratio: size of the squares as measured with the baseline, over their stated size.
+        std: standard deviation of the ratio.
         square_m, baseline_m: as stated.
-        apart: whether the ratio leaves 1 by more than its sigma allows; the answer then trusts the baseline.
+        apart: the ratio differs from 1 significantly; the solution then uses the baseline for scale.
     """
 
     ratio: float
@@ -49,13 +48,13 @@ class ScaleCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BetweenLogs:
-    """What each of several logs says by itself.
+    """Estimates from each of several recordings alone.
 
     Attributes:
-        shift: (L, 9) each log's own estimate less the pooled one, order and units of `NINE`; NaN where a log does not
-            show a number.
-        std: (L, 9) their standard deviations within the log.
-        between_std: (9,) spread of the numbers from log to log beyond those; 0 where there is no sign of any.
+        shift: (L, 9) each recording's own estimate minus the common one, order and units of `NINE`; NaN where a
+            parameter is unobservable in a recording.
+        std: (L, 9) their standard deviations.
+        between_std: (9,) additional spread between the recordings; 0 where none is significant.
     """
 
     shift: FloatArray
@@ -69,14 +68,14 @@ class BetweenLogs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suggestion:
-    """One more stop at the end of the log, and what it would bring.
+    """An additional stop at the end of the recording, and the expected improvement.
 
     Attributes:
-        turn_rad, drive_m: the base's way there: first the turn (left is positive), then the drive.
-        joints: (J,) where the head's joints should stand.
-        worst: the number whose standard deviation is worst now, by what a robot needs.
-        std_now, std_then: its standard deviation, rad or m.
-        gain: by what share the worst standard deviation shrinks, over all nine.
+        turn_rad, drive_m: motion of the base: first the turn (left is positive), then the drive.
+        joints: (J,) head joint values, rad or m.
+        worst: the least certain parameter relative to what a robot needs.
+        std_now, std_then: its standard deviation without and with the stop, rad or m.
+        gain: relative decrease of the largest standard deviation over all nine.
     """
 
     turn_rad: float

@@ -1,4 +1,4 @@
-"""Many robots, calibrated one by one."""
+"""Jobs and results of `batch`, which calibrates several robots."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class FleetJob:
     """One robot to calibrate.
 
     Attributes:
-        name: of the robot, and of the directory of its outputs.
+        name: name of the robot and of its output directory.
         logs: its recordings.
         config: its rig.yaml, or None.
-        output: the directory that holds those of all robots.
-        flags: dotted key → value, over the file.
+        output: parent directory of the output directories.
+        flags: dotted key → value; these override the file.
         gates: `NAME=LIMIT`.
     """
 
@@ -31,17 +31,17 @@ class FleetJob:
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """What came of one robot.
+    """Result of one robot.
 
     Attributes:
-        name: of the robot.
-        verdict: "PASS", "FAIL", "NOT ENOUGH", or "ERROR" where there is no answer.
-        exit_code: as `mobilecal calibrate` would have left.
+        name: name of the robot.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", or "ERROR" without a result.
+        exit_code: exit code of `mobilecal calibrate`.
         reason: one sentence.
-        stations: that were used.
-        rotvec_rad, lengths_m: three numbers of the reference camera's rotation on the head (a rotation vector), and
-            six lengths: its place, then radius_right, radius_left, separation; empty where there is no answer.
-        std: nine, rad and m, None where a number is not known; empty where none is.
+        stations: number of stations used.
+        rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
+        lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
+        std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
     """
 
     name: str

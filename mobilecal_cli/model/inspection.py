@@ -1,4 +1,4 @@
-"""What a look at a recording tells, before any of it is measured."""
+"""Result of `inspect`: contents of a recording and its fitness for calibration."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class TopicView:
 
     Attributes:
         name, type: see `TopicInfo`.
-        messages: how many; None where the file does not say.
-        rate_hz: by the median interval of the log times; None where they are not known, or there is one message.
-        longest_gap_s, gap_at_s: the longest pause, and when it began, from the start of the log; None likewise.
-        steps_back: messages that lie in the file behind one of a later log time; None likewise.
+        messages: number of messages; None if the file does not contain it.
+        rate_hz: from the median interval of the log times; None without them or with one message.
+        longest_gap_s, gap_at_s: longest gap and its start after the start of the recording; None likewise.
+        steps_back: number of messages that follow one with a later log time; None likewise.
     """
 
     name: str
@@ -31,12 +31,12 @@ class TopicView:
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """The board in a few pictures spread over the log.
+    """The board in a sample of images spread over the recording.
 
     Attributes:
-        pictures: how many were looked at.
-        seen: in how many of them a whole board of the commonest size was.
-        size: (columns, rows) inner corners, None where no size leads.
+        pictures: number of images searched.
+        seen: number of images with a complete board of the most frequent size.
+        size: (columns, rows) inner corners, None if no size is most frequent.
     """
 
     pictures: int
@@ -46,7 +46,7 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True)
 class JointRange:
-    """Where a head joint was: its lowest and highest reading, and their unit ("deg" or "mm")."""
+    """Range of a head joint: lowest and highest reading, and their unit ("deg" or "mm")."""
 
     low: float
     high: float
@@ -55,14 +55,14 @@ class JointRange:
 
 @dataclass(frozen=True, slots=True)
 class MotionView:
-    """How the robot moved.
+    """Motion of the robot.
 
     Attributes:
         joints: head joint → range.
-        wheels_deg: side → rotation over the whole log, degrees, back and forth both counted.
-        driven_m, turned_deg: length of the way, and range of the heading, by the nominal wheels; None without these.
-        rests: how often base and head stood still with pictures; None where pictures' times are not known.
-        share: of the recording that this rests on, 1 for all of it.
+        wheels_deg: side → total rotation, forward and backward, deg.
+        driven_m, turned_deg: distance and range of the heading with the nominal wheels; None without them.
+        rests: number of rests of base and head with images; None if the image times are unknown.
+        share: share of the recording that was read, 0 to 1.
     """
 
     joints: Mapping[str, JointRange]
@@ -75,7 +75,7 @@ class MotionView:
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """Something that a calibration would want: what is wrong, and what to do."""
+    """Something that a calibration lacks: the problem, and what to do."""
 
     what: str
     cure: str
@@ -83,20 +83,20 @@ class Lack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """A recording at a glance.
+    """Overview of a recording.
 
     Attributes:
-        name: as the user gave it.
-        containers: kinds of files.
-        size_bytes: of all files.
+        name: path as given by the user.
+        containers: file formats.
+        size_bytes: total size.
         start_ns, end_ns: log times of the first and last message, None where unknown.
-        topics: in order of name.
-        rig: what would be used, None where something is missing for it.
-        board: None where no pictures could be looked at.
-        motion: None where joints or wheels could not be read.
-        missing: without these there is no calibration.
-        weak: with these a calibration shows less than it could.
-        notes: what was odd, and what was lost; whole sentences.
+        topics: sorted by name.
+        rig: the robot as `calibrate` would use it, None if something is missing.
+        board: None if no images could be searched.
+        motion: None if joints or wheels could not be read.
+        missing: problems that prevent a calibration.
+        weak: problems that leave parameters unobservable or uncertain.
+        notes: irregularities and lost data; whole sentences.
     """
 
     name: str

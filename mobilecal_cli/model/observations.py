@@ -1,4 +1,4 @@
-"""What was seen: the values between seeing (slow) and solving (fast). No pictures in here."""
+"""Measurements: the data between detection (slow) and solving (fast), without images."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ from mobilecal_cli.model.signals import Rejection, Track
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """The board in one picture, or averaged over the pictures of a rest.
+    """Corners of the board in one image, or averaged over the images of a rest.
 
     Attributes:
-        pixels: (M, 2) corner centres, px, (0, 0) the centre of the first pixel, in the board's numbering.
-        sigma_px: noise of one coordinate of a usual corner, px: measured scatter over the rest where there are
-            several pictures (already divided by the square root of their number), otherwise what the
-            corners' scatter about a smooth board shows.
-        pictures: how many pictures were averaged.
-        seen: (M,) the corners that were seen, all of them where nothing is said. The others' `pixels` are where the
-            fitted board has them, and no measurement.
-        relative_cov: (M, 2, 2) each corner's covariance over the square of `sigma_px`; the unit where nothing is said.
+        pixels: (M, 2) corner positions, px, (0, 0) the center of the first pixel, in the board's numbering.
+        sigma_px: standard deviation of one coordinate of a typical corner, px: from the scatter over the images of a
+            rest (already divided by the square root of their number), or from the residuals of a smooth board.
+        pictures: number of averaged images.
+        seen: (M,) true for detected corners, all by default. The `pixels` of the others come from the fitted board
+            and are no measurement.
+        relative_cov: (M, 2, 2) covariance of each corner over the square of `sigma_px`, identity by default.
     """
 
     pixels: FloatArray
@@ -46,29 +45,29 @@ class Corners:
 
     @property
     def cov_px2(self) -> FloatArray:
-        """(M, 2, 2) covariance of each corner, px^2."""
+        """Covariance of each corner, (M, 2, 2), px^2."""
         return self.sigma_px**2 * self.relative_cov
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """The board seen by both cameras at one station.
+    """The board in both cameras at one station.
 
     Attributes:
-        log: index of the recording; legs join stations of one recording only.
-        station: index of the station in its log.
+        log: index of the recording; legs connect stations of one recording only.
+        station: index of the station in its recording.
         time_ns: the station's time.
         at_rest: see `Station`.
         joints: (J,) see `Station`.
         joints_std: (J,) see `Station`.
         left, right: corners in each camera, same numbering.
-        points_c: (M, 3) triangulated corners in the left camera's frame, m; those that a camera did not see lie
-            where the fitted board has them.
+        points_c: (M, 3) triangulated corners in the left camera's frame, m; corners not detected by both cameras
+            come from the fitted board.
         points_cov: (M, 3, 3) their covariances, m^2.
-        T_c_k: (4, 4) board coordinates to left camera coordinates, minimising stereo reprojection.
+        T_c_k: (4, 4) board coordinates to left camera coordinates, minimizing the stereo reprojection error.
         T_c_k_cov: (6, 6) covariance of T_c_k, tangent order of `se3` (rotation, then translation), left
             perturbation: T = exp(delta) T_c_k.
-        square_m: side of a square that the triangulated points show, m.
+        square_m: square size from the triangulated points, m.
         reprojection_px: rms of the stereo reprojection residual per coordinate, px.
     """
 
@@ -101,12 +100,12 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelTrack:
-    """Both wheels of one log on common times, rotations since the log's start.
+    """Rotations of both wheels since the start of one recording, at common times.
 
     Attributes:
         time_ns: (n,) strictly increasing.
-        right_rad, left_rad: (n,) unwrapped rotation, positive when driving forward. Between two samples
-            both wheels turn at constant rates, so the base moves on an arc.
+        right_rad, left_rad: (n,) unwrapped rotation, positive when driving forward. Both wheels turn at constant rates
+            between two samples, so the base moves on an arc.
     """
 
     time_ns: IntArray
@@ -120,11 +119,11 @@ class WheelTrack:
 
 @dataclass(frozen=True, slots=True)
 class LogSource:
-    """A recording that was read.
+    """A recording.
 
     Attributes:
-        path: as the user gave it.
-        sha256: of the file's bytes; of a directory, over its files in order of name.
+        path: as given by the user.
+        sha256: hash of the file; of a directory, over its files sorted by name.
     """
 
     path: str
@@ -133,19 +132,19 @@ class LogSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
-    """Everything that the numbers need, and no image.
+    """All measurements that the solver needs, without images.
 
     Attributes:
         rig: the robot.
-        board: the checkerboard, its size known by now.
-        observations: in order of log and time.
-        wheels: one track a log.
-        rejections: what was left out.
-        notes: whole sentences about the reading, for the report.
+        board: the board, with known numbers of corners.
+        observations: sorted by recording and time.
+        wheels: one track per recording.
+        rejections: rejected images and stations.
+        notes: whole sentences about the input, for the report.
         logs: the recordings.
-        counts: what was looked at: "stations", "pictures", ...
-        joint_tracks: the head's joints over time, one tuple a log in the order of `HeadChain.joints`; empty where
-            they are not known, and then neither a clock's offset nor backlash can be seen.
+        counts: "stations" found, "pictures" searched, ...
+        joint_tracks: head joints over time, one tuple per recording in the order of `HeadChain.joints`; empty if
+            unknown, and then clock offset and backlash cannot be estimated.
     """
 
     rig: Rig
@@ -161,11 +160,11 @@ class Extraction:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The pictures of a station, kept small for the report's overlays.
+    """The images of a station for the report's overlays.
 
     Attributes:
-        log, station: which observation.
-        left_jpeg, right_jpeg: encoded gray pictures at full size.
+        log, station: the observation.
+        left_jpeg, right_jpeg: encoded gray images at full size.
     """
 
     log: int

@@ -1,4 +1,4 @@
-"""What a recording is made of, before any of it is used."""
+"""Topics of a recording and the robot description found in its first messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.rig import CameraInfo
 
-#: Message types that have a part in a calibration, in ROS 2 spelling.
+#: Message types used in a calibration, in ROS 2 spelling.
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -21,9 +21,9 @@ class TopicInfo:
     """One topic.
 
     Attributes:
-        name: the topic.
+        name: name of the topic.
         type: message type in ROS 2 spelling, "sensor_msgs/msg/JointState".
-        count: number of messages, None when the file does not say.
+        count: number of messages, None if the file does not contain it.
     """
 
     name: str
@@ -33,15 +33,15 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class Prelude:
-    """What the first messages of a recording tell about the robot.
+    """Robot description from the first messages of a recording.
 
     Attributes:
-        topics: all topics, in order of name.
+        topics: all topics, sorted by name.
         infos: camera-info topic → its first calibration.
         image_frames: image topic → frame_id of its first message.
-        joint_names: joint-state topic → names seen in its first messages, each once.
+        joint_names: joint-state topic → names in its first messages, each once.
         urdfs: topic → URDF text.
-        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only where there is no
+        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only without a
             URDF.
     """
 

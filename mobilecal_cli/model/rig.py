@@ -1,4 +1,4 @@
-"""What the robot is: cameras, head chain, board, and where the log keeps their data."""
+"""The robot: cameras, head chain, wheels and board, and the topics with their data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Distortion = Literal["none", "plumb_bob", "rational_polynomial", "equidistant"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraInfo:
-    """One camera's calibration as the log states it, for the pixels as they are in the images.
+    """Calibration of one camera from the recording, for the pixels of the images as recorded.
 
     Binning and region of interest are already applied to K and P.
 
@@ -26,8 +26,8 @@ class CameraInfo:
         K: (3, 3) raw intrinsics, px.
         D: (n,) distortion coefficients in OpenCV's order: n = 0 none, 5 plumb_bob, 8 (or 12, 14)
             rational_polynomial, 4 equidistant.
-        distortion: which model D speaks of.
-        R: (3, 3) turns raw camera coordinates into rectified ones.
+        distortion: model of D.
+        R: (3, 3) rotation from raw to rectified camera coordinates.
         P: (3, 4) projection of rectified coordinates, px; P[0, 3] = -fx * baseline in the right camera.
     """
 
@@ -46,14 +46,14 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A pinhole with distortion: what maps a point in the camera's optical frame to a pixel.
+    """Pinhole camera with distortion: maps points in the optical frame to pixels.
 
     Attributes:
         frame_id: the optical frame's name.
         width, height: image size, px.
         K: (3, 3) intrinsics, px.
         D: (n,) distortion coefficients, see `CameraInfo`.
-        distortion: which model D speaks of.
+        distortion: model of D.
     """
 
     frame_id: str
@@ -69,14 +69,14 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoRig:
-    """The stereo pair. Frame c is the left camera's optical frame, r the right one's.
+    """The stereo pair. Frame c is the optical frame of the left camera, r that of the right one.
 
     Attributes:
-        left, right: the two cameras, for the images as they are in the log (raw or rectified).
+        left, right: the two cameras, for the images as recorded (raw or rectified).
         T_c_r: (4, 4) right camera coordinates to left camera coordinates, m.
         rectified: the images are rectified, so c and r are the rectified optical frames.
         R_rect_c, R_rect_r: (3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
-        reference: the camera that the calibrated head-eye transform speaks of.
+        reference: the camera of the calibrated head-eye transform.
     """
 
     left: Camera
@@ -92,12 +92,12 @@ class StereoRig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the two optical centres, m."""
+        """Distance between the two optical centers, m."""
         return float(np.linalg.norm(self.T_c_r[:3, 3]))
 
     @property
     def T_c_reference(self) -> FloatArray:
-        """(4, 4) reference camera coordinates to left camera coordinates."""
+        """Reference camera coordinates to left camera coordinates, (4, 4), m."""
         return np.eye(4) if self.reference == "left" else self.T_c_r
 
 
@@ -117,10 +117,10 @@ class FixedLink:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLink:
-    """A moving joint in the chain: turns or slides along its axis by multiplier * reading + offset.
+    """A joint in the chain: its motion about or along its axis is multiplier * reading + offset.
 
     Attributes:
-        joint: the name in the joint states that is read.
+        joint: name in the joint states.
         axis: (3,) unit vector in the joint's own frame.
         kind: revolute (rad) or prismatic (m).
         multiplier, offset: from a URDF <mimic>; 1 and 0 otherwise. offset in rad or m.
@@ -144,7 +144,7 @@ class HeadChain:
         base_frame: name of v: x forward, y left, z up, origin midway between the wheels.
         head_frame: name of h, the last link of the pan-tilt chain.
         links: fixed and moving links, in order from v to h.
-        pan, tilt: joint names, for words and plots ("" where there is none).
+        pan, tilt: joint names for texts and plots ("" if there is none).
     """
 
     base_frame: str
@@ -155,20 +155,20 @@ class HeadChain:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that are read, each once, in order from the base."""
+        """Names of the joints, each once, in order from the base."""
         return tuple(dict.fromkeys(link.joint for link in self.links if isinstance(link, JointLink)))
 
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """The markers on a board, which number its corners: parts of the board are then enough.
+    """Markers on a board. They identify its corners, so a partial view is sufficient.
 
     Attributes:
         kind: "charuco": markers in the white squares of a checkerboard, whose inner corners are used; "aprilgrid":
             a grid of tags, whose own corners are used.
-        dictionary: their family, by OpenCV's name, such as "DICT_5X5_100".
+        dictionary: marker family by its OpenCV name, such as "DICT_5X5_100".
         share: charuco: side of a marker; aprilgrid: gap between two tags; both as shares of `Board.square_m`.
-        first_id: number of the first marker.
+        first_id: id of the first marker.
         border_bits: width of the markers' black border, in cells of their code.
     """
 
@@ -181,13 +181,13 @@ class Markers:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The calibration board. Frame k: x along a row of corners, y along a column, z = x cross y pointing away from a
-    camera that sees the board's front; origin at corner 0 (of an aprilgrid: at the bottom left corner of the first tag,
-    which is itself at the bottom left, as Kalibr prints it).
+    """The calibration board. Frame k: x along a row of corners, y along a column, z = x cross y, away from a
+    camera in front of the board; origin at corner 0 (aprilgrid: bottom left corner of the first tag, which is at the
+    bottom left, as Kalibr prints it).
 
     Attributes:
-        columns, rows: inner corners along x and along y; of an aprilgrid: tags.
-        square_m: side of a square (of an aprilgrid: of a tag), m; None when the stereo baseline gives the scale.
+        columns, rows: inner corners along x and along y; aprilgrid: tags.
+        square_m: size of a square (aprilgrid: of a tag), m; None if the stereo baseline gives the scale.
         markers: None for a plain checkerboard.
     """
 
@@ -198,7 +198,7 @@ class Board:
 
     @property
     def corners(self) -> int:
-        """Number of corners; corner index = row * columns + column, of an aprilgrid: four times the tag's, and 0 to 3
+        """Number of corners. Corner index: row * columns + column; aprilgrid: four times the tag's index, plus 0 to 3
         clockwise from the tag's top left.
         """
         return self.columns * self.rows * (4 if self._tags else 1)
@@ -208,7 +208,7 @@ class Board:
         return self.markers is not None and self.markers.kind == "aprilgrid"
 
     def grid(self) -> FloatArray:
-        """(corners, 3) corner positions in units of one square (of an aprilgrid: one tag), z = 0."""
+        """Corner positions in units of one square (aprilgrid: one tag), (corners, 3), z = 0."""
         row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
         if not self._tags or self.markers is None:
             return np.stack([column, row, np.zeros(len(row))], axis=1).astype(np.float64)
@@ -220,16 +220,16 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class WheelSource:
-    """Where the log keeps one wheel's rotation.
+    """Source of one wheel's rotation in the recording.
 
     Attributes:
-        topic: the topic.
+        topic: name of the topic.
         joint: a joint name in `sensor_msgs/JointState` messages of that topic, or None.
         field: a path into any message ("data", "left.ticks", "values[0]"), or None.
         ticks_per_revolution: counter steps per turn of the wheel; None: the field is an angle in rad.
-        bits: width of the counter, which wraps round; None: it never wraps.
-        sign: +1, or -1 for a counter that falls when the robot drives forward.
-        baked_in: the topic is nav_msgs/Odometry, made with these wheels; None for all others.
+        bits: width of a counter that wraps around; None: it does not wrap.
+        sign: +1, or -1 for a counter that decreases when the robot drives forward.
+        baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
     """
 
     topic: str
@@ -243,14 +243,14 @@ class WheelSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTransform:
-    """Where the log keeps one joint's reading, as the transform of the link that it moves.
+    """Source of one joint's reading: the transform of the link that the joint moves.
 
     Attributes:
-        topic: a topic of tf2_msgs/TFMessage.
-        parent, child: the links' frames.
+        topic: topic of type tf2_msgs/TFMessage.
+        parent, child: frames of the links.
         T_parent_child: (4, 4) at the joint's zero, m.
         axis: (3,) unit vector in the joint's frame.
-        kind: of the joint.
+        kind: type of the joint.
     """
 
     topic: str
@@ -262,7 +262,7 @@ class JointTransform:
 
     @property
     def where(self) -> str:
-        """What is read of the topic's messages, for people."""
+        """Part of the messages that is read, for people."""
         return f"{self.parent} to {self.child}"
 
 
@@ -271,10 +271,10 @@ Layout = Literal["separate", "side_by_side", "stacked"]
 
 @dataclass(frozen=True, slots=True)
 class JointField:
-    """Where the log keeps one joint's reading, in messages that are no joint states.
+    """Source of one joint's reading in messages that are not joint states.
 
     Attributes:
-        topic: the topic.
+        topic: name of the topic.
         field: a path into any message ("data", "pan.angle", "values[0]").
         scale: rad (or m) of one unit of the field.
     """
@@ -285,21 +285,21 @@ class JointField:
 
     @property
     def where(self) -> str:
-        """What is read of the topic's messages, for people."""
+        """Part of the messages that is read, for people."""
         return self.field
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The topics in use.
+    """The topics used.
 
     Attributes:
         image: image topic of each side.
-        info: camera-info topic of each side, "" where the calibration comes from elsewhere.
+        info: camera-info topic of each side, "" if the camera calibration is not from the recording.
         joints: joint-state topics for the head's joints.
-        wheels: each wheel's source.
-        elsewhere: the head's joints that are read from other messages than joint states.
-        layout: how the two pictures of a stereo pair come: each by itself, or both in one (of one topic).
+        wheels: source of each wheel.
+        elsewhere: sources of head joints that are not in joint states.
+        layout: the two images of a stereo pair in separate messages, or both in one image of one topic.
     """
 
     image: Mapping[Side, str]
@@ -311,7 +311,7 @@ class Sources:
 
     @property
     def motion(self) -> frozenset[str]:
-        """The topics that tell how base and head move."""
+        """The topics with the motion of base and head."""
         apart = [*self.wheels.values(), *self.elsewhere.values()]
         return frozenset({*self.joints, *(source.topic for source in apart)})
 
@@ -327,7 +327,7 @@ class WheelGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominal:
-    """Prior values, used where the log shows nothing (and to unwrap large turns).
+    """Nominal values, used for unobservable parameters and to unwrap large turns.
 
     Attributes:
         T_h_reference: (4, 4) reference camera coordinates to head coordinates, or None.
@@ -344,7 +344,7 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
-    """Standard deviations that the user states; None where the log is to tell.
+    """Standard deviations given by the user; None where they are estimated.
 
     Attributes:
         pixel_px: of one corner coordinate.
@@ -360,7 +360,7 @@ class KnownNoise:
 
     @property
     def given(self) -> dict[str, float]:
-        """Name → value of those that are stated."""
+        """Name → value of those that are given."""
         levels = {
             "pixel_px": self.pixel_px,
             "wheel_rad_per_sqrt_rad": self.wheel_rad_per_sqrt_rad,
@@ -372,15 +372,15 @@ class KnownNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Everything that is known of the robot before the calibration.
+    """The robot before the calibration.
 
     Attributes:
         cameras: the stereo pair.
-        chain: base to head.
-        nominal: prior values.
-        sources: topics in use.
-        settled_by: setting → what settled it ("flag", "file", "log", "default"), for the report.
-        noise: noise levels that need not be estimated.
+        chain: kinematic chain from base to head.
+        nominal: nominal values.
+        sources: the topics used.
+        settled_by: setting → its source ("flag", "file", "log", "default", ...), for the report.
+        noise: given noise levels.
     """
 
     cameras: StereoRig

@@ -1,4 +1,4 @@
-"""What a log says over time, before anything is seen in its pictures. Time is integer nanoseconds."""
+"""Signals over time, stations and rejections. Time is in integer nanoseconds."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ class Track:
         freeze(self, value=(n,))
 
     def at(self, times_ns: IntArray) -> FloatArray:
-        """Values at some times, by linear interpolation; (n,) → (n,).
+        """Linearly interpolated values at some times, (n,) → (n,).
 
-        Takes no longer on a long track: only the readings about those times are looked at.
+        The time it takes does not depend on the length of the track: only the readings around those times are used.
         """
         if not len(times_ns):
             return np.zeros(0)
         begin = max(int(np.searchsorted(self.time_ns, times_ns.min())) - 1, 0)
         end = int(np.searchsorted(self.time_ns, times_ns.max())) + 1
         stamps, start = self.time_ns[begin:end], self.time_ns[begin]
-        # Offsets from the start are small enough for float64 to hold every nanosecond.
+        # Offsets from the start are small enough for exact nanoseconds in float64.
         offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
         return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """A recording without its pictures' contents.
+    """A recording without the image contents.
 
     Attributes:
         joints: head joint name → track.
         wheels: side → unwrapped wheel rotation, rad, positive when driving forward.
-        image_ns: side → (n,) stamps of the pictures, strictly increasing.
-        notes: what was odd: clocks that stepped back, duplicate stamps, gaps, zero stamps. Whole sentences.
+        image_ns: side → (n,) stamps of the images, strictly increasing.
+        notes: irregularities: clocks that stepped back, duplicate stamps, gaps, zero stamps. Whole sentences.
     """
 
     joints: Mapping[str, Track]
@@ -61,28 +61,28 @@ class Signals:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A stereo pair that is to be looked at, named by the two pictures' stamps, ns."""
+    """A stereo pair to search for the board, identified by the stamps of its images, ns."""
 
     left_ns: int
     right_ns: int
 
     @property
     def time_ns(self) -> int:
-        """The moment of the pair: midway between the two stamps."""
+        """Time of the pair: midway between the two stamps."""
         return (self.left_ns + self.right_ns) // 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Station:
-    """A moment at which the board may be seen.
+    """A moment at which the board may be visible.
 
     Attributes:
-        index: number in its log, from 0, in order of time.
-        at_rest: base and head stood still over all the shots.
-        shots: the stereo pairs to look at: several at a rest, one otherwise.
+        index: number in its recording, from 0, sorted by time.
+        at_rest: base and head stood still during all shots.
+        shots: the stereo pairs to search: several at a rest, one otherwise.
         time_ns: mean time of the shots.
         joints: (J,) head joint readings at the shots, in the order of `HeadChain.joints`, rad or m.
-        joints_std: (J,) scatter of the readings over the shots; 0 where there is one.
+        joints_std: (J,) scatter of the readings over the shots; 0 with one shot.
     """
 
     index: int
@@ -98,14 +98,14 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """One item that was left out, and why. Counted in the report; never an exception.
+    """One rejected item and the reason. The report counts them; they are never exceptions.
 
     Attributes:
         stage: "readers", "stations", "vision" or "solvers".
-        reason: a few words, the same for all of a kind ("board partly hidden").
-        detail: the numbers of this one.
-        time_ns: when in the log.
-        station: index of the station it belongs to, -1 where none.
+        reason: a few words, the same for all of a kind.
+        detail: the numbers of this item.
+        time_ns: its time.
+        station: index of its station, -1 if none.
         log: index of the recording.
     """
 

@@ -1,4 +1,4 @@
-"""What was solved."""
+"""Results of the solvers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """The nine numbers.
+    """The nine parameters.
 
     Attributes:
         T_h_c: (4, 4) head-eye transform: left camera coordinates to head coordinates, m.
@@ -40,15 +40,15 @@ class LinearEstimate:
 
     Attributes:
         parameters: the fixed point.
-        history: the parameters after each round, the last equal to `parameters`; the rounds go on to the
+        history: the parameters after each iteration, the last equal to `parameters`; the iteration continues to the
             fixed point.
-        rounds_to_tolerance: the round after which no parameter had moved by more than 0.1 %, the paper's
-            own end.
+        rounds_to_tolerance: the iteration after which no parameter changed by more than 0.1 %, the paper's
+            stopping rule.
         point_rms_m: square root of eq. 19 at `parameters`, m.
-        start_ratios: (2,) wheel ratios (aR, aL) of the start that was kept.
-        start_from: where that start came from: "nominal", "given" or "grid".
-        rival_point_rms_m: square root of eq. 19 of the best answer that differs from the kept one, m;
-            infinite (math.inf) when every start ended at the same answer.
+        start_ratios: (2,) wheel ratios (aR, aL) of the initial estimate.
+        start_from: source of the initial estimate: "nominal", "given" or "grid".
+        rival_point_rms_m: square root of eq. 19 of the second-best solution, m; infinite (math.inf) if all initial
+            estimates lead to the same solution.
     """
 
     parameters: Parameters
@@ -64,7 +64,7 @@ class LinearEstimate:
 
     @property
     def rounds(self) -> int:
-        """How many rounds the iteration took."""
+        """Number of iterations."""
         return len(self.history)
 
 
@@ -75,9 +75,9 @@ class Refinement:
     Attributes:
         method: "paper" (eq. 19 by Powell), "lm" (eq. 19 by Levenberg-Marquardt) or "ml" (maximum likelihood).
         parameters: at the minimum.
-        point_rms_history_m: (n,) square root of eq. 19 after each iteration, from the start on, m.
+        point_rms_history_m: (n,) square root of eq. 19 at the start and after each iteration, m.
         point_rms_m: the last of them.
-        evaluations: how often the cost was evaluated.
+        evaluations: number of cost evaluations.
     """
 
     method: Method
@@ -97,10 +97,10 @@ class NoiseLevels:
     Attributes:
         pixel_px: of one corner coordinate.
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading; 0 where the encoders have no steps.
+        encoder_rad: of one encoder reading; 0 for encoders without steps.
         joint_rad: of one joint reading.
-        estimated: names of the levels that come from the residuals; the others were given.
-        redundancy: estimated level → how many residuals it rests on.
+        estimated: names of the levels that were estimated from the residuals; the others were given.
+        redundancy: estimated level → number of redundant residuals.
     """
 
     pixel_px: float
@@ -113,19 +113,19 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """How well the nine numbers are known: the inverse of the normal matrix (Cramer-Rao bound).
+    """Uncertainty of the nine parameters: the inverse of the normal matrix (Cramer-Rao bound).
 
     Attributes:
         covariance: (9, 9) in the order of `NINE`: small rotation vector and translation of the left camera in the
-            head's frame (rad, m), wheels (m). Held directions have none.
-        observable: (9,) false for numbers that a plausible error of what is held would shift by more than their
-            own sigma: they are as good as the nominal value, and `covariance` does not speak of them.
-        held: (K, 9) held directions, in units of `scales`, unit length.
+            head frame (rad, m), wheels (m). It is zero along unobservable directions.
+        observable: (9,) false for parameters that a plausible error of the fixed directions would shift by more than
+            their own sigma: they are no better than nominal, and `covariance` does not apply to them.
+        `held`: (K, 9) unobservable directions, fixed at nominal values; in units of `scales`, unit length.
         scales: (9,) rad, m.
-        singular_values: falling, of the whitened, scaled Jacobian: scale over sigma along each direction.
-        noise: levels.
-        fixed: (9,) numbers that the user fixed; not observable either.
-        jackknife_std: (9,) standard deviations by leaving out stations and legs in turn: a second opinion.
+        singular_values: of the whitened, scaled Jacobian, decreasing: scale over sigma along each direction.
+        noise: noise levels.
+        fixed: (9,) parameters fixed by the user; not observable either.
+        jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, for comparison.
     """
 
     covariance: FloatArray
@@ -145,11 +145,11 @@ class Uncertainty:
 
     @property
     def std(self) -> FloatArray:
-        """(9,) standard deviations, rad and m; 0 in held directions."""
+        """Standard deviations, (9,), rad and m; 0 for fixed parameters."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def referred(self, T_h_c: FloatArray, T_c_reference: FloatArray) -> FloatArray:
-        """(9, 9) covariance of the reference camera's numbers: its position also moves with the rotation."""
+        """Covariance for the reference camera, (9, 9): its position also depends on the rotation."""
         J = np.eye(9)
         J[3:6, :3] = np.cross(np.eye(3), T_h_c[:3, :3] @ T_c_reference[:3, 3]).T
         C: FloatArray = J @ self.covariance @ J.T
@@ -158,13 +158,13 @@ class Uncertainty:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A measurement that does not belong, and was left out.
+    """A measurement that is inconsistent with the others and not used in the estimate.
 
     Attributes:
         kind: "corners", "station", "slip" or "joint".
         log: index of the recording.
-        observations: the observation, or the two that a slip lies between.
-        time_ns: when.
+        observations: the observation, or the two around a slip.
+        time_ns: its time.
         text: a whole sentence with the numbers.
     """
 
@@ -177,18 +177,18 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """How well the parameters explain each observation, in the order of `Extraction.observations`.
+    """Residuals of the parameters, in the order of `Extraction.observations`.
 
-    Each leg carries the corners of its second station into its first by the parameters alone (eq. 18).
+    For each leg, the parameters predict the corners of its second station in its first station (eq. 18).
 
     Attributes:
         legs: (L, 2) indices of the two observations of each leg.
         leg_point_rms_m: (L,) square root of eq. 19 of that leg alone, m.
-        predicted_left_px, predicted_right_px: (L, M, 2) those carried corners projected into the first
-            station's pictures, px.
+        predicted_left_px, predicted_right_px: (L, M, 2) predicted corners projected into the first station's
+            images, px.
         leg_reprojection_px: (L,) rms distance to the detected corners, both cameras, px.
-        T_w_v: (N, 4, 4) base in the world (the base at the log's first observation), by dead reckoning.
-        T_w_k: (N, 4, 4) board in the world as each observation sees it.
+        T_w_v: (N, 4, 4) base in the world (the base at the recording's first observation), by dead reckoning.
+        T_w_k: (N, 4, 4) board in the world as each observation measures it.
     """
 
     legs: IntArray
@@ -214,24 +214,24 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The answer.
+    """The result of a calibration.
 
     Attributes:
-        method: what `parameters` come from.
-        parameters: the nine numbers.
-        linear: the linear estimate they started from.
+        method: method of `parameters`.
+        parameters: the nine parameters.
+        linear: the linear solution.
         refinement: None for the method "linear".
         residuals: at `parameters`.
         point_rms_m: square root of eq. 19 at `parameters`, m.
-        reprojection_rms_px: rms distance of carried to detected corners over all legs, px.
-        motion: what the log's motion was: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
-        uncertainty: of the nine numbers; None for the methods that know none.
-        outliers: what was left out of the maximum-likelihood estimate.
-        extras: what was estimated beside the nine: name → value and standard deviation.
-        evidence: whether the log supports more numbers than the nine.
-        scale: the board's squares against the stereo baseline, where their size is stated.
-        between: the logs one by one, where there are several.
-        suggestions: what to record next, the best first.
+        reprojection_rms_px: rms distance between predicted and detected corners over all legs, px.
+        motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
+        uncertainty: None for methods that give none.
+        outliers: measurements not used in the maximum-likelihood estimate.
+        extras: additional parameters: name → value and standard deviation.
+        evidence: whether the data support additional parameters.
+        scale: stated squares against the stereo baseline, if the square size is stated.
+        between: estimates from each recording alone, if there are several.
+        suggestions: what to record next, most useful first.
     """
 
     method: Method
@@ -253,14 +253,14 @@ class Solution:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where the outputs come from.
+    """Provenance of the outputs.
 
     Attributes:
-        version: of mobilecal.
-        created: when, ISO 8601 in UTC ("2015-06-01T12:00:00Z").
-        method: what was asked for, see `Solution.method`.
+        version: version of mobilecal.
+        created: time, ISO 8601 in UTC ("2015-06-01T12:00:00Z").
+        method: requested method, see `Solution.method`.
         logs: the recordings.
-        config: the settings in force, nested by section; beside each, what settled it.
+        config: the settings used, nested by section, and the source of each.
     """
 
     version: str

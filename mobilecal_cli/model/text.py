@@ -1,4 +1,4 @@
-"""Text from a log, for people."""
+"""Safe display of text from a recording."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogat
 
 
 def visible(text: str) -> str:
-    """Text from a log for people: what would steer a terminal or a page is written as an escape."""
+    """The text with characters that could control a terminal or a page written as escapes."""
     return "".join(
         character.encode("unicode_escape").decode("ascii")
         if unicodedata.category(character) in _HIDDEN
