@@ -1,4 +1,4 @@
-"""params.yaml: the nine numbers with their meaning, unit and origin; and its reader."""
+"""params.yaml: the nine parameters with unit, uncertainty and provenance; writer and reader."""
 
 from __future__ import annotations
 
@@ -35,30 +35,28 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.yaml_input import load_yaml
 
-GIMBAL_WARNING_DEG = (
-    5.0  # nearer to the lock than this, x and z trade places at ten times the noise of the axis
-)
-_HINT = "give a params.yaml that mobilecal calibrate wrote"
+NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
+_HINT = "use a params.yaml written by mobilecal calibrate"
 
 
 def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
     """The calibrated robot as commented YAML, the same bytes for the same values.
 
-    ``head_eye`` speaks of the reference camera: T_h_reference = T_h_c T_c_reference. Where the pictures are
-    rectified that is the rectified optical frame, and ``head_eye_raw`` names the raw one beside it:
-    x_rect = R x_raw, so T_h_raw = T_h_rect R.
+    ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,
+    that is the rectified optical frame, and ``head_eye_raw`` adds the raw one: x_rect = R x_raw, so
+    T_h_raw = T_h_rect R.
 
     Args:
-        solution: the answer.
-        extraction: what it was solved from.
-        provenance: when, by which version, from which logs and settings.
+        solution: the solution.
+        extraction: its measurements.
+        provenance: time, version, recordings and settings.
     """
     cameras, chain = extraction.rig.cameras, extraction.rig.chain
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
     frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
     wheels = solution.parameters.wheels
     blocks = [
-        "# Robot calibration by mobilecal. Lengths in m, angles in degrees where the key says so.",
+        "# Robot calibration by mobilecal. Lengths in m, angles in rad unless the key says deg.",
         "schema_version: 1",
         "",
         *_head_eye_comment(cameras),
@@ -66,18 +64,18 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         *_transform_lines(chain.head_frame, frame, T_h_reference),
         "",
         *(_raw_block(cameras, chain.head_frame, frame, T_h_reference) if cameras.rectified else []),
-        "# Differential drive: both radii and the distance between the wheels' contact points.",
+        "# Differential drive: wheel radii and wheel separation.",
         "wheels:",
-        f"  radius_left_m: {decimal(wheels.radius_left_m)}  # left wheel's radius, m",
-        f"  radius_right_m: {decimal(wheels.radius_right_m)}  # right wheel's radius, m",
-        f"  separation_m: {decimal(wheels.separation_m)}  # left contact point to right contact point, m",
+        f"  radius_left_m: {decimal(wheels.radius_left_m)}  # left wheel radius, m",
+        f"  radius_right_m: {decimal(wheels.radius_right_m)}  # right wheel radius, m",
+        f"  separation_m: {decimal(wheels.separation_m)}  # distance between the contact points, m",
         "",
-        "# How well these numbers explain the recording; report.html says what to make of it.",
+        "# Quality of the calibration; report.html explains these figures.",
         "quality:",
-        f"  stations: {len(extraction.observations)}  # moments at which both cameras saw the board",
+        f"  stations: {len(extraction.observations)}  # stations used",
         f"  point_rms_mm: {decimal(solution.point_rms_m * 1e3)}"
-        "  # rms distance of board corners carried from station to station, mm",
-        f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # the same in the pictures, pixels",
+        "  # point error: station-to-station corner error in space, rms, mm",
+        f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # reprojection error: the same in px",
         "",
         *_uncertainty_lines(solution, cameras),
         *_provenance_lines(provenance),
@@ -86,7 +84,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
 
 
 def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
-    """The contract's block; none for the methods that know no uncertainty."""
+    """The block `uncertainty`; empty for methods that give none."""
     found = solution.uncertainty
     if found is None:
         return []
@@ -99,9 +97,9 @@ def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
     )
     levels = found.noise
     return [
-        "# How well the numbers are known: r is a small rotation vector in the head's frame, rad; lengths in m.",
-        "# A number that is not observable is held at its nominal value: its std is null, and the covariance does",
-        "# not speak of it.",
+        "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
+        "# An unobservable parameter is fixed at its nominal value: its std is null, and the covariance does not",
+        "# apply to it.",
         "uncertainty:",
         f"  order: [{', '.join(NINE)}]",
         f"  std: {{{shown}}}",
@@ -116,10 +114,10 @@ def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
 
 
 def _head_eye_comment(cameras: StereoRig) -> list[str]:
-    kind = "the rectified pictures'" if cameras.rectified else "the raw pictures'"
+    kind = "rectified" if cameras.rectified else "raw"
     return [
-        "# Where the camera sits on the head: x_parent = R(quaternion) x_child + translation.",
-        f"# The child is {kind} optical frame of the {cameras.reference} camera: x right, y down, z forward.",
+        "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
+        f"# Child: the optical frame of the {cameras.reference} camera ({kind} images): x right, y down, z forward.",
     ]
 
 
@@ -127,8 +125,8 @@ def _raw_block(cameras: StereoRig, head_frame: str, frame: str, T_h_rectified: F
     R_rect_raw = cameras.R_rect_c if cameras.reference == "left" else cameras.R_rect_r
     T_h_raw = T_h_rectified @ se3.transform(R_rect_raw, np.zeros(3))
     return [
-        "# The same camera's raw optical frame, which is the rectified one turned by camera_info's R:",
-        "# x_rectified = R x_raw. Use it for pictures that are not rectified.",
+        "# The raw optical frame of the same camera: x_rectified = R x_raw with R from camera_info.",
+        "# Use it for images that are not rectified.",
         "head_eye_raw:",
         *_transform_lines(head_frame, f"{frame}_raw", T_h_raw),
         "",
@@ -139,20 +137,18 @@ def _transform_lines(parent: str, child: str, T_parent_child: FloatArray) -> lis
     rotation = T_parent_child[:3, :3]
     x, y, z = (decimal(angle) for angle in se3.euler_zyx_deg(rotation))
     margin_deg = se3.gimbal_margin_deg(rotation)
-    lock = [
-        f"  # y is {margin_deg:.1f} degrees from gimbal lock: x and z have no meaning one by one.",
-        "  # Use the quaternion.",
-    ]
+    euler = f'  euler_zyx_deg: {{"x": {x}, "y": {y}, "z": {z}}}'  # YAML 1.1 reads a bare y as "true"
+    if margin_deg < NEAR_LOCK_DEG:
+        euler = f"  euler_zyx_deg: null  # y is {margin_deg:.1f} degrees from gimbal lock: use the quaternion"
     return [
-        f"  parent_frame: {quoted(parent)}  # head: last link of the pan-tilt chain",
-        f"  child_frame: {quoted(child)}  # camera: optical frame",
-        "  # x, y, z of the child's origin in the parent, m.",
+        f"  parent_frame: {quoted(parent)}  # last link of the head chain",
+        f"  child_frame: {quoted(child)}  # optical frame of the camera",
+        "  # Origin of the child in the parent: x, y, z, m.",
         f"  translation_m: {decimals(T_parent_child[:3, 3])}",
-        "  # Child's axes to parent's axes: a unit quaternion in the order x, y, z, w.",
+        "  # Rotation from the child to the parent, a unit quaternion in the order x, y, z, w.",
         f"  quaternion_xyzw: {decimals(se3.quaternion_xyzw(rotation))}",
-        "  # For reading: R = Rz(z) Ry(y) Rx(x), degrees, as in the paper's Table 1.",
-        *(lock if margin_deg < GIMBAL_WARNING_DEG else []),
-        f'  euler_zyx_deg: {{"x": {x}, "y": {y}, "z": {z}}}',  # YAML 1.1 reads a bare y as "true"
+        "  # For display only: R = Rz(z) Ry(y) Rx(x), deg.",
+        euler,
     ]
 
 
@@ -164,12 +160,12 @@ def _provenance_lines(provenance: Provenance) -> list[str]:
         }
     )
     return [
-        "# Where the numbers come from: the recordings, and the settings in force with what settled each.",
+        "# Provenance: version, recordings, and the settings used with the source of each.",
         "provenance:",
         '  tool: "mobilecal"',
         f"  version: {quoted(provenance.version)}  # of mobilecal",
         f"  created: {quoted(provenance.created)}  # UTC",
-        f"  method: {quoted(provenance.method)}  # how the numbers were solved",
+        f"  method: {quoted(provenance.method)}  # see --method",
         *(f"  {line}" for line in body.removesuffix("\n").split("\n")),
     ]
 
@@ -189,7 +185,7 @@ class _HeadEye(_Section):
     def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         norm = math.hypot(*value)
         if abs(norm - 1) > 1e-3:
-            raise ValueError(f"has norm {norm:.6g}, not 1")
+            raise ValueError(f"the norm is {norm:.6g}, expected 1")
         return value
 
 
@@ -210,10 +206,10 @@ class _Uncertainty(_Section):
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
         if self.order != NINE or self.observable.keys() != set(NINE):
-            raise ValueError(f"order and observable have to name {', '.join(NINE)}")
+            raise ValueError(f"order and observable must list {', '.join(NINE)}")
         covariance = np.array(self.covariance)
         if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or np.any(np.diag(covariance) < 0):
-            raise ValueError("covariance is not symmetric, or has a negative variance")
+            raise ValueError("the covariance is not symmetric or has a negative variance")
         return self
 
 
@@ -257,26 +253,26 @@ class _File(_Section):
     @classmethod
     def _known(cls, value: int) -> int:
         if value != 1:
-            raise ValueError(f"is {value}, and this mobilecal reads 1")
+            raise ValueError(f"version {value} is not supported, only 1")
         return value
 
 
 def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobot:
-    """Read the numbers, how well they are known and where they come from; other keys are left alone.
+    """Read the parameters, their uncertainty and provenance; other keys are ignored.
 
     Args:
         text: the file's contents.
-        name: what to call it in messages.
+        name: its name in error messages.
 
     Raises:
-        ConfigError: not YAML, another schema version, a missing key or a bad value.
+        ConfigError: not YAML, another schema version, a missing key or an invalid value.
     """
     try:
         data = load_yaml(text)
     except ValueError as error:
         raise ConfigError(f"{name}: not valid YAML: {' '.join(str(error).split())}", _HINT) from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{name}: holds no keys", _HINT)
+        raise ConfigError(f"{name}: contains no keys", _HINT)
     try:
         checked = _File.model_validate(data)
     except ValidationError as error:

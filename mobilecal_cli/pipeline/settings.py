@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Extraction, FixedLink, FloatArray, HeadChain, WheelSource
@@ -44,8 +47,12 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if value is not None}
 
 
-def _board(board: Board) -> dict[str, Any]:
+def _board(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:
     settings: dict[str, Any] = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
+    if board.square_m is not None:
+        settings["square_from"] = "stated"
+    elif measured_m:
+        settings |= {"square_m": float(np.median(measured_m)), "square_from": "measured by the stereo pair"}
     markers = board.markers
     if markers is not None:
         share = "marker_share" if markers.kind == "charuco" else "gap_share"
@@ -59,7 +66,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     rig, board = extraction.rig, extraction.board
     elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
     settings: dict[str, Any] = {
-        "board": _board(board),
+        "board": _board(board, [o.square_m for o in extraction.observations]),
         "cameras": {
             **{
                 side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}
@@ -81,7 +88,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "head_frame": rig.chain.head_frame,
             "chain": _chain(rig.chain),
         },
-        "settled_by": dict(rig.settled_by),
+        "setting_sources": dict(rig.settled_by),
     }
     nominal = rig.nominal
     if nominal.wheels is not None:
