@@ -144,7 +144,10 @@ def _extras(params: Path) -> dict[str, float]:
     path = params.with_name("report.json")
     try:
         data = json.loads(read_text(path, _LARGEST_REPORT_BYTES))
-        return {str(name): float(found["value"]) for name, found in data["extras"].items()}
+        found = (
+            data["additional_parameters"] if "additional_parameters" in data else data["extras"]
+        )  # schema 1
+        return {str(name): float(entry["value"]) for name, entry in found.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(
             f"{path}: cannot be read: {error}", "keep params.yaml in the directory that calibrate wrote"

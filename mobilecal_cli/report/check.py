@@ -6,8 +6,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 Outcome = Literal["good", "look", "bad", "short"]
+#: Outcome → its label in the report and in report.json.
+OUTCOME_LABELS: dict[Outcome, str] = {
+    "good": "pass",
+    "look": "warning",
+    "bad": "fail",
+    "short": "not enough",
+}
 
-# With less motion the signal of a parameter is about as small as the noise.
+# With less movement, a parameter depends on a difference about as small as the noise.
 MIN_TURNED_DEG, MIN_DRIVEN_M = 20.0, 0.2
 
 
@@ -16,11 +23,11 @@ class Check:
     """One criterion.
 
     Attributes:
-        name: label.
-        measured, limit: values with units, as text.
-        outcome: "good", "look" (passes with a warning), "bad" (fails) or "short" (not enough data).
-        why: the reason if it is not good.
-        next_step: what to do in that case.
+        name: the criterion.
+        measured, limit: text with units.
+        outcome: "good", "look" (a warning; passes), "bad" (fails) or "short" (too little data to decide).
+        why: a sentence for every outcome but "good".
+        next_step: what to do then.
     """
 
     name: str
@@ -32,5 +39,5 @@ class Check:
 
 
 def graded(value: float, look: float, bad: float) -> Outcome:
-    """The outcome of a value with two upper limits."""
+    """The outcome of a value that should be small."""
     return "bad" if value > bad else "look" if value > look else "good"

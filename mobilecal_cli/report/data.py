@@ -1,4 +1,4 @@
-"""report.json: every number of the report, for programs."""
+"""report.json: all numbers of the report, for programs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Parameters, Provenance, Solution, StereoRig
 from mobilecal_cli.report.changes import Change
+from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
+    NEAR_LOCK_DEG,
     QUANTITIES,
     board_distance_m,
     image_coverage,
@@ -24,11 +26,15 @@ from mobilecal_cli.report.numbers import (
     reference_frame,
     reference_pose,
     rejection_counts,
+    rotation_of,
     stations_looked_at,
 )
 from mobilecal_cli.report.verdict import Verdict
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+#: `Evidence.state` → its name in the file.
+_STATES = {"estimated": "estimated", "offered": "observable", "hidden": "unobservable"}
+_COUNTS = {"pictures": "images"}
 
 
 def report_json(
@@ -39,12 +45,13 @@ def report_json(
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> str:
-    """Every number of the report: keys sorted, units as suffixes, the same bytes for the same values."""
+    """All numbers of the report: keys sorted, units as suffixes, the same bytes for the same values."""
     cameras = extraction.rig.cameras
     data = {
         "schema_version": SCHEMA_VERSION,
-        "verdict": asdict(verdict),
+        "verdict": _verdict(verdict),
         "parameters": _parameters(solution.parameters, cameras)
+        | _rotation_std(solution, cameras)
         | {"parent_frame": extraction.rig.chain.head_frame, "child_frame": reference_frame(cameras)},
         "quality": _quality(solution, extraction),
         "linear": _linear(solution, cameras),
@@ -52,7 +59,7 @@ def report_json(
         "legs": _legs(solution),
         "uncertainty": _uncertainty(solution, cameras),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
-        "extras": {
+        "additional_parameters": {
             name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.extras.items()
         },
         **_findings(solution, extraction),
@@ -64,11 +71,18 @@ def report_json(
             "order": NINE,
             "value": _finite(change.value.tolist()),
             "sigmas": _finite(change.sigmas.tolist()),
-            "chance": change.chance,
+            "percent": _finite(change.percent.tolist()),
+            "p_value": change.chance,
         },
         "stations": _stations(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),
+        "board": {
+            "columns": extraction.board.columns,
+            "rows": extraction.board.rows,
+            "square_mm": square_mm(extraction),
+            "square_from": "measured" if extraction.board.square_m is None else "stated",
+        },
         "rejections": {
             "counts": [
                 {"stage": stage, "reason": reason, "count": count}
@@ -76,9 +90,9 @@ def report_json(
             ],
             "items": [asdict(item) for item in extraction.rejections],
         },
-        "counts": dict(extraction.counts),
+        "counts": {_COUNTS.get(name, name): count for name, count in extraction.counts.items()},
         "notes": list(extraction.notes),
-        "settled_by": dict(extraction.rig.settled_by),
+        "setting_sources": dict(extraction.rig.settled_by),
         "provenance": {
             "tool": "mobilecal",
             "version": provenance.version,
@@ -108,18 +122,37 @@ def _tidy(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
 def _parameters(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
     T = reference_pose(parameters, cameras)
     numbers = nine_numbers(parameters, cameras)
+    lock_deg = se3.gimbal_margin_deg(T[:3, :3])
     return {
-        **{quantity.key: float(value) for quantity, value in zip(QUANTITIES, numbers, strict=True)},
+        **{quantity.key: float(value) for quantity, value in zip(QUANTITIES[3:], numbers[3:], strict=True)},
         "translation_m": T[:3, 3],
+        "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
-        "gimbal_margin_deg": se3.gimbal_margin_deg(T[:3, :3]),
+        "euler_zyx_deg": se3.euler_zyx_deg(T[:3, :3]) if lock_deg >= NEAR_LOCK_DEG else None,
+        "gimbal_margin_deg": lock_deg,
     }
+
+
+def _rotation_std(solution: Solution, cameras: StereoRig) -> dict[str, Any]:
+    rotation = rotation_of(solution, cameras)
+    return {
+        "rotation_vector_std_deg": rotation.vector_std_deg,
+        "euler_zyx_std_deg": rotation.euler_std_deg,
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    checks = [
+        asdict(check) | {"outcome": OUTCOME_LABELS[check.outcome].replace(" ", "_")}
+        for check in verdict.checks
+    ]
+    return asdict(verdict) | {"checks": checks}
 
 
 def _quality(solution: Solution, extraction: Extraction) -> dict[str, Any]:
     return {
         "stations": len(extraction.observations),
-        "stations_looked_at": stations_looked_at(extraction),
+        "stations_found": stations_looked_at(extraction),
         "point_rms_mm": solution.point_rms_m * 1e3,
         "point_rms_predicted_by_depth_noise_mm": predicted_point_rms_m(extraction, solution) * 1e3,
         "reprojection_rms_px": solution.reprojection_rms_px,
@@ -133,11 +166,11 @@ def _linear(solution: Solution, cameras: StereoRig) -> dict[str, Any]:
     rival_m = linear.rival_point_rms_m
     return _parameters(linear.parameters, cameras) | {
         "point_rms_mm": linear.point_rms_m * 1e3,
-        "rival_point_rms_mm": rival_m * 1e3 if math.isfinite(rival_m) else None,
-        "rounds": linear.rounds,
-        "rounds_to_tolerance": linear.rounds_to_tolerance,
-        "start_ratios": linear.start_ratios,
-        "start_from": linear.start_from,
+        "second_best_point_rms_mm": rival_m * 1e3 if math.isfinite(rival_m) else None,
+        "iterations": linear.rounds,
+        "iterations_to_tolerance": linear.rounds_to_tolerance,
+        "initial_ratios": linear.start_ratios,
+        "initial_from": linear.start_from,
         "history": [_parameters(parameters, cameras) for parameters in linear.history],
     }
 
@@ -180,7 +213,7 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
         "covariance": covariance,
         "correlation": covariance / np.outer(known, known),
         "observable": dict(zip(NINE, found.observable.tolist(), strict=True)),
-        "held_directions": found.held,
+        "unobservable_directions": found.held,
         "scales": found.scales,
         "singular_values": found.singular_values,
         "noise": asdict(found.noise),
@@ -191,7 +224,7 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
 
 
 def _finite(values: Any) -> Any:  # noqa: ANN401  (nested lists)
-    """Nested lists with None for what is not finite, which JSON does not know."""
+    """Nested lists with None for numbers that are not finite, which JSON does not have."""
     if isinstance(values, list):
         return [_finite(value) for value in values]
     return values if math.isfinite(values) else None
@@ -203,14 +236,22 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
         "evidence": [
             {
                 "group": found.group,
-                "state": found.state,
+                "state": _STATES[found.state],
                 "chi2": found.chi2,
                 "bic": found.bic,
                 "values": {n: {"value": v, "std": _finite(s)} for n, (v, s) in found.values.items()},
             }
             for found in solution.evidence
         ],
-        "scale": asdict(scale) if scale is not None else None,
+        "scale": None
+        if scale is None
+        else {
+            "ratio": scale.ratio,
+            "std": scale.std,
+            "square_m": scale.square_m,
+            "baseline_m": scale.baseline_m,
+            "consistent": not scale.apart,
+        },
         "logs": {
             "shift": _finite(between.shift.tolist()),
             "std": _finite(between.std.tolist()),
@@ -223,7 +264,7 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
                 "turn_deg": math.degrees(s.turn_rad),
                 "drive_m": s.drive_m,
                 "joints": dict(zip(extraction.rig.chain.joints, s.joints.tolist(), strict=True)),
-                "worst": s.worst,
+                "parameter": s.worst,
                 "std_now": s.std_now,
                 "std_then": s.std_then,
                 "gain": s.gain,
@@ -242,8 +283,8 @@ def _stations(solution: Solution, extraction: Extraction) -> list[dict[str, Any]
             "time_ns": o.time_ns,
             "at_rest": o.at_rest,
             "joints": dict(zip(joints, o.joints.tolist(), strict=True)),
-            "pictures_left": o.left.pictures,
-            "pictures_right": o.right.pictures,
+            "images_left": o.left.pictures,
+            "images_right": o.right.pictures,
             "corner_sigma_left_px": o.left.sigma_px,
             "corner_sigma_right_px": o.right.sigma_px,
             "stereo_reprojection_px": o.reprojection_px,
@@ -258,7 +299,7 @@ def _stations(solution: Solution, extraction: Extraction) -> list[dict[str, Any]
 
 
 def coverage(extraction: Extraction) -> dict[str, float]:
-    """Side → share of its picture in which corners were seen, 0 to 1."""
+    """Side → share of its image in which corners were detected, 0 to 1."""
     cameras, seen = extraction.rig.cameras, extraction.observations
     if not seen:
         return {}
@@ -268,3 +309,11 @@ def coverage(extraction: Extraction) -> dict[str, float]:
         "left": image_coverage(left, cameras.left.width, cameras.left.height),
         "right": image_coverage(right, cameras.right.width, cameras.right.height),
     }
+
+
+def square_mm(extraction: Extraction) -> float | None:
+    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
+    if extraction.board.square_m is not None:
+        return extraction.board.square_m * 1e3
+    sizes = [o.square_m * 1e3 for o in extraction.observations]
+    return float(np.median(sizes)) if sizes else None

@@ -75,7 +75,7 @@ def test_the_numbers_are_near_the_truth(first, workplace, sample_logs):
 
 def test_the_report_repeats_table_1(first, workplace):
     report = json.loads((workplace / "paper_robot_calibration/report.json").read_text())
-    assert report["linear"]["rounds_to_tolerance"] <= 4
+    assert report["linear"]["iterations_to_tolerance"] <= 4
     html = (workplace / "paper_robot_calibration/report.html").read_text()
     for words in ("PASS", "Powell", "Levenberg", "iteration"):
         assert words in html or words == "Powell"
@@ -165,7 +165,7 @@ def test_fixed_prior_and_more_numbers(first, workplace):
     assert params["uncertainty"]["std"]["separation"] is None
     assert params["uncertainty"]["std"]["radius_left"] < 0.00011
     report = json.loads((workplace / "asked/report.json").read_text())
-    assert set(report["extras"]) >= {"pan_zero", "mount_x", "mount_y"}
+    assert set(report["additional_parameters"]) >= {"pan_zero", "mount_x", "mount_y"}
     assert "Estimated beside the nine" in (workplace / "asked/report.html").read_text()
 
 
