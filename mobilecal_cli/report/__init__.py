@@ -1,4 +1,4 @@
-"""Values to what people read: a verdict, a table for the terminal, report.json and report.html. Pure functions."""
+"""Results for people and programs: the verdict, the terminal summary, report.json and report.html. Pure functions."""
 
 from mobilecal_cli.report.changes import Change, change_checks, change_from_nominal, change_since
 from mobilecal_cli.report.check import Check

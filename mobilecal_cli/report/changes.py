@@ -1,9 +1,10 @@
-"""Change since the last calibration, or from the nominal values."""
+"""Change of the nine parameters from the last calibration or from the nominal values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,66 +12,96 @@ from mobilecal_cli.comparison import difference, nine_apart
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.units import SHOWN
+from mobilecal_cli.report.units import SHOWN, value_text
 
-#: Probability of a false alarm for a robot that did not change.
+#: The check warns if an unchanged robot shows a change this large less often than this.
 _UNLIKELY = 1e-4
+
+
+def _unknown() -> FloatArray:
+    return np.full(len(NINE), np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """Change of the nine parameters.
+    """The nine parameters minus those of before.
 
     Attributes:
-        against: label of the reference.
-        value: (9,) rad and m, NaN where the reference has no value.
-        sigmas: (9,) in standard deviations, NaN where none is known; all NaN against nominal values.
-        chance: probability of a change this large if the robot did not change; None against nominal values.
+        against: what they are compared with.
+        value: (9,) rad and m, NaN where there is nothing to compare with.
+        sigmas: (9,) divided by the standard deviation of the difference, NaN where none is known.
+        chance: probability of a change this large if the robot did not change; None where it is not known.
+        percent: (9,) change of the wheel parameters in percent of the nominal values, NaN for the others.
     """
 
     against: str
     value: FloatArray
     sigmas: FloatArray
     chance: float | None
+    percent: FloatArray = field(default_factory=_unknown)
+
+
+class ChangeRow(NamedTuple):
+    """One parameter's change, formatted: in deg or mm, in sigma and in percent; "–" where unknown."""
+
+    value: str
+    sigmas: str
+    percent: str
 
 
 def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Change:
-    """Change since an earlier calibration.
+    """Change from an earlier calibration, also in standard deviations of the difference.
 
     Raises:
-        ConfigError: the frames differ.
+        ConfigError: the earlier calibration is of other frames.
     """
     found = difference(last, robot)
     return Change(name, found.change, found.sigmas, None if found.shared else found.chance)
 
 
 def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | None:
-    """Difference from the nominal values, which have no standard deviation; None if none are stated."""
+    """Change from the nominal values, which have no standard deviations; None where there are no nominal values."""
     if nominal.T_h_reference is None and nominal.wheels is None:
         return None
     T = robot.T_parent_child if nominal.T_h_reference is None else nominal.T_h_reference
     before = CalibratedRobot(robot.parent_frame, robot.child_frame, T, nominal.wheels or robot.wheels)
-    value = nine_apart(before, robot)
+    value, percent = nine_apart(before, robot), _unknown()
     if nominal.T_h_reference is None:
         value[:6] = np.nan
     if nominal.wheels is None:
         value[6:] = np.nan
-    return Change("the nominal values", value, np.full(9, np.nan), None)
+    else:
+        wheels = nominal.wheels
+        percent[6:] = 100 * value[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
+    return Change("the nominal values", value, _unknown(), None, percent)
 
 
-def change_rows(change: Change | None) -> dict[str, tuple[str, str]]:
-    """Parameter → its change in deg or mm and in sigmas, formatted; "" where unknown."""
+def change_rows(change: Change | None, stds: Sequence[float | None]) -> dict[str, ChangeRow]:
+    """Parameter → its change, formatted.
+
+    Args:
+        change: the change, None for no rows.
+        stds: nine standard deviations of the present calibration in deg and mm: None for a fixed parameter, which
+            has no change; may be empty.
+    """
     if change is None:
         return {}
-    rows = {}
-    for name, value, sigmas in zip(NINE, change.value, change.sigmas, strict=True):
-        shown = f"{value * SHOWN[name][1]:+.3f}" if np.isfinite(value) else ""
-        rows[name] = (shown, f"{sigmas:+.1f}" if np.isfinite(sigmas) else "")
-    return rows
+
+    def shown(value: float, digits: int, std: float | None = None) -> str:
+        return value_text(value, std, digits, "+") if np.isfinite(value) else "–"
+
+    return {
+        name: ChangeRow("–", "–", "–")
+        if stds and std is None
+        else ChangeRow(shown(value * SHOWN[name][1], 3, std), shown(sigmas, 1), shown(percent, 2))
+        for name, value, sigmas, percent, std in zip(
+            NINE, change.value, change.sigmas, change.percent, stds or [None] * 9, strict=True
+        )
+    }
 
 
 def change_checks(change: Change | None) -> Iterator[Check]:
-    """Whether the robot has changed since the last calibration."""
+    """Whether the robot is unchanged since the last calibration."""
     if change is None or change.chance is None:
         return
     worst = int(np.argmax(np.abs(np.nan_to_num(change.sigmas))))
@@ -81,5 +112,5 @@ def change_checks(change: Change | None) -> Iterator[Check]:
         f"probability by chance at least {100 * _UNLIKELY:g} %",
         "look" if change.chance < _UNLIKELY else "good",
         f"The robot has changed since {visible(change.against)}: {moved}.",
-        "Check for a loose camera and worn tires. If nothing is found, record and calibrate again.",
+        "Check for a loose camera and worn tires. If you find no cause, record and calibrate again.",
     )

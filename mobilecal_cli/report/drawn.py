@@ -1,4 +1,4 @@
-"""All figures of a report, as texts: they can be drawn before the page is put together, and elsewhere."""
+"""All figures of a report as SVG text, so that worker processes can draw them before the page is assembled."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report import plots, residual_plots
 
-_MOST_PATHS = 4  # logs that are drawn from above
+_MOST_PATHS = 4  # recordings with a top view
 
-#: SVG elements by the figures' names.
+#: Figure name → SVG element.
 Drawn = Mapping[str, str]
 
 _OF_EXTRACTION: dict[str, Callable[[Extraction], str]] = {
@@ -35,8 +35,8 @@ class Figures:
     """SVG elements.
 
     Attributes:
-        named: figure → element, the empty text where there is nothing to show.
-        paths: of each log, its recording, the way seen from above, and the residuals over time.
+        named: figure → element, "" where there is nothing to show.
+        paths: per recording: its path, the top view, and the residuals over time.
     """
 
     named: Drawn
@@ -44,7 +44,7 @@ class Figures:
 
 
 def draw_seen(extraction: Extraction) -> Drawn:
-    """Those figures that need no solution."""
+    """The figures that need no solution."""
     seen = bool(extraction.observations)
     return {name: draw(extraction) if seen else "" for name, draw in _OF_EXTRACTION.items()}
 
@@ -54,7 +54,7 @@ def _logs(extraction: Extraction) -> Sequence[int]:
 
 
 def draw_solved(solution: Solution, extraction: Extraction) -> Drawn:
-    """The other figures."""
+    """The figures that need the solution."""
     seen = bool(extraction.observations)
     drawn = {name: draw(solution, extraction) if seen else "" for name, draw in _OF_SOLUTION.items()}
     for log in _logs(extraction):
@@ -64,12 +64,12 @@ def draw_solved(solution: Solution, extraction: Extraction) -> Drawn:
 
 
 def put_together(drawn: Drawn, extraction: Extraction) -> Figures:
-    """What was drawn, sorted by where the report shows it."""
+    """The drawn figures in the structure that the report needs."""
     named = {name: drawn[name] for name in (*_OF_SOLUTION, *_OF_EXTRACTION)}
     paths = [(extraction.logs[i].path, drawn[f"above {i}"], drawn[f"time {i}"]) for i in _logs(extraction)]
     return Figures(named, tuple(paths))
 
 
 def draw_figures(solution: Solution, extraction: Extraction) -> Figures:
-    """Draw what the report shows."""
+    """Draw all figures of the report."""
     return put_together({**draw_seen(extraction), **draw_solved(solution, extraction)}, extraction)

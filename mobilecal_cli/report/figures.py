@@ -1,6 +1,6 @@
-"""How a figure becomes SVG inside the page: no network, no dates, colours that follow light and dark.
+"""Figures as inline SVG: no network, no dates, colors for light and dark mode.
 
-Figures are drawn in stand-in colours, which are replaced by the page's CSS variables afterwards.
+Figures are drawn in placeholder colors, which are then replaced by the page's CSS variables.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 INK, FAINT, BLUE, ORANGE, GREEN, RED = "#010101", "#020202", "#030303", "#040404", "#050505", "#060606"
 _VARIABLES = {INK: "ink", FAINT: "faint", BLUE: "blue", ORANGE: "orange", GREEN: "green", RED: "red"}
 _SETTINGS: dict[str, Any] = {
-    "svg.fonttype": "none",  # text stays text: small, searchable, in the page's own font
+    "svg.fonttype": "none",  # text stays text: small, searchable, in the page's font
     "svg.hashsalt": "mobilecal",
-    "text.parse_math": False,  # a joint's name may hold a dollar sign
+    "text.parse_math": False,  # a joint name can contain a dollar sign
     "font.family": "sans-serif",
     "font.size": 10.0,
     "text.color": INK,
@@ -33,7 +33,7 @@ _SETTINGS: dict[str, Any] = {
     "axes.titlesize": 10.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,  # fixed: to find a free place, all tick labels would be laid out once more
+    "axes.titley": 1.0,  # fixed: automatic placement computes all tick labels twice
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.spines.top": False,
@@ -57,7 +57,7 @@ _SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Matplotlib's own defaults with this module's settings on top, whatever the user's matplotlibrc says."""
+    """Matplotlib's defaults with the settings of this module, independent of the user's matplotlibrc."""
     import matplotlib
 
     with matplotlib.rc_context():
@@ -75,10 +75,10 @@ def figure(
     header_in: float = 0.32,
     sharex: bool = False,
 ) -> tuple[Figure, Sequence[Axes]]:
-    """A figure with its axes in reading order. Call it inside `style`.
+    """A figure and its axes in reading order. Call it inside `style`.
 
-    The margins are fixed, in inches: room for tick labels and axis names of usual length. (Matplotlib's
-    layout engines draw everything once more to find them, which doubles the time.)
+    The margins are fixed, in inches, for tick and axis labels of usual length: Matplotlib's layout engines draw
+    everything twice to find them, which doubles the time.
     """
     from matplotlib.figure import Figure as NewFigure
 
@@ -95,20 +95,20 @@ def figure(
     return new, list(grid.ravel())
 
 
-def polygons(axes: Axes, corners: Sequence[FloatArray], colours: Sequence[tuple[str, float]]) -> None:
-    """Fill polygons, (n, 2) corners each, with a colour and an opacity each: as one artist, not hundreds."""
+def polygons(axes: Axes, corners: Sequence[FloatArray], colors: Sequence[tuple[str, float]]) -> None:
+    """Fill polygons, (n, 2) corners each, with one color and opacity per polygon, as a single artist."""
     from matplotlib.collections import PolyCollection
 
-    axes.add_collection(PolyCollection(list(corners), facecolors=list(colours), linewidths=0))
+    axes.add_collection(PolyCollection(list(corners), facecolors=list(colors), linewidths=0))
 
 
 def svg(drawing: Figure, name: str, title: str) -> str:
     """The figure as an <svg> element that scales with the page.
 
     Args:
-        drawing: what was drawn inside `style`.
-        name: prefix that keeps the ids of several figures in one page apart.
-        title: what the figure shows, for those who cannot see it; plain ASCII of ours.
+        drawing: a figure made inside `style`.
+        name: prefix that makes the ids unique among the figures of a page.
+        title: description for screen readers, plain ASCII.
     """
     stream = io.StringIO()
     drawing.savefig(
@@ -121,18 +121,18 @@ def svg(drawing: Figure, name: str, title: str) -> str:
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)
     text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
     text = text.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1)
-    for colour, variable in _VARIABLES.items():
-        text = text.replace(colour, f"var(--{variable})")
-    # In the tags, not in the texts: a hundredth of a point is finer than any screen.
+    for color, variable in _VARIABLES.items():
+        text = text.replace(color, f"var(--{variable})")
+    # Round coordinates in the tags, not numbers in the texts: 0.01 pt is finer than any screen.
     return re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d{2})\d+", r"\1", tag.group()), text)
 
 
 def standalone(element: str) -> str:
-    """An element of `svg` as a file of its own, light or dark as the viewer is."""
-    colours = (
+    """An element of `svg` as a separate file that follows the viewer's light or dark mode."""
+    colors = (
         "svg{background:#fff;--ink:#1c2430;--faint:#b4bdc8;--blue:#1f6fd1;--orange:#d9730d;--green:#14875a;--red:#c4312b}"
         "@media(prefers-color-scheme:dark){svg{background:#1b2129;--ink:#e6eaf0;--faint:#5b6675;--blue:#62a8f5;"
         "--orange:#f0a04b;--green:#43c98d;--red:#f0746c}}"
     )
     head = element.index(">") + 1
-    return f"{element[:head]}<style>{colours}</style>{element[head:]}\n"
+    return f"{element[:head]}<style>{colors}</style>{element[head:]}\n"

@@ -1,4 +1,4 @@
-"""What the estimate tells beside the nine numbers, in rows and sentences: for report.html and the terminal."""
+"""Results beyond the nine parameters as table rows and sentences, for report.html and the terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.likelihood.shared import EXTRAS, INDEX
 from mobilecal_cli.model import NINE, Evidence, Extraction, ScaleCheck, Solution, Suggestion
-from mobilecal_cli.report.units import SHOWN
+from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.units import SHOWN, value_text
 
 _SHOWN_UNITS = {
     "s": ("ms", 1e3),
@@ -20,23 +21,23 @@ _SHOWN_UNITS = {
     "1": ("%", 100.0),
 }
 
-LEVEL_NAMES = {
-    "pixel_px": "corners",
-    "wheel_rad_per_sqrt_rad": "wheels",
-    "encoder_rad": "encoders",
-    "joint_rad": "joints",
+#: Noise level → label and unit.
+_LEVELS = {
+    "pixel_px": ("corner coordinate", "px"),
+    "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad"),
+    "encoder_rad": ("encoder reading", "rad"),
+    "joint_rad": ("joint reading", "rad"),
 }
-_JACKKNIFE_SCATTER = (
-    3.6  # over the root of the legs: 19 of 20 simulated logs of 12 and of 40 stations stay within
-)
+# Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
+_JACKKNIFE_SCATTER = 3.6
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of a table.
+    """A row of a table.
 
     Attributes:
-        name, meaning, value, std, unit: ready to be shown.
+        name, meaning, value, std, unit: formatted.
     """
 
     name: str
@@ -47,31 +48,50 @@ class Row:
 
 
 def predicted_rows(solution: Solution) -> tuple[Row, ...]:
-    """What the standard deviations mean for a robot at work."""
+    """Expected errors of a robot in use."""
     found = solution.uncertainty
     if found is None:
         return ()
     p = predicted(solution.parameters, found.covariance)
     return tuple(
-        Row("", meaning, "", f"{value:.3g}", unit)
+        Row("", meaning, "", std_text(value), unit)
         for meaning, value, unit in (
-            ("camera's place on the head", p.camera_m * 1e3, "mm"),
-            ("camera's direction", math.degrees(p.camera_rad), "deg"),
-            ("a point that the camera sees 2 m ahead", p.point_m * 1e3, "mm"),
-            ("dead reckoning straight on: distance", p.along_m_per_m * 1e3, "mm per m"),
+            ("camera position on the head", p.camera_m * 1e3, "mm"),
+            ("camera orientation on the head", math.degrees(p.camera_rad), "deg"),
+            ("point 2 m in front of the camera", p.point_m * 1e3, "mm"),
+            ("dead reckoning, driving straight: distance", p.along_m_per_m * 1e3, "mm per m"),
+            ("dead reckoning, driving straight: lateral, first meter", p.sideways_m_per_m * 1e3, "mm per m"),
+            ("dead reckoning, driving straight: heading", math.degrees(p.heading_rad_per_m), "deg per m"),
             (
-                "dead reckoning straight on: sideways, after the first metre",
-                p.sideways_m_per_m * 1e3,
-                "mm per m",
+                "dead reckoning, turning in place: heading",
+                math.degrees(p.heading_rad_per_turn),
+                "deg per turn",
             ),
-            ("dead reckoning straight on: heading", math.degrees(p.heading_rad_per_m), "deg per m"),
-            ("dead reckoning on the spot: heading", math.degrees(p.heading_rad_per_turn), "deg per turn"),
         )
     )
 
 
+def noise_rows(solution: Solution) -> tuple[Row, ...]:
+    """Measurement noise: in `value`, how each level was obtained; none for methods that give none."""
+    if solution.uncertainty is None:
+        return ()
+    noise = solution.uncertainty.noise
+    rows = []
+    for level, (meaning, unit) in _LEVELS.items():
+        std = float(getattr(noise, level))
+        source = "given"
+        if level in noise.estimated:
+            source = f"estimated from {noise.redundancy[level]:.0f} redundant residuals"
+        elif level == "encoder_rad":
+            if not std:
+                continue
+            source = "given, or derived from the encoder step"
+        rows.append(Row("", meaning, source, std_text(std), unit))
+    return tuple(rows)
+
+
 def jackknife_sentence(solution: Solution) -> str:
-    """How far the two kinds of standard deviation agree; "" where there are none."""
+    """Comparison of the jackknife's standard deviations with those of the estimate; "" where there are none."""
     found = solution.uncertainty
     if found is None:
         return ""
@@ -81,14 +101,14 @@ def jackknife_sentence(solution: Solution) -> str:
     ratio = found.jackknife_std[known] / found.std[known]
     usual = 1 + _JACKKNIFE_SCATTER / math.sqrt(max(len(solution.residuals.legs), 1))
     return (
-        "Second opinion: leaving out every station's pictures, its joint readings and every leg's wheels in turn "
-        f"(jackknife) gives {ratio.min():.2f} to {ratio.max():.2f} times these standard deviations; with so many legs, "
-        f"a factor of {usual:.1f} either way is usual."
+        "Jackknife test: solving repeatedly, each time without the corners or the joint readings of one station or "
+        f"the wheel rotations of one leg, gives {ratio.min():.2f} to {ratio.max():.2f} times the standard deviations "
+        f"above. With {len(solution.residuals.legs)} legs, factors from {1 / usual:.1f} to {usual:.1f} are usual."
     )
 
 
 def extra_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
-    """What was estimated beside the nine."""
+    """Parameters estimated in addition to the nine."""
     return tuple(
         _square(value, std, extraction)
         if name == "square_scale" and extraction.board.square_m is None
@@ -98,27 +118,30 @@ def extra_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
 
 
 def _square(value: float, std: float, extraction: Extraction) -> Row:
-    """The squares' size where none is stated: the scale counts from the median of the stations."""
+    """The square size where none is stated: the scale parameter is relative to the median of the stations."""
     median_mm = 1e3 * float(np.median([o.square_m for o in extraction.observations]))
-    meaning = "side of the board's squares, by the stereo pair"
-    return Row("square", meaning, f"{median_mm * (1 + value):.3f}", f"{median_mm * std:.2g}", "mm")
+    std_mm = median_mm * std
+    shown = value_text(median_mm * (1 + value), std_mm, 3)
+    return Row("square", "square size, measured by the stereo pair", shown, std_text(std_mm), "mm")
 
 
 def _extra(name: str, value: float, std: float) -> Row:
     extra = EXTRAS[INDEX[name]]
     unit, factor = _SHOWN_UNITS[extra.unit]
-    shown = f"{std * factor:.2g}" if math.isfinite(std) else "not shown"
-    return Row(name, extra.meaning, f"{value * factor:.4g}", shown, unit)
+    if not math.isfinite(std):
+        return Row(name, extra.meaning, f"{value * factor:.4g}", "unobservable", unit)
+    std *= factor
+    return Row(name, extra.meaning, value_text(value * factor, std, 3), std_text(std), unit)
 
 
 def evidence_rows(
     solution: Solution, extraction: Extraction
 ) -> tuple[tuple[Evidence, tuple[Row, ...], str], ...]:
-    """Every group of extras: its numbers and what the log says of them."""
+    """Every group of additional parameters: its parameters and whether the data support them."""
     rows = []
     for found in solution.evidence:
         if found.group == "square_scale" and extraction.board.square_m is None:
-            continue  # its zero is no stated size, but the first guess
+            continue  # zero means the measured size here, not a stated one
         members = tuple(_extra(name, value, std) for name, (value, std) in found.values.items())
         rows.append((found, members, _says(found)))
     return tuple(rows)
@@ -126,27 +149,26 @@ def evidence_rows(
 
 def _says(found: Evidence) -> str:
     if found.state == "hidden":
-        return "this recording does not show it"
+        return "unobservable in this recording"
     supported = found.bic > 0
     if found.state == "estimated":
-        return (
-            "estimated, and supported" if supported else "estimated, but not needed: it may as well be zero"
-        )
-    return f"supported: add --estimate {found.group}" if supported else "not needed"
+        return "estimated and supported" if supported else "estimated but not supported: zero fits as well"
+    return f"supported: add --estimate {found.group}" if supported else "not supported"
 
 
 def scale_sentence(scale: ScaleCheck) -> str:
-    """Both readings of squares and baseline."""
+    """Square size and baseline as measured, if the other one is correct, and as stated."""
     squares, baseline = scale.square_m * scale.ratio, scale.baseline_m / scale.ratio
     return (
-        f"The board's squares are {squares * 1e3:.2f} mm (stated: {scale.square_m * 1e3:.2f} mm), or the baseline is "
-        f"{baseline * 1e3:.2f} mm (stated: {scale.baseline_m * 1e3:.2f} mm): {100 * (scale.ratio - 1):+.2f} %, "
-        f"standard deviation {100 * scale.std:.2g} %."
+        f"With the stated baseline of {scale.baseline_m * 1e3:.2f} mm, the squares measure {squares * 1e3:.2f} mm "
+        f"(stated: {scale.square_m * 1e3:.2f} mm); with the stated squares, the baseline measures "
+        f"{baseline * 1e3:.2f} mm. The difference is {100 * (scale.ratio - 1):+.2f} % with a standard deviation of "
+        f"{100 * scale.std:.2g} %."
     )
 
 
 def log_rows(solution: Solution, extraction: Extraction) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Each log's own estimate less the pooled one, and the spread between logs; in degrees and mm."""
+    """Each recording's own estimate minus the common one, and the spread between recordings; in deg and mm."""
     between = solution.between
     if between is None:
         return ()
@@ -155,49 +177,50 @@ def log_rows(solution: Solution, extraction: Extraction) -> tuple[tuple[str, tup
     rows = []
     for number, shift, std in zip(present, between.shift, between.std, strict=True):
         cells = (
-            f"{s * f:+.3f} ± {d * f:.3f}" if np.isfinite(s) else "not shown"
+            f"{value_text(s * f, d * f, 3, '+')} ± {std_text(d * f)}" if np.isfinite(s) else "unobservable"
             for s, d, f in zip(shift, std, factors, strict=True)
         )
-        rows.append((f"log {number}", tuple(cells)))
-    spread = tuple(f"{s * f:.3f}" for s, f in zip(between.between_std, factors, strict=True))
-    return (*rows, ("spread between logs", spread))
+        rows.append((f"recording {number}", tuple(cells)))
+    spread = tuple(std_text(s * f) for s, f in zip(between.between_std, factors, strict=True))
+    return (*rows, ("spread between recordings", spread))
 
 
-def _way(suggestion: Suggestion) -> str:
+def _path(suggestion: Suggestion) -> str:
+    """How the base gets to a suggested stop."""
     turn, drive = math.degrees(suggestion.turn_rad), suggestion.drive_m
     parts = []
     if turn:
         parts.append(f"turn the base {'left' if turn > 0 else 'right'} by {abs(turn):.0f} degrees")
     if drive:
         parts.append(f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m")
-    return ", then ".join(parts) or "leave the base where it is"
+    return ", then ".join(parts) or "do not move the base"
 
 
 def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[str, ...]:
-    """What to record next, the best first: the way, the head, and what it would bring."""
+    """What to record next, most useful first: base motion, head angles and expected standard deviation."""
     names = extraction.rig.chain.joints
     sentences = []
     for suggestion in solution.suggestions:
         unit, factor = SHOWN[suggestion.worst]
         head = ", ".join(
-            f"{name} {round(math.degrees(at))}°" for name, at in zip(names, suggestion.joints, strict=True)
+            f"{name} to {round(math.degrees(at))}°" for name, at in zip(names, suggestion.joints, strict=True)
         )
         now, then = suggestion.std_now * factor, suggestion.std_then * factor
-        way, worst = _way(suggestion), suggestion.worst
-        if _seen(solution, worst):
-            brings = (
-                f"{worst} would be known to {then:.2g} {unit} instead of {now:.2g} (one standard deviation), and "
-                f"the worst of all nine shrinks by {100 * suggestion.gain:.0f} %"
+        path, worst = _path(suggestion), suggestion.worst
+        if _observable(solution, worst):
+            gain = (
+                f"the standard deviation of {worst} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
+                f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            brings = f"{worst}, which this recording does not show, would be known to {then:.2g} {unit}"
+            gain = f"{worst}, now unobservable, gets a standard deviation of {then:.2g} {unit}"
         sentences.append(
-            f"{way[0].upper()}{way[1:]}; move the head ({head}) so that both cameras see the whole board, and stop: "
-            f"{brings}."
+            f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
+            f"Expected result: {gain}."
         )
     return tuple(sentences)
 
 
-def _seen(solution: Solution, name: str) -> bool:
+def _observable(solution: Solution, name: str) -> bool:
     found = solution.uncertainty
     return found is not None and bool(found.observable[NINE.index(name)])

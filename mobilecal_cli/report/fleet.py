@@ -1,4 +1,4 @@
-"""One table of many robots, with those that stand out marked."""
+"""Results of many robots as one table, with the outliers of the fleet marked."""
 
 from __future__ import annotations
 
@@ -6,30 +6,32 @@ import csv
 import functools
 import io
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, FleetRow, FloatArray
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.pages import environment
-from mobilecal_cli.report.units import SHOWN
+from mobilecal_cli.report.units import SHOWN, value_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-#: A robot stands out by so many times the fleet's own spread (1.4826 times the median deviation), and its own sigma.
+#: A robot is an outlier beyond both: this many times the spread of the fleet (1.4826 times the median absolute
+#: deviation), and this many of its own standard deviations.
 OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
-_FEWEST = 5  # of fewer robots none can be said to stand out
+_FEWEST = 5  # among fewer robots there are no outliers
 _FIELDS = ("r_x_deg", "r_y_deg", "r_z_deg", "t_x_mm", "t_y_mm", "t_z_mm", "radius_right_mm", "radius_left_mm",
            "separation_mm")  # fmt: skip
 
 
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
-    """(n, 9) numbers and (n, 9) standard deviations in deg and mm, NaN where there are none.
+    """Parameters, (n, 9), and standard deviations, (n, 9), in deg and mm, NaN where there are none.
 
-    Rotations are those from the first robot that passes, as rotation vectors in the head's frame.
+    Rotations are relative to the first robot that passes, as rotation vectors in the head frame.
     """
     numbers, std = np.full((2, len(rows), len(NINE)), np.nan)
     factors = np.array([SHOWN[name][1] for name in NINE])
@@ -47,7 +49,7 @@ def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
 
 
 def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
-    """Robot → names of its numbers that lie far outside the fleet; robots without any are left out."""
+    """Robot → names of its parameters that are outliers of the fleet; only robots that have any."""
     numbers, std = fleet_numbers(rows)
     answered = np.isfinite(numbers[:, 0])
     if answered.sum() < _FEWEST:
@@ -64,7 +66,7 @@ def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
 
 
 def fleet_csv(rows: Sequence[FleetRow]) -> str:
-    """A line for each robot; rotations against the first robot that passes."""
+    """One line per robot as CSV; rotations are relative to the first robot that passes."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
     stream = io.StringIO()
@@ -83,37 +85,40 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
     )
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
-        told = (" ".join(out.get(row.name, ())), _harmless(row.reason))
-        table.writerow([row.name, row.verdict, row.exit_code, row.stations, *cells, *told])
+        words = (" ".join(out.get(row.name, ())), _harmless(row.reason))
+        table.writerow([row.name, row.verdict, row.exit_code, row.stations, *cells, *words])
     return stream.getvalue()
 
 
 def _harmless(text: str) -> str:
-    """What a spreadsheet would take for a formula begins with a quote."""
+    """The text, after a quote if a spreadsheet would treat it as a formula."""
     shown = visible(text)
     return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
 
 
 def fleet_html(rows: Sequence[FleetRow]) -> str:
-    """The same as a page, with links to the reports."""
+    """The table as an HTML page with links to the reports."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
-    lines = []
+    lines: list[dict[str, Any]] = []
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
         cells = [
             {
-                "text": f"{value:.2f}" if np.isfinite(value) else "",
-                "std": f"± {sigma:.2f}" if np.isfinite(sigma) else "",
+                "text": value_text(value, sigma, 2) if np.isfinite(value) else "",
+                "std": f"± {std_text(sigma)}" if np.isfinite(sigma) else "",
                 "out": name in out.get(row.name, ()),
             }
             for name, value, sigma in zip(NINE, values, sigmas, strict=True)
         ]
-        lines.append({"row": row, "cells": cells, "out": row.name in out})
+        lines.append({"row": row, "cells": cells, "out": out.get(row.name, ())})
     counts = {
         level: sum(row.verdict == level for row in rows) for level in ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
     }
     return _template().render(
         lines=lines,
+        remarks=[line for line in lines if line["out"] or line["row"].verdict != "PASS"],
+        fleet_limit=OUT_OF_FLEET,
+        sigma_limit=OUT_OF_SIGMA,
         counts=counts,
         heads=[(name, SHOWN[name][0]) for name in NINE],
         total=len(rows),
@@ -127,11 +132,11 @@ def _template() -> Template:
 
 
 def fleet_text(rows: Sequence[FleetRow]) -> str:
-    """A line for each robot, for the terminal."""
+    """One line per robot, for the terminal."""
     out = standing_out(rows)
     width = max(len(row.name) for row in rows)
     lines = []
     for row in rows:
-        marks = f" [stands out: {', '.join(out[row.name])}]" if row.name in out else ""
+        marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {row.name:<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
     return "\n".join(lines) + "\n"

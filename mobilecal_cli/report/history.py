@@ -1,4 +1,4 @@
-"""The nine numbers over several calibrations, drawn."""
+"""Plot of the nine parameters over several calibrations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _MOST_LABELS = 20
 
 
 def history_plot(labels: Sequence[str], past: History) -> str:
-    """An SVG file: each number's change against the first calibration, with two standard deviations.
+    """An SVG file: change of each parameter since the first calibration, with bars of 2 sigma.
 
     Args:
-        labels: of the calibrations, such as their dates; they are numbered from 1 on the plot.
-        past: the numbers.
+        labels: labels of the calibrations, such as dates; the plot numbers them from 1.
+        past: the parameters of all calibrations.
     """
     at = np.arange(1, len(labels) + 1)
     with style():
@@ -38,5 +38,5 @@ def history_plot(labels: Sequence[str], past: History) -> str:
         shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]
         more = f" and {len(labels) - len(shown)} more" if len(labels) > len(shown) else ""
         drawing.text(0.01, 0.005, ",  ".join(shown) + more, fontsize=7, color=INK, va="bottom")
-        title = "change of every number against the first calibration, bars of two standard deviations"
+        title = "change of each parameter since the first calibration, with bars of 2 sigma"
         return standalone(svg(drawing, "history", title))

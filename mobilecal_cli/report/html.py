@@ -1,4 +1,4 @@
-"""report.html: one file that opens without a network and says whether to trust the numbers."""
+"""report.html: the report as one file that needs no network and no scripts."""
 
 from __future__ import annotations
 
@@ -7,45 +7,51 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.report import overlays
 from mobilecal_cli.report.changes import Change, change_rows
-from mobilecal_cli.report.data import coverage
+from mobilecal_cli.report.check import OUTCOME_LABELS
+from mobilecal_cli.report.data import coverage, square_mm
 from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
-    LEVEL_NAMES,
     evidence_rows,
     extra_rows,
     jackknife_sentence,
     log_rows,
+    noise_rows,
     predicted_rows,
     scale_sentence,
     suggestion_sentences,
 )
+from mobilecal_cli.report.glossary import TERMS, link_terms
 from mobilecal_cli.report.numbers import (
-    NEAR_LOCK_DEG,
     QUANTITIES,
+    Rotation,
     board_distance_m,
     nine_numbers,
-    nine_std,
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
     rejected_station,
     rejection_counts,
+    rotation_of,
     sigmas,
     stations_looked_at,
+    std_text,
     written,
 )
 from mobilecal_cli.report.pages import environment
+from mobilecal_cli.report.units import value_text
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_MOST_REJECTIONS = 200  # details of more than these are in report.json only
+_MOST_REJECTIONS = 200  # further ones are in report.json only
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -64,34 +70,32 @@ def report_html(
     Args:
         solution: the answer.
         extraction: what it was solved from.
-        snapshots: pictures of some or all stations, for the overlays; may be empty.
-        provenance: when, by which version, from which logs and settings.
-        verdict: what `judge` says.
-        trial: the calibration tried on what was held out, if anything was.
-        change: against the last calibration or the drawing, if there is either.
-        figures: gives what `draw_figures` draws, if that is being done elsewhere; asked last.
+        snapshots: images of some or all stations for the overlays; may be empty.
+        provenance: time, version, recordings and settings.
+        verdict: result of `judge`.
+        trial: evaluation on the held-out stations, if any.
+        change: difference from the last calibration or from the nominal values, if there is either.
+        figures: returns what `draw_figures` draws, if another process draws it; called last.
     """
     from markupsafe import Markup  # SVG made here; matplotlib has escaped every text in it
 
-    rig = extraction.rig
+    rig, rotation = extraction.rig, rotation_of(solution, extraction.rig.cameras)
     template = _template()
     page: dict[str, Any] = {
         "verdict": verdict,
         "checks": verdict.checks,
-        "numbers": _table_one(solution, extraction),
+        "numbers": _table_one(solution, extraction, rotation),
         "refined": solution.refinement is not None,
         "method": solution.method,
         "head_frame": rig.chain.head_frame,
         "camera_frame": reference_frame(rig.cameras),
         "camera_side": rig.cameras.reference,
         "rectified": rig.cameras.rectified,
-        "near_lock_deg": NEAR_LOCK_DEG,
-        "lock_deg": se3.gimbal_margin_deg(reference_pose(solution.parameters, rig.cameras)[:3, :3]),
-        "quaternion": se3.quaternion_xyzw(reference_pose(solution.parameters, rig.cameras)[:3, :3]).tolist(),
+        "rotation": rotation,
+        "euler": _euler(rotation),
         "linear": solution.linear,
         "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
-        "noise": solution.uncertainty.noise if solution.uncertainty is not None else None,
-        "level_names": LEVEL_NAMES,
+        "noise": noise_rows(solution),
         "outliers": solution.outliers,
         "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),
@@ -101,7 +105,9 @@ def report_html(
         "logs_apart": log_rows(solution, extraction),
         "nine": NINE,
         "change": change,
-        "changes": change_rows(change),
+        "changes": change_rows(change, [s.value for s in sigmas(solution, rig.cameras)]),
+        "change_in_sigma": change is not None and bool(np.isfinite(change.sigmas).any()),
+        "change_in_percent": change is not None and bool(np.isfinite(change.percent).any()),
         "trial": trial,
         "trial_rows": evaluation_rows(trial) if trial is not None else (),
         "drift_rows": drift_rows(trial) if trial is not None else (),
@@ -112,7 +118,7 @@ def report_html(
         "reprojection_px": solution.reprojection_rms_px,
         "distance_m": board_distance_m(extraction),
         "stations": len(extraction.observations),
-        "looked_at": stations_looked_at(extraction),
+        "stations_found": stations_looked_at(extraction),
         "least_stations": MIN_STATIONS,
         "coverage": coverage(extraction),
         "leg_views": overlays.leg_views(solution, extraction, snapshots),
@@ -121,21 +127,26 @@ def report_html(
             (item.reason, item.detail, rejected_station(item, extraction), _moment(item.time_ns))
             for item in extraction.rejections[:_MOST_REJECTIONS]
         ],
-        "rejections_hidden": max(0, len(extraction.rejections) - _MOST_REJECTIONS),
+        "rejections_more": max(0, len(extraction.rejections) - _MOST_REJECTIONS),
         "notes": extraction.notes,
         "motion": solution.motion,
         "counts": extraction.counts,
         "board": extraction.board,
+        "square_mm": square_mm(extraction),
         "sources": rig.sources,
         "settled_by": rig.settled_by,
-        "settings": list(_flat(provenance.config)),
+        "settings": list(_flat({k: v for k, v in provenance.config.items() if k != "setting_sources"})),
         "provenance": provenance,
+        "outcomes": OUTCOME_LABELS,
+        "terms": TERMS,
     }
     drawn = figures() if figures is not None else draw_figures(solution, extraction)
-    return template.render(
-        page,
-        figures={name: Markup(text) for name, text in drawn.named.items()},
-        paths=[(path, Markup(above), Markup(time)) for path, above, time in drawn.paths],
+    return link_terms(
+        template.render(
+            page,
+            figures={name: Markup(text) for name, text in drawn.named.items()},
+            paths=[(path, Markup(above), Markup(time)) for path, above, time in drawn.paths],
+        )
     )
 
 
@@ -144,35 +155,69 @@ def _template() -> Template:
     return environment().get_template("report.html.jinja")
 
 
-def _table_one(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:
+def _table_one(solution: Solution, extraction: Extraction, rotation: Rotation) -> list[dict[str, Any]]:
+    """Rows of the nine parameters: rotation vector, translation, wheels; in deg and mm."""
     cameras = extraction.rig.cameras
-    final = nine_numbers(solution.parameters, cameras)
-    std = nine_std(solution, cameras) or (None,) * len(QUANTITIES)
-    linear = nine_numbers(solution.linear.parameters, cameras)
+    std: list[float | None] = [s.value for s in sigmas(solution, cameras)] or [None] * 9
+    unknown = ["fixed" if s is None else "–" for s in std]  # "–": another part of the rotation is fixed
+    std[:3] = [None] * 3 if rotation.vector_std_deg is None else rotation.vector_std_deg.tolist()
+    linear_R = reference_pose(solution.linear.parameters, cameras)[:3, :3]
+    linear = [*np.degrees(se3.log_so3(linear_R)), *nine_numbers(solution.linear.parameters, cameras)[3:]]
+    final = [*rotation.vector_deg, *nine_numbers(solution.parameters, cameras)[3:]]
+    labels = [f"rotation vector of the camera in the head frame, {axis}" for axis in "xyz"]
+    labels += [quantity.meaning for quantity in QUANTITIES[3:]]
     return [
         {
-            "symbol": quantity.symbol,
-            "meaning": quantity.meaning,
+            "meaning": meaning,
             "unit": quantity.unit,
-            "linear": f"{before:.{quantity.digits}f}",
-            "final": f"{after:.{quantity.digits}f}",
-            "std": "" if s is None else f"± {s:.{quantity.digits}f}",
+            "linear": value_text(before, s, quantity.digits),
+            "final": value_text(after, s, quantity.digits),
+            "std": instead if s is None else std_text(s),
         }
-        for quantity, before, after, s in zip(QUANTITIES, linear, final, std, strict=True)
+        for meaning, quantity, before, after, s, instead in zip(
+            labels, QUANTITIES, linear, final, std, unknown, strict=True
+        )
+    ]
+
+
+def _euler(rotation: Rotation) -> list[tuple[str, str]]:
+    """Euler angles x, y, z with their standard deviations, deg, "" where unknown; empty near gimbal lock."""
+    if rotation.euler_deg is None:
+        return []
+    stds = [None] * 3 if rotation.euler_std_deg is None else rotation.euler_std_deg.tolist()
+    return [
+        (value_text(angle, std, 3), "" if std is None else std_text(std))
+        for angle, std in zip(rotation.euler_deg.tolist(), stds, strict=True)
     ]
 
 
 def _moment(time_ns: int) -> str:
-    """A log's time as UTC; seconds where it is no date that a calendar holds."""
+    """A recording's time as a UTC date, or in seconds if it is not a valid date."""
     if 0 < time_ns < 253_402_300_800_000_000_000:
         return (_EPOCH + timedelta(microseconds=time_ns // 1000)).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
     return f"{time_ns / 1e9:.3f} s"
 
 
-def _flat(config: Mapping[str, Setting], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Nested settings as (dotted key, value)."""
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", "none" if value is None else str(value)
+def _flat(value: Setting, key: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as (dotted key, value as YAML writes it)."""
+    if isinstance(value, Mapping) and value:
+        for name, item in value.items():
+            yield from _flat(item, f"{key}.{name}" if key else name)
+    elif isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
+        for number, item in enumerate(value):
+            yield from _flat(item, f"{key}[{number}]")
+    else:
+        yield key, _yaml(value)
+
+
+def _yaml(value: object) -> str:
+    """A value in YAML's flow style; strings and paths without quotes."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, list | tuple | set | frozenset):
+        return f"[{', '.join(_yaml(item) for item in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{name}: {_yaml(item)}' for name, item in value.items())}}}"
+    return str(value)

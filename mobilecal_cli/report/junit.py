@@ -1,4 +1,4 @@
-"""The verdict's criteria as JUnit XML, which CI systems show."""
+"""The checks of the verdict as JUnit XML for CI systems."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.check import OUTCOME_LABELS, Check
 
 
 def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
-    """One test case a criterion: failed where it is bad, or where there is too little data to tell.
+    """One test case per check: failed if it fails, or if there is too little data to decide.
 
     Args:
-        name: of the test suite, such as the recording's.
-        checks: the criteria.
+        name: name of the test suite, for example the recording.
+        checks: the checks.
     """
     failed = [check for check in checks if check.outcome in ("bad", "short")]
     counts = {"tests": str(len(checks)), "failures": str(len(failed)), "errors": "0"}
@@ -24,22 +24,24 @@ def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
     for check in checks:
         case = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(check.name)})
         if check.outcome in ("bad", "short"):
-            failure = ET.SubElement(case, "failure", {"message": visible(check.why), "type": check.outcome})
+            failure = ET.SubElement(
+                case, "failure", {"message": visible(check.why), "type": OUTCOME_LABELS[check.outcome]}
+            )
             failure.text = visible(check.next_step)
         out = ET.SubElement(case, "system-out")
         out.text = visible(f"measured: {check.measured}; limit: {check.limit}")
         if check.outcome == "look":
-            out.text += visible(f"; worth a look: {check.why}")
+            out.text += visible(f"; warning: {check.why}")
     return _written(suites)
 
 
 def junit_error_xml(name: str, error: MobilecalError) -> bytes:
-    """One test case with the error that kept a run from an answer."""
+    """One test case with the error that ended a run without a result."""
     counts = {"tests": "1", "failures": "0", "errors": "1"}
     suites = ET.Element("testsuites", counts)
     suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
     case = ET.SubElement(
-        suite, "testcase", {"classname": "mobilecal", "name": "the recording gives an answer"}
+        suite, "testcase", {"classname": "mobilecal", "name": "the recording can be calibrated"}
     )
     told = ET.SubElement(case, "error", {"message": visible(error.message), "type": error.code})
     told.text = visible(error.hint)

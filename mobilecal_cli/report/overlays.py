@@ -1,4 +1,4 @@
-"""Detected and carried corners drawn over the real pictures (paper's Fig. 6)."""
+"""Detected and predicted corners drawn over the images (paper's Fig. 6)."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ import numpy as np
 from mobilecal_cli.model import Corners, Extraction, FloatArray, Side, Snapshot, Solution
 from mobilecal_cli.report.numbers import station_names
 
-_WIDTH_PX = 800  # wider cuttings are shrunk: the page stays small, and the marks are drawn in vectors anyway
-_MARGIN = 0.3  # of the board's size in the picture, left free around it
+_WIDTH_PX = 800  # wider regions are scaled down to keep the page small; the marks are vectors and stay sharp
+_MARGIN = 0.3  # around the board, as a share of its size in the image
 _QUALITY = 72
 
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One picture with marks, as the page's template draws it.
+    """One image with marks, for the page's template.
 
     Attributes:
-        side: which camera.
-        x, y, width, height: the part of the picture around the board that is shown, px; the marks are in
-            the same pixels of the whole picture.
-        jpeg: that part (shrunk) as base64, "" when the picture cannot be decoded.
-        marks: (u, v) detected and (u, v) carried, one row a corner.
+        side: the camera.
+        x, y, width, height: region around the board, px; the marks are in pixels of the whole image.
+        jpeg: that region (scaled down) as base64, "" if the image cannot be decoded.
+        marks: (u, v) detected and (u, v) predicted, one row per corner.
     """
 
     side: Side
@@ -39,14 +38,14 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True)
 class LegView:
-    """Both pictures of a leg's first station.
+    """Both images of a leg's first station.
 
     Attributes:
-        rank: "worst", "median" or "best".
-        from_station, to_station: names of the leg's ends; the corners of `to_station` are carried into the
-            pictures of `from_station`.
-        error_mm, error_px: of this leg.
-        pictures: left and right.
+        rank: "worst", "median", "best" or "only".
+        from_station, to_station: names of the leg's ends; the corners of `to_station` are predicted in the
+            images of `from_station`.
+        error_mm, error_px: point error and reprojection error of this leg.
+        pictures: left and right image.
     """
 
     rank: str
@@ -58,7 +57,7 @@ class LegView:
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
-    """The worst, the median and the best leg among those whose first station has pictures."""
+    """The worst, the median and the best leg among those whose first station has images."""
     residuals, seen = solution.residuals, extraction.observations
     pictures = {(s.log, s.station): s for s in snapshots}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
@@ -91,12 +90,12 @@ def _ranks(count: int) -> tuple[str, ...]:
     return {1: ("only",), 2: ("worst", "best")}.get(count, ("worst", "median", "best"))
 
 
-def _overlay(side: Side, jpeg: bytes, corners: Corners, carried: FloatArray) -> Overlay:
+def _overlay(side: Side, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:
     import cv2
 
-    detected, carried = corners.pixels[corners.seen], carried[corners.seen]
+    detected, predicted = corners.pixels[corners.seen], predicted[corners.seen]
     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) if jpeg else None
-    marks = np.concatenate([detected, carried], axis=1) + 0.5  # SVG counts from a pixel's edge
+    marks = np.concatenate([detected, predicted], axis=1) + 0.5  # SVG coordinates start at a pixel's edge
     low, high = detected.min(axis=0), detected.max(axis=0)
     margin = _MARGIN * float(np.max(high - low)) + 8
     bounds = np.array([[0, 0], [1 << 20, 1 << 20]] if picture is None else [[0, 0], picture.shape[::-1]])

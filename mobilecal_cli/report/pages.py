@@ -1,4 +1,4 @@
-"""What all HTML pages have in common: everything from outside is escaped, undefined names are errors."""
+"""The Jinja environment of the HTML pages: it escapes all text and treats undefined names as errors."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 
 def environment() -> Environment:
-    """The templates of this room."""
+    """Environment with the templates of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     def shown(value: object) -> object:
-        """Every string from outside passes here, whatever the template does with it."""
+        """Escape control characters in every string that a template prints."""
         return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
     return Environment(

@@ -1,4 +1,4 @@
-"""Plots of what is left over: over the picture, over time, and between the numbers. Each an <svg> element."""
+"""Plots of the residuals across the image and over time, and of the correlations. Each is an <svg> element."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from mobilecal_cli.model import NINE, Extraction, FloatArray, IntArray, Side, So
 from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, RED, figure, polygons, style, svg
 
 _CELLS = (12, 9)
-_LEAST_IN_CELL = 3  # fewer corners in a cell make no mean
+_LEAST_IN_CELL = 3  # cells with fewer corners show no mean
 _KINDS = {
-    "corners": "single corners",
-    "station": "whole stations",
-    "slip": "legs (slip)",
-    "joint": "joint readings",
+    "corners": "corners",
+    "station": "station",
+    "slip": "leg (slip)",
+    "joint": "joint reading",
 }
 
 
 def picture_residuals(extraction: Extraction, side: Side) -> str:
-    """How far the corners lie from the board as both cameras see it, over the picture: mean arrows on a heat map.
+    """Residuals of the corners from the fitted flat board across the image: a heat map with mean arrows.
 
-    The board's pose is the stereo pair's at each station, so the robot's motion has no part in it.
+    The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
     """
     camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
     pixels, residual = _board_residuals(extraction, side)
@@ -51,11 +51,11 @@ def picture_residuals(extraction: Extraction, side: Side) -> str:
         axes.set_ylim(size[1] - 0.5, -0.5)
         axes.set_aspect("equal")
         axes.grid(visible=False)
-        return svg(drawing, f"residual-{side}", f"residuals over the {side} camera's picture")
+        return svg(drawing, f"residual-{side}", f"corner residuals across the image of the {side} camera")
 
 
 def _board_residuals(extraction: Extraction, side: Side) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) detected corners of all stations and (n, 2) how far they lie from the board's, px."""
+    """Detected corners of all stations, (n, 2), and their residuals from the fitted board, (n, 2), px."""
     cameras, seen = extraction.rig.cameras, extraction.observations
     camera, T_camera_c = (
         (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
@@ -72,7 +72,7 @@ def _board_residuals(extraction: Extraction, side: Side) -> tuple[FloatArray, Fl
 def _cells(
     pixels: FloatArray, residual: FloatArray, size: IntArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """(k, 2) cells with enough corners, (k, 2) their mean residual and (k,) its root mean square, px."""
+    """Cells with enough corners, (k, 2), with their mean residual, (k, 2), and root mean square, (k,), px."""
     at = np.floor((pixels + 0.5) / size * _CELLS).astype(np.int64).clip(0, np.array(_CELLS) - 1)
     cells, number, count = np.unique(at, axis=0, return_inverse=True, return_counts=True)
     number = number.ravel()
@@ -83,7 +83,7 @@ def _cells(
 
 
 def correlation_matrix(solution: Solution) -> str:
-    """Which of the nine numbers stand and fall together; the empty text where nothing is known of that."""
+    """Correlation matrix of the nine parameters; "" without a covariance."""
     found = solution.uncertainty
     if found is None:
         return ""
@@ -107,11 +107,11 @@ def correlation_matrix(solution: Solution) -> str:
         axes.set_xlim(-0.5, len(NINE) - 0.5)
         axes.set_ylim(len(NINE) - 0.5, -0.5)
         axes.grid(visible=False)
-        return svg(drawing, "correlation", "correlation of the nine numbers")
+        return svg(drawing, "correlation", "correlation matrix of the nine parameters")
 
 
 def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
-    """One log's legs and stereo residuals over its time, with what was left out and why."""
+    """Leg and stereo residuals of one recording over time, with outliers and rejected stations."""
     seen, residuals = extraction.observations, solution.residuals
     mine = [leg for leg, (i, _) in enumerate(residuals.legs) if seen[i].log == log]
     stations = [o for o in seen if o.log == log]
@@ -136,11 +136,11 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
             times = [since(o.time_ns) for o in outliers if o.kind == kind]
             if times:
                 axes.plot(times, np.full(len(times), low), mark, color=RED, clip_on=False, markersize=8,
-                          label=f"left out: {_KINDS[kind]}")  # fmt: skip
+                          label=f"outlier: {_KINDS[kind]}")  # fmt: skip
         if rejected:
             axes.plot([since(r.time_ns) for r in rejected], np.full(len(rejected), low), "|", color=INK,
-                      clip_on=False, markersize=10, label="picture or station not used")  # fmt: skip
+                      clip_on=False, markersize=10, label="rejected image or station")  # fmt: skip
         axes.set_xlabel("time since the first station [s]")
         drawing.text(0.01, 0.99, "residual [px]", va="top", fontweight="bold")
         drawing.legend(loc="upper right", ncols=3, fontsize=8)
-        return svg(drawing, f"time{log}", "residuals over time, with what was left out")
+        return svg(drawing, f"time{log}", "residuals over time, with outliers and rejected stations")

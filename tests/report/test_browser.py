@@ -136,4 +136,13 @@ def test_the_fleet_s_table(browser, tmp_path):
         assert browser.complaints() == []
         assert browser.requests() == [path.absolute().as_uri()]
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
-    assert browser.evaluate("document.querySelectorAll('tbody tr').length") == 9
+    assert browser.evaluate("document.querySelectorAll('.robots tbody tr').length") == 9
+    for width, height in ((1200, 800), (390, 844)):
+        browser.open(path, width=width, height=height)
+        bottoms = (
+            "[...document.querySelectorAll('.robots tbody tr')].map(r => r.getBoundingClientRect().bottom)"
+        )
+        assert sum(bottom <= height for bottom in browser.evaluate(bottoms)) >= 6
+    browser.open(path, width=1200)
+    wide = "document.querySelector('.scroll').scrollWidth > document.querySelector('.scroll').clientWidth"
+    assert browser.evaluate(wide) is False  # all columns fit

@@ -13,12 +13,35 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import HeadChain, JointLink, LogSource, Parameters, Rejection, Snapshot
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    FleetRow,
+    HeadChain,
+    JointLink,
+    Knowledge,
+    LogSource,
+    Nominal,
+    Parameters,
+    Rejection,
+    Snapshot,
+)
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report import judge, report_html, report_json, summary_table
+from mobilecal_cli.pipeline.settings import settings_of
+from mobilecal_cli.report import (
+    change_from_nominal,
+    change_since,
+    fleet_html,
+    judge,
+    report_html,
+    report_json,
+    summary_table,
+)
+from mobilecal_cli.report.changes import change_rows
+from mobilecal_cli.report.glossary import TERMS, link_terms
 from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.report.overlays import leg_views
 from mobilecal_cli.report.plots import trail
+from mobilecal_cli.report.units import value_text
 from mobilecal_cli.solvers import solve
 from tests.report.example import (
     HOSTILE,
@@ -97,8 +120,17 @@ def page(html):
 
 def test_the_page_says_what_matters_first(page):
     text = page.text
-    assert text.index("PASS") < text.index("The nine numbers") < text.index("What was checked")
-    for words in ("αx", "223.39", "227.60", "508.80", "10.94", "9.85", "board partly hidden", "head_link"):
+    assert text.index("PASS") < text.index("The nine parameters") < text.index("Checks")
+    for words in (
+        "rotation vector",
+        "223.39",
+        "227.60",
+        "508.80",
+        "10.94",
+        "9.85",
+        "board partly hidden",
+        "head_link",
+    ):
         assert words in text
 
 
@@ -196,15 +228,15 @@ def test_several_logs_have_a_path_each():
     page = Page(page_of(extraction))
     assert "robot_1.mcap" in page.text
     labels = [attributes.get("aria-label") for _, attributes in page.tags]
-    assert labels.count("base path from above with cameras and board") == 2
+    assert labels.count("top view of the base path with cameras and board") == 2
     assert "1:0–1:1" in page.text
 
 
 def test_the_linear_method_alone(extraction):
     solution = make_solution(extraction, refined=False)
     text = Page(page_of(extraction, solution)).text
-    assert "no refinement was asked for" in text
-    assert "iteration of the refinement" not in text
+    assert "The solution was not refined" in text
+    assert "iteration of the refinement (0" not in text
     data = json.loads(
         report_json(solution, extraction, make_provenance(extraction), judge(solution, extraction))
     )
@@ -236,7 +268,7 @@ def test_gimbal_lock_is_said(extraction, solution):
 def test_many_rejections_are_cut_and_counted(extraction):
     many = tuple(Rejection("vision", "no board", f"n{i}", i) for i in range(205))
     text = Page(page_of(dataclasses.replace(extraction, rejections=many))).text
-    assert "5 more are in report.json" in text
+    assert "report.json lists 5 more" in text
     assert "n199" in text
     assert "n200" not in text
 
@@ -294,7 +326,7 @@ def test_json_holds_every_number(extraction, solution):
     assert text == report_json(solution, extraction, make_provenance(extraction), verdict)
     data = json.loads(text)
     assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
-    assert data["schema_version"] == 1
+    assert data["schema_version"] == 2
     assert data["verdict"]["level"] == "PASS"
     assert data["parameters"]["radius_left_mm"] == pytest.approx(
         solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15
@@ -302,7 +334,7 @@ def test_json_holds_every_number(extraction, solution):
     assert len(data["stations"]) == 12
     assert len(data["legs"]) == 11
     assert len(data["linear"]["history"]) == solution.linear.rounds
-    assert data["linear"]["rival_point_rms_mm"] is None
+    assert data["linear"]["second_best_point_rms_mm"] is None
     assert math.sqrt(np.mean([leg["point_rms_mm"] ** 2 for leg in data["legs"]])) == pytest.approx(
         data["quality"]["point_rms_mm"]
     )
@@ -317,3 +349,78 @@ def test_json_takes_hostile_strings(extraction):
     text = report_json(solution, hostile, make_provenance(hostile), judge(solution, hostile))
     assert text.isascii()
     assert json.loads(text)["notes"] == [HOSTILE]
+
+
+def test_terms_link_to_their_definitions_once_a_section(html):
+    for section in re.findall(r"<section.*?</section>", html, flags=re.DOTALL):
+        links = re.findall(r'<a class="term" href="#term-([\w-]+)" title="', section)
+        assert len(links) == len(set(links))
+    assert {term.key for term in TERMS} >= set(re.findall(r'href="#term-([\w-]+)"', html))
+    first = html.index("<h2>The nine parameters</h2>")
+    assert re.search(
+        r'<a class="term" href="#term-head-eye" title="[^"]+">Head-eye transform</a>', html[first:]
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["leg-work", "<code>station</code>", '<b title="station">x</b>', "<h2>Leg</h2>"]
+)
+def test_no_links_inside_names_code_and_headings(text):
+    assert link_terms(f"<p>{text}</p>") == f"<p>{text}</p>"
+
+
+def test_settings_read_as_yaml(extraction):
+    config = {
+        "rectified": False, "board": {"square_m": None, "sizes": (1, 2.5)}, "tf": [], "file": Path("a/b"),
+        "chain": [{"xyz_m": [0.04, 0.0]}, {"joint": "pan", "axis": [0.0, 1.0]}],
+    }  # fmt: skip
+    text = Page(page_of(extraction, config=config)).text
+    for words in ("rectified false", "board.square_m null", "board.sizes [1, 2.5]", "tf []", "file a/b",
+                  "chain[0].xyz_m [0.04, 0]", "chain[1].joint pan"):  # fmt: skip
+        assert words in text
+    assert not re.search(r"None|False|PosixPath|\{'", text)
+
+
+def robot(wheels=WHEELS, std=None):
+    covariance = np.zeros((9, 9)) if std is None else np.eye(9) * std**2
+    knowledge = None if std is None else Knowledge(covariance, np.ones(9, dtype=bool))
+    return CalibratedRobot("head", "camera", np.eye(4), wheels, knowledge)
+
+
+def test_a_change_from_nominal_values_is_in_units_and_percent():
+    nominal = Nominal(None, dataclasses.replace(WHEELS, separation_m=0.5))
+    change = change_from_nominal(robot(std=1e-4), nominal)
+    rows = change_rows(change, [0.1] * 9)
+    assert rows["separation"] == ("+8.70", "–", "+1.74")
+    assert rows["t_x"] == ("–", "–", "–")
+    assert np.isnan(change.sigmas).all()
+    assert change_rows(change, [0.1] * 8 + [None])["separation"] == ("–", "–", "–")  # fixed
+
+
+def test_a_change_between_two_calibrations_is_in_sigma():
+    moved = dataclasses.replace(WHEELS, separation_m=WHEELS.separation_m + 0.001)
+    rows = change_rows(change_since(robot(moved, 3e-4), robot(std=4e-4), "before"), [0.3] * 9)
+    assert rows["separation"] == ("+1.00", "+2.0", "–")
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [(12.3456, 0.0073, "12.3456"), (223.06, 0.67, "223.06"), (1234.5, 31.0, "1234"), (2.0, None, "2.000")],
+)
+def test_values_have_the_digits_of_their_sigma(value, std, shown):
+    assert value_text(value, std, 3) == shown
+
+
+def test_no_sigma_is_shown_as_zero(extraction):
+    rows = [FleetRow(f"r{n}", "PASS", 0, "", 12, (0.1, 0, 0), (0.1,) * 6, (1e-7,) * 9) for n in range(2)]
+    assert "± 0.00010" in fleet_html(rows)
+    assert not re.search(r"± 0\.0*[^0-9.]", fleet_html(rows))
+
+
+def test_the_square_is_the_measured_one_where_none_is_stated(extraction):
+    stated = settings_of(extraction)["board"]
+    assert (stated["square_m"], stated["square_from"]) == (0.08, "stated")
+    unstated = dataclasses.replace(extraction, board=dataclasses.replace(extraction.board, square_m=None))
+    measured = settings_of(unstated)["board"]
+    assert measured["square_m"] == np.median([o.square_m for o in extraction.observations])
+    assert measured["square_from"] == "measured by the stereo pair"
