@@ -1,6 +1,6 @@
-"""Camera models: from a point in a camera's optical frame to a pixel, and back to a ray.
+"""Camera models: projection of points in the optical frame to pixels, and back to rays.
 
-Pixel coordinates have (0, 0) at the centre of the first pixel. The models and the order of their
+Pixel coordinates have (0, 0) at the center of the first pixel. The models and the order of their
 coefficients are OpenCV's: `plumb_bob` (k1 k2 p1 p2 k3), `rational_polynomial` (+ k4 k5 k6, + thin prism
 s1 s2 s3 s4, + tilt tau_x tau_y) and `equidistant` (k1 k2 k3 k4, Kannala and Brandt 2006, eq. 6).
 """
@@ -14,7 +14,7 @@ from mobilecal_cli.model import BoolArray, Camera, FloatArray
 _NEWTON_STEPS = 60
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
 _EXACT = 5e-16
-_AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model takes its series
+_AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
 
 def _tilt(tau_x: float, tau_y: float) -> FloatArray:
@@ -27,7 +27,7 @@ def _tilt(tau_x: float, tau_y: float) -> FloatArray:
 
 
 def _padded(D: FloatArray, count: int) -> list[float]:
-    """So many coefficients, those that are not given 0."""
+    """The first coefficients, missing ones as 0."""
     coefficients = np.zeros(count)
     coefficients[: len(D)] = D
     return [float(value) for value in coefficients]
@@ -66,7 +66,7 @@ def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, 
 
 
 def _theta_distorted(D: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Equidistant model: angle to the axis, rad → radius in the z = 1 image, and its derivative."""
+    """Equidistant model: angle to the axis, rad → radius at z = 1, and its derivative."""
     k1, k2, k3, k4 = _padded(D, 4)
     q = theta * theta
     radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
@@ -136,7 +136,7 @@ def _undistort_equidistant(D: FloatArray, target: FloatArray) -> tuple[FloatArra
     for _ in range(_NEWTON_STEPS):
         value, slope = _theta_distorted(D, theta)
         step = (radius - value) / np.where(slope > 0.05, slope, 1.0)
-        # A step never leaves the half space in front of the camera: the answer lies in there or nowhere.
+        # Steps stay in the half space in front of the camera: there is no solution outside.
         theta = np.clip(theta + step, 0.0, np.pi / 2)
     value, slope = _theta_distorted(D, theta)
     good = (np.abs(value - radius) < _CONVERGED) & (slope > 0) & (theta < np.pi / 2 - 1e-6)
@@ -151,7 +151,7 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
     error = np.linalg.norm(value - target, axis=-1)
     exact = _EXACT * (1 + np.linalg.norm(target, axis=-1))
     for _ in range(_NEWTON_STEPS):
-        if np.all(error <= exact):  # what is left is rounding, which no step makes smaller
+        if np.all(error <= exact):  # only rounding remains, which no step reduces
             break
         determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
         residual = target - value
@@ -166,7 +166,7 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
             / np.where(np.abs(determinant) > 1e-6, determinant, 1.0)[..., None]
         )
         factor = np.ones(error.shape)
-        for _ in range(12):  # shorten a step that makes things worse
+        for _ in range(12):  # shorten a step that increases the error
             trial, trial_J = _distort_polynomial(D, points + factor[..., None] * step)
             trial_error = np.linalg.norm(trial - target, axis=-1)
             worse = ~(trial_error <= error)
@@ -180,8 +180,8 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
         value = np.where(better[..., None], trial, value)
         J = np.where(better[..., None, None], trial_J, J)
         error = np.where(better, trial_error, error)
-    # Beyond the radius where the polynomial folds back lie false roots: on the way out to them the Jacobian's
-    # determinant passes through zero.
+    # False roots lie beyond the radius where the polynomial folds back. On the way to them, the determinant of the
+    # Jacobian passes through zero.
     way_out = np.linspace(0.1, 1.0, 10)[:, None] * points[..., None, :]
     J = _distort_polynomial(D, way_out)[1]
     determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
@@ -190,7 +190,7 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
 
 
 def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Coordinates at z = 1 of pixels, and which of them the camera model can have produced.
+    """Coordinates at z = 1 of pixels, and which pixels the camera model can produce.
 
     Args:
         camera: the camera.
@@ -198,8 +198,8 @@ def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArr
 
     Returns:
         (..., 2) z = 1 coordinates, finite everywhere, to machine precision where the second value is true;
-        (...) false where no point in front of the camera is imaged there: the distortion model does not reach
-        that far (its coefficients do not belong to this image, or the pixel is far outside of it).
+        (...) false where no point in front of the camera projects to the pixel: its distortion model does not reach
+        that far (wrong coefficients for this image, or a pixel far outside it).
     """
     A = camera.K[:2, :2]
     target = (pixels - camera.K[:2, 2]) @ np.asarray(np.linalg.inv(A), dtype=np.float64).T
@@ -207,7 +207,7 @@ def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArr
         return _undistort_equidistant(camera.D, target)
     if camera.distortion == "none" or not np.any(camera.D):
         return target, np.ones(target.shape[:-1], dtype=np.bool_)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a trial step may go anywhere
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a trial step may diverge
         return _undistort_polynomial(camera.D, target)
 
 
@@ -215,13 +215,13 @@ def normalized(camera: Camera, pixels: FloatArray) -> FloatArray:
     """Coordinates at z = 1 of pixels: (..., 2) px → (..., 2).
 
     Raises:
-        ArithmeticError: a pixel that the camera model cannot have produced; `undistorted` tells which.
+        ArithmeticError: the camera model cannot produce one of the pixels; see `undistorted`.
     """
     points, good = undistorted(camera, pixels)
     if not good.all():
         bad = np.asarray(pixels)[~good]
         raise ArithmeticError(
             f"{camera.frame_id}: the {camera.distortion} model "
-            f"reaches {len(bad)} of {good.size} pixels nowhere, first ({bad[0, 0]:.1f}, {bad[0, 1]:.1f})"
+            f"cannot produce {len(bad)} of {good.size} pixels, first ({bad[0, 0]:.1f}, {bad[0, 1]:.1f})"
         )
     return points

@@ -1,4 +1,4 @@
-"""rig.yaml: the schema, its checks, and how flags lie over it. Unknown keys are errors."""
+"""Schema and checks of rig.yaml, and its combination with command-line flags. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pydantic import (
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
-#: A robot's URDF with thousands of links is a tenth of this.
+#: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
 
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -59,20 +59,18 @@ _Dictionary = Literal[
 
 
 class BoardConfig(_Section):
-    """The board, in inner corners (an aprilgrid: in tags)."""
+    """The board. Counts are inner corners (aprilgrid: tags)."""
 
     kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
     rows: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a column")
     square_m: PositiveFloat | None = Field(
-        None, description="side of a square (of a tag), m; stereo gives it otherwise"
+        None, description="side of a square (of a tag), m; measured by the stereo pair if not given"
     )
-    dictionary: _Dictionary | None = Field(None, description="family of the markers, by OpenCV's name")
-    marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker's side over square's")
-    gap_share: float | None = Field(
-        None, ge=0, le=2, description="aprilgrid: gap between tags over tag's side"
-    )
-    first_id: int = Field(0, ge=0, le=10_000, description="number of the first marker")
+    dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
+    marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
+    gap_share: float | None = Field(None, ge=0, le=2, description="aprilgrid: gap between tags / tag side")
+    first_id: int = Field(0, ge=0, le=10_000, description="id of the first marker")
     border_bits: int = Field(1, ge=1, le=3, description="width of the markers' black border, in cells")
 
     @model_validator(mode="after")
@@ -80,20 +78,22 @@ class BoardConfig(_Section):
         if self.kind == "checkerboard":
             for key in ("dictionary", "marker_share", "gap_share"):
                 if getattr(self, key) is not None:
-                    raise ValueError(f"{key} is for boards with markers: set kind to charuco or aprilgrid")
+                    raise ValueError(
+                        f"{key} applies only to boards with markers: set kind to charuco or aprilgrid"
+                    )
             if min(self.columns or 3, self.rows or 3) < 3:
-                raise ValueError("board.columns and board.rows of a checkerboard are 3 or more")
+                raise ValueError("board.columns and board.rows of a checkerboard must be 3 or more")
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
         for key in ("columns", "rows", *needed):
             if getattr(self, key) is None:
-                raise ValueError(f"a board of kind {self.kind} needs {key}")
+                raise ValueError(f"a board of kind {self.kind} requires {key}")
         return self
 
     @model_validator(mode="after")
     def _both_counts(self) -> BoardConfig:
         if (self.columns is None) != (self.rows is None):
-            raise ValueError("columns and rows go together")
+            raise ValueError("give both columns and rows")
         return self
 
 
@@ -105,7 +105,7 @@ class CameraTopics(_Section):
 
 
 class BothInOneConfig(_Section):
-    """Both cameras' pictures in one: the left camera's on the left, or on top."""
+    """Images of both cameras in one message: the left camera on the left, or on top."""
 
     image: Text
     layout: Literal["side_by_side", "stacked"] = "side_by_side"
@@ -128,7 +128,7 @@ class CamerasConfig(_Section):
 
 
 class JointFieldConfig(_Section):
-    """Where one joint's reading is, in messages that are no joint states."""
+    """Location of one joint's reading, in messages other than JointState."""
 
     topic: Text
     field: Text
@@ -141,11 +141,13 @@ class JointsConfig(_Section):
     topic: Text | None = None
     pan: Text | None = None
     tilt: Text | None = None
-    fields: dict[Text, JointFieldConfig] = Field({}, description="joint → topic and path of its reading")
+    fields: dict[Text, JointFieldConfig] = Field(
+        {}, description="joint → topic and field path of its reading"
+    )
 
 
 class WheelConfig(_Section):
-    """Where one wheel's rotation is."""
+    """Source of one wheel's rotation."""
 
     topic: Text | None = None
     joint: Text | None = None
@@ -159,19 +161,19 @@ class WheelConfig(_Section):
         if self.joint is not None and self.field is not None:
             raise ValueError("give joint or field, not both")
         if self.field is not None and self.topic is None:
-            raise ValueError("field needs a topic")
+            raise ValueError("field requires topic")
         if self.bits is not None and self.ticks_per_revolution is None:
-            raise ValueError("bits needs ticks_per_revolution")
+            raise ValueError("bits requires ticks_per_revolution")
         return self
 
 
 class WheelsConfig(_Section):
-    """Both wheels."""
+    """Sources of both wheels' rotation."""
 
     left: WheelConfig = WheelConfig()
     right: WheelConfig = WheelConfig()
     odometry: Text | None = Field(
-        None, description="nav_msgs/Odometry made with nominal.wheels, in their place"
+        None, description="topic of a nav_msgs/Odometry computed with nominal.wheels"
     )
 
 
@@ -191,14 +193,14 @@ class ChainLink(_Section):
         if moving == fixed:
             raise ValueError("a link is either {xyz_m, rpy_rad} or {joint, axis}")
         if moving and (self.joint is None or self.axis is None):
-            raise ValueError("joint and axis go together")
+            raise ValueError("give both joint and axis")
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
-            raise ValueError("axis has no length")
+            raise ValueError("axis has zero length")
         return self
 
 
 class HeadConfig(_Section):
-    """The chain from base to head."""
+    """Kinematic chain from base to head."""
 
     base_frame: Text | None = None
     head_frame: Text | None = None
@@ -213,7 +215,7 @@ class HeadConfig(_Section):
 
 
 class HeadEyeNominal(_Section):
-    """Prior head-eye transform."""
+    """Nominal head-eye transform."""
 
     translation_m: Vector3
     quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
@@ -222,12 +224,12 @@ class HeadEyeNominal(_Section):
     def _unit_quaternion(self) -> HeadEyeNominal:
         norm = math.hypot(*self.quaternion_xyzw)
         if abs(norm - 1) > 1e-3:
-            raise ValueError(f"quaternion_xyzw has norm {norm:.6g}, not 1")
+            raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
         return self
 
 
 class WheelsNominal(_Section):
-    """Prior wheels."""
+    """Nominal wheels."""
 
     radius_left_m: PositiveFloat
     radius_right_m: PositiveFloat
@@ -235,14 +237,14 @@ class WheelsNominal(_Section):
 
 
 class NominalConfig(_Section):
-    """Prior values, used only where the log shows nothing."""
+    """Nominal values, used only for parameters that the recording does not determine."""
 
     head_eye: HeadEyeNominal | None = None
     wheels: WheelsNominal | None = None
 
 
 class NoiseConfig(_Section):
-    """Standard deviations that are known; the log tells the others."""
+    """Known standard deviations; the others are estimated from the recording."""
 
     pixel_px: PositiveFloat | None = Field(None, description="of one corner coordinate")
     wheel_rad_per_sqrt_rad: PositiveFloat | None = Field(None, description="of a wheel over one radian")
@@ -251,7 +253,7 @@ class NoiseConfig(_Section):
 
 
 class RigConfig(_Section):
-    """The whole of rig.yaml; every key may be left out when the log tells it."""
+    """All of rig.yaml. Every key is optional if the recording contains the information."""
 
     schema_version: Literal[1] = 1
     board: BoardConfig = BoardConfig()
@@ -261,19 +263,19 @@ class RigConfig(_Section):
     head: HeadConfig = HeadConfig()
     nominal: NominalConfig = NominalConfig()
     noise: NoiseConfig = NoiseConfig()
-    gates: dict[Text, FiniteFloat] = Field({}, description="figure → limit, as --gate has them")
+    gates: dict[Text, FiniteFloat] = Field({}, description="metric → limit, as for --gate")
     stations: Literal["auto", "all"] = Field(
         "auto",
-        description="auto: rests, or the best of a moving log; all: every picture, those in motion, too",
+        description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",
     )
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
-    """Read rig.yaml and lay flags over it (flag > file).
+    """Read rig.yaml and override it with flags.
 
     Args:
-        path: the file, or None for none.
-        flags: dotted key → value, e.g. ``{"board.columns": 9}``; None values are left out.
+        path: the file; None if there is none.
+        flags: dotted key → value, e.g. ``{"board.columns": 9}``; None values are ignored.
 
     Raises:
         ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
@@ -299,39 +301,42 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         data = load_yaml(read_text(path, LARGEST_BYTES))
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}", "check the path after --config"
+            f"{path}: cannot be read: {error.strerror}", "check the path given to --config"
         ) from error
     except ValueError as error:
         where = " ".join(str(error).split())
         raise ConfigError(
-            f"{path}: not valid YAML: {where}", "mobilecal init LOG writes a draft that is"
+            f"{path}: not valid YAML: {where}", "correct the syntax, or write a draft with mobilecal init LOG"
         ) from error
     if data is None:
         return {}
     if not isinstance(data, dict):
         raise ConfigError(
-            f"{path}: holds a {type(data).__name__} at the top, not keys", "mobilecal init LOG writes a draft"
+            f"{path}: the top level is a {type(data).__name__}, not a mapping of keys",
+            "compare with the draft that mobilecal init LOG writes",
         )
     return data
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """One `--set KEY=VALUE`: the dotted key and the value, read as YAML.
+    """Key and value of one `--set KEY=VALUE`: a dotted key, and a value read as YAML.
 
     Raises:
         ConfigError: no "=", or a value that is not YAML.
     """
     key, equals, value = text.partition("=")
     if not equals or not key:
-        raise ConfigError(f"--set {text}: not KEY=VALUE", "for example --set wheels.left.sign=-1")
+        raise ConfigError(
+            f"--set {text}: not KEY=VALUE", "write KEY=VALUE, for example --set wheels.left.sign=-1"
+        )
     try:
         return key, load_yaml(value)
     except ValueError as error:
-        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote it") from error
+        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
 
 
 def read_urdf(config: RigConfig) -> str | None:
-    """The text of `head.urdf`, None where the configuration names none.
+    """Text of `head.urdf`, None if the configuration names none.
 
     Raises:
         ConfigError: the file cannot be read.
@@ -351,14 +356,15 @@ def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
         inner = data.setdefault(key, {})
         if not isinstance(inner, dict):
             raise ConfigError(
-                f"{key}: is a value in the file, not a section", "compare with mobilecal init LOG"
+                f"{key}: a value in the file, not a section",
+                "compare with the draft that mobilecal init LOG writes",
             )
         data = inner
     data[keys[-1]] = value
 
 
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:
-    """The keys that the schema knows in the section at a location."""
+    """Keys of the schema in the section at a location."""
     section: type[BaseModel] = RigConfig
     for part in location:
         if isinstance(part, int):
@@ -383,11 +389,11 @@ def _explained(error: ValidationError, data: Mapping[str, Any], path: Path | Non
             known = _known_keys(location[:-1])
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
             problems.append(f"{key}: unknown key")
-            hints.append(f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}")
+            hints.append(f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}")
         else:
             got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
             problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
     where = f"{path}: " if path is not None else ""
     return ConfigError(
-        where + "; ".join(problems), "; ".join(hints) or "docs/reference/rig-yaml.md lists every key"
+        where + "; ".join(problems), "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
     )

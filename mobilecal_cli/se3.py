@@ -1,6 +1,6 @@
 """Rigid motions. Every function broadcasts over leading axes.
 
-Tangent order, stated here once: a twist is (rotation vector [rad], translation part [m]), six numbers
+Tangent order: a twist is (rotation vector [rad], translation part [m]), six numbers
 ``xi = (rho_x, rho_y, rho_z, tau_x, tau_y, tau_z)``; ``exp`` and ``log`` are the group's exponential and
 logarithm. Quaternions are ``xyzw``.
 """
@@ -11,8 +11,8 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray
 
-_LOCKED = 1e-12  # cos(ay) below it: gimbal lock to rounding
-_SMALL_ANGLE_RAD = 1e-3  # below it the series' error (angle^6) is under one ulp
+_LOCKED = 1e-12  # smaller cos(ay): gimbal lock within rounding
+_SMALL_ANGLE_RAD = 1e-3  # below this the series' error (angle^6) is less than one ulp
 
 
 def skew(vector: FloatArray) -> FloatArray:
@@ -47,7 +47,7 @@ def quaternion_xyzw(rotation: FloatArray) -> FloatArray:
     """Unit quaternion with w >= 0: (..., 3, 3) → (..., 4)."""
     R = np.asarray(rotation)
     trace = np.trace(R, axis1=-2, axis2=-1)
-    # Four times the squares of x, y, z, w; the largest is the safe pivot (Shepperd).
+    # Four times the squares of x, y, z, w; the largest is the numerically safe pivot (Shepperd).
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
     squares = np.concatenate([1 + 2 * diagonal - trace[..., None], (1 + trace)[..., None]], axis=-1)
     products = np.empty((*R.shape[:-2], 4, 4))
@@ -63,7 +63,7 @@ def quaternion_xyzw(rotation: FloatArray) -> FloatArray:
 
 
 def from_quaternion_xyzw(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix of a quaternion of any norm but zero: (..., 4) → (..., 3, 3)."""
+    """Rotation matrix of a quaternion with any nonzero norm: (..., 4) → (..., 3, 3)."""
     q = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
     vector, w = q[..., :3], q[..., 3]
     hat = skew(vector)
@@ -92,7 +92,7 @@ def left_jacobian_so3(rotvec_rad: FloatArray) -> FloatArray:
 
 
 def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
-    """(..., 3, 3) and (..., 3) → (..., 4, 4)."""
+    """Transform from rotation and translation: (..., 3, 3) and (..., 3) → (..., 4, 4)."""
     shape = np.broadcast_shapes(rotation.shape[:-2], translation_m.shape[:-1])
     T = np.zeros((*shape, 4, 4))
     T[..., :3, :3] = rotation
@@ -102,26 +102,26 @@ def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
 
 
 def exp(twist: FloatArray) -> FloatArray:
-    """(..., 6) → (..., 4, 4)."""
+    """Transform of a twist: (..., 6) → (..., 4, 4)."""
     rotvec, tau = twist[..., :3], twist[..., 3:]
     return transform(exp_so3(rotvec), (left_jacobian_so3(rotvec) @ tau[..., None])[..., 0])
 
 
 def log(T: FloatArray) -> FloatArray:
-    """(..., 4, 4) → (..., 6), rotation angle in [0, pi]."""
+    """Twist of a transform, rotation angle in [0, pi]: (..., 4, 4) → (..., 6)."""
     rotvec = log_so3(T[..., :3, :3])
     tau = np.linalg.solve(left_jacobian_so3(rotvec), T[..., :3, 3:])[..., 0]
     return np.concatenate([rotvec, tau], axis=-1)
 
 
 def inverse(T: FloatArray) -> FloatArray:
-    """(..., 4, 4) → (..., 4, 4)."""
+    """Inverse transform: (..., 4, 4) → (..., 4, 4)."""
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
 
 
 def adjoint(T: FloatArray) -> FloatArray:
-    """Ad with T exp(xi) = exp(Ad xi) T: (..., 4, 4) → (..., 6, 6)."""
+    """Adjoint Ad with T exp(xi) = exp(Ad xi) T: (..., 4, 4) → (..., 6, 6)."""
     R = T[..., :3, :3]
     Ad = np.zeros((*T.shape[:-2], 6, 6))
     Ad[..., :3, :3] = R
@@ -131,7 +131,7 @@ def adjoint(T: FloatArray) -> FloatArray:
 
 
 def act(T: FloatArray, points: FloatArray) -> FloatArray:
-    """Points through a motion: (..., 4, 4) and (..., M, 3) → (..., M, 3)."""
+    """Transformed points: (..., 4, 4) and (..., M, 3) → (..., M, 3)."""
     return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
@@ -141,7 +141,7 @@ def rotation_about(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:
 
 
 def rotation_z(angle_rad: FloatArray) -> FloatArray:
-    """Rz(psi): (...) → (..., 3, 3)."""
+    """Rotation Rz(psi) about z: (...) → (..., 3, 3)."""
     angle = np.asarray(angle_rad)
     R = np.zeros((*angle.shape, 3, 3))
     R[..., 0, 0] = R[..., 1, 1] = np.cos(angle)
@@ -159,24 +159,27 @@ def from_rpy(rpy_rad: FloatArray) -> FloatArray:
 
 
 def to_rpy(rotation: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw with `from_rpy(to_rpy(R))` = R: (3, 3) → (3,), rad."""
+    """Roll, pitch and yaw, inverse of `from_rpy`: (3, 3) → (3,), rad."""
     return np.asarray(np.radians(euler_zyx_deg(rotation)), dtype=np.float64)
 
 
 def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
     """Angles (ax, ay, az) in degrees with R = Rz(az) Ry(ay) Rx(ax), as in the paper's Table 1.
 
-    For display only: near ay = +-90 degrees ax and az have no meaning one by one (see `gimbal_margin_deg`).
+    For display only: near ay = +-90 degrees, ax and az are not defined individually (see `gimbal_margin_deg`).
     """
     R = np.asarray(rotation)
     ay = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < _LOCKED:
-        ax, az = 0.0, np.arctan2(-R[0, 1], R[1, 1])  # only their sum or difference is left: give it to az
+        ax, az = (
+            0.0,
+            np.arctan2(-R[0, 1], R[1, 1]),
+        )  # only their sum or difference is defined: assign it to az
     else:
         ax, az = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
     return float(np.degrees(ax)), float(np.degrees(ay)), float(np.degrees(az))
 
 
 def gimbal_margin_deg(rotation: FloatArray) -> float:
-    """How far ay of `euler_zyx_deg` is from +-90 degrees."""
+    """Difference of ay of `euler_zyx_deg` from +-90 degrees, in degrees."""
     return 90.0 - abs(euler_zyx_deg(rotation)[1])

@@ -1,4 +1,4 @@
-"""Which moments are worth a look: rests of base and head, or keyframes of a log that never rests."""
+"""Selection of stations: rests of base and head, or keyframes if the robot does not rest."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-PAIR_AT_REST_S = 0.1  # nothing moves, so the two pictures need not be simultaneous
+PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
 PAIR_MOVING_S = 0.005
 REST_WINDOW_S = 0.3
 STILL_REVOLUTE_RAD = 0.006  # range over the window: six times a joint noise of 0.05 degrees
@@ -37,14 +37,14 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What to look at in one log.
+    """Stations selected in one recording.
 
     Attributes:
         stations: in order of time.
         wheels: both wheels on common times.
         joints: the head's joints, in the order of `HeadChain.joints`.
-        rejections: pictures that cannot be used, and why.
-        notes: whole sentences for the report.
+        rejections: images that cannot be used, with the reason.
+        notes: complete sentences for the report.
     """
 
     stations: tuple[Station, ...]
@@ -55,10 +55,10 @@ class Plan:
 
 
 def wheel_track(right: Track, left: Track) -> WheelTrack:
-    """Both wheels on the union of their times, over the time that both cover.
+    """Both wheels at the union of their sample times, within the time that both cover.
 
     Raises:
-        RecordingError: the two never overlap.
+        RecordingError: the two do not overlap in time.
     """
     first = max(right.time_ns[0], left.time_ns[0])
     last = min(right.time_ns[-1], left.time_ns[-1])
@@ -66,17 +66,17 @@ def wheel_track(right: Track, left: Track) -> WheelTrack:
     times = times[(times >= first) & (times <= last)]
     if len(times) < 2:
         raise RecordingError(
-            "the left and the right wheel's readings never overlap in time",
-            "record both wheels throughout; check that both topics use the same clock",
+            "the readings of the left and right wheel do not overlap in time",
+            "record both wheels during the whole recording; check that both topics use the same clock",
         )
     return WheelTrack(times, right.at(times), left.at(times))
 
 
 def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[Shot, ...]:
-    """Stereo pairs: each left picture with the right one nearest in time, each picture in one pair only.
+    """Stereo pairs: each left image with the nearest right image in time. An image is in one pair at most.
 
     Raises:
-        RecordingError: no two are within the tolerance.
+        RecordingError: no two images are within the tolerance.
     """
     after = np.clip(np.searchsorted(right_ns, left_ns), 1, len(right_ns) - 1) if len(right_ns) > 1 else None
     if after is None:
@@ -91,9 +91,9 @@ def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tup
             best.setdefault(int(nearest[i]), int(i))
     if not best:
         raise RecordingError(
-            f"left and right pictures are never together: of {len(left_ns)} left and {len(right_ns)} right ones "
-            f"the nearest two are {apart.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
-            "check that both cameras run on one clock and are triggered together",
+            f"no stereo pairs: of {len(left_ns)} left and {len(right_ns)} right images, "
+            f"the closest two are {apart.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
+            "check that both cameras use the same clock and are triggered together",
         )
     return tuple(
         Shot(int(left_ns[i]), int(right_ns[r])) for r, i in sorted(best.items(), key=lambda item: item[1])
@@ -102,14 +102,14 @@ def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Channel:
-    """A track and how far it may wander during a rest."""
+    """A track and its allowed range during a rest."""
 
     name: str
     track: Track
     tolerance: float
 
     def covers(self, times_ns: IntArray) -> BoolArray:
-        """Whether readings lie close enough around each time, or the reading is the same on both sides."""
+        """Whether readings exist near each time, or are equal before and after it, (n,)."""
         stamps = self.track.time_ns
         after = np.searchsorted(stamps, times_ns)
         inside = (after > 0) & (after < len(stamps)) | np.isin(times_ns, stamps)
@@ -120,7 +120,7 @@ class _Channel:
         return inside & (close | same)
 
     def wander(self, begin_ns: int, end_ns: int) -> float:
-        """Range of the values over a stretch of time."""
+        """Range of the values within a time interval."""
         lo, hi = np.searchsorted(self.track.time_ns, [begin_ns, end_ns])
         ends = self.track.at(np.array([begin_ns, end_ns]))
         return float(np.ptp(np.concatenate([ends, self.track.value[lo:hi]])))
@@ -139,7 +139,7 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
 
 
 def _rests(shots: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
-    """Runs of shots over which nothing moves, each shot still for a window around itself."""
+    """Runs of shots without motion; each shot is still within a window around itself."""
     half = int(REST_WINDOW_S / 2 * _NS)
     runs: list[list[Shot]] = []
     for shot in shots:
@@ -154,7 +154,7 @@ def _rests(shots: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
 
 
 def _spread(features: FloatArray, count: int) -> IntArray:
-    """Indices of rows far from one another: each next one is the farthest from those taken."""
+    """Indices of rows far apart: each new row is the farthest from those already chosen."""
     chosen = [0]
     distance = np.linalg.norm(features - features[0], axis=1)
     while len(chosen) < min(count, len(features)) and distance.max() > 0:
@@ -164,13 +164,13 @@ def _spread(features: FloatArray, count: int) -> IntArray:
 
 
 def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
-    """Sharp moments of a moving log, spread over head angles, heading and distance driven."""
+    """Sharp moments of a recording in motion, spread over head angles, heading and distance driven."""
     times = np.array([shot.time_ns for shot in shots])
     values = np.stack([c.track.at(times) for c in channels], axis=1)
     half = int(0.05 * _NS)
     rates = np.stack([c.track.at(times + half) - c.track.at(times - half) for c in channels], axis=1)
     speed = np.linalg.norm(rates, axis=1)
-    # The slower half of every two seconds: sharp pictures, without leaving out a part of the log.
+    # The slower half of every two seconds: sharp images from all parts of the recording.
     bins = (times - times[0]) // (2 * _NS)
     parts = np.split(speed, np.flatnonzero(np.diff(bins)) + 1)  # shots are in order of time
     slow = np.concatenate([part <= np.median(part) for part in parts])
@@ -181,7 +181,7 @@ def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[
 
 
 def _fewer(shots: list[Shot]) -> list[Shot]:
-    """At most `SHOTS_PER_REST` of a rest's shots, spread over it."""
+    """At most `SHOTS_PER_REST` of a rest's shots, evenly spread."""
     if len(shots) <= SHOTS_PER_REST:
         return shots
     return [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
@@ -190,7 +190,7 @@ def _fewer(shots: list[Shot]) -> list[Shot]:
 def _stations(
     moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
 ) -> tuple[Station, ...]:
-    """The stations of some shots each, and whether they are at rest, in order of time."""
+    """Stations from groups of shots, each with a flag for rest, in order of time."""
     tracks = [signals.joints[name] for name in joints]
     starts = np.array([shots[0].time_ns for shots, _ in moments], dtype=np.int64)
     at_start, still = np.stack([track.at(starts) for track in tracks], axis=1), np.zeros(len(tracks))
@@ -203,7 +203,7 @@ def _stations(
 
 
 def _rest(index: int, shots: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
-    """A station of several shots: the mean of what is read from the first to the last."""
+    """A station from several shots: mean readings from the first to the last shot."""
     times = np.array([shot.time_ns for shot in shots])
     mean, scatter = [], []
     for track in tracks:
@@ -222,19 +222,19 @@ def plan_stations(
     prismatic: frozenset[str] = frozenset(),
     everything: bool = False,
 ) -> Plan:
-    """Find the moments at which the board may be looked at.
+    """Select the moments at which to search for the board.
 
-    Rests are used where the log has at least six; otherwise single sharp pictures, at most 80, spread over
-    head angles and base motion, join those rests that there are.
+    Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
+    angles and base motion, supplement the rests.
 
     Args:
-        signals: one log's joints, wheels and picture stamps.
+        signals: joints, wheels and image stamps of one recording.
         joints: head joints in the order of `HeadChain.joints`.
-        prismatic: those of them that slide.
-        everything: use all pairs of pictures instead: all of each rest, and each that was taken in motion.
+        prismatic: the prismatic joints among them.
+        everything: use all image pairs instead: all of each rest, and all taken in motion.
 
     Raises:
-        RecordingError: left and right pictures never together, or joints and wheels missing around all.
+        RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
     channels = _channels(signals, prismatic)
     shots = list(pair_shots(signals.image_ns["left"], signals.image_ns["right"], PAIR_AT_REST_S))
@@ -246,15 +246,15 @@ def plan_stations(
     for channel in channels:
         missing = ~channel.covers(times)
         rejections += [
-            Rejection("stations", "readings missing around the picture", channel.name, int(time_ns))
+            Rejection("stations", "no readings around the image", channel.name, int(time_ns))
             for time_ns in times[missing & covered]
         ]
         covered &= ~missing
     if not covered.any():
         names = ", ".join(dict.fromkeys(r.detail for r in rejections))
         raise RecordingError(
-            f"no picture has readings of joints and wheels around it: missing for {len(shots)} pairs: {names}",
-            "check that cameras, joints and wheels use the same clock and were recorded together",
+            f"none of {len(shots)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
+            "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
     shots = [shot for shot, ok in zip(shots, covered, strict=True) if ok]
 
@@ -266,11 +266,11 @@ def plan_stations(
         moving = [s for s in shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
         picked = moving if everything else _keyframes(moving, channels, KEYFRAMES) if moving else []
         moments += [([shot], False) for shot in picked]
-        because = "all that there is was asked for" if everything else "too few"
+        because = "all images are used" if everything else "too few"
         notes.append(
-            f"The robot rests {len(rests)} times with pictures, {because}: {len(picked)} of {len(moving)} "
-            "pictures taken in motion are used as well. Clocks that are apart by a constant are put right (not by the "
-            "methods linear, paper and lm)."
+            f"The robot rests {len(rests)} times with images ({because}). {len(picked)} of {len(moving)} images "
+            "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
+            "and lm)."
         )
     moments.sort(key=lambda moment: moment[0][0].time_ns)
     if not everything:
@@ -291,15 +291,15 @@ def with_stamps(
     prismatic: frozenset[str],
     stamps: Mapping[Side, Mapping[int, int]],
 ) -> Plan:
-    """A plan that was made with approximate stamps, with the pictures' own ones in their place.
+    """A plan made with approximate stamps, updated to the images' own stamps.
 
-    Shots without both stamps, whose pictures turn out to be too far apart, or that lie outside their rest are dropped,
-    and stations that have no shots left.
+    Shots are dropped if a stamp is missing, if their images are too far apart, or if they lie outside their rest.
+    Stations without shots are dropped, too.
 
     Args:
-        plan: as `plan_stations` gave it.
-        signals, joints, prismatic: as they were given to it.
-        stamps: side → approximate stamp → own stamp, of the shots' pictures.
+        plan: result of `plan_stations`.
+        signals, joints, prismatic: as for `plan_stations`.
+        stamps: side → approximate stamp → own stamp, for the shots' images.
     """
     channels = _channels(signals, prismatic)
     taken: dict[Side, set[int]] = {"left": set(), "right": set()}

@@ -1,4 +1,4 @@
-"""YAML that others wrote: plain values only, and no more of them than the text is long."""
+"""Reading of untrusted YAML: plain values only, with limits on size, depth and anchors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-#: No configuration and no metadata.yaml needs more; the parser takes seconds for it.
+#: More than any configuration or metadata.yaml needs; the parser takes seconds for it.
 LARGEST_BYTES = 2**17
 _MOST_VALUES = 100_000
 _DEEPEST = 100
@@ -18,17 +18,17 @@ _NESTED_ITEMS = re.compile(r"(?:[-?:][ \t]+){101}")
 
 
 def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known when it is read
-    """Plain values: numbers, strings, lists, dictionaries. Tags that would make other objects are errors.
+    """Plain values of a YAML text: numbers, strings, lists, dictionaries. Tags for other objects are errors.
 
     Raises:
-        ValueError: not YAML; too long or too deep; or anchors that stand for more values than anybody wrote.
+        ValueError: not YAML, too long, too deep, or anchors that expand to too many values.
     """
     if len(text) > LARGEST_BYTES:
-        raise ValueError(f"{len(text)} characters, at most {LARGEST_BYTES} are read")
+        raise ValueError(f"{len(text)} characters (limit {LARGEST_BYTES})")
     if _open_brackets(text) > _DEEPEST or _NESTED_ITEMS.search(
         text
-    ):  # the parser would take minutes to say so
-        raise ValueError(f"nested deeper than {_DEEPEST}")
+    ):  # the parser would take minutes to refuse it
+        raise ValueError(f"nested deeper than {_DEEPEST} levels")
     try:
         value = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, RecursionError, OverflowError, TypeError) as error:
@@ -38,24 +38,24 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
 
 
 def read_text(path: Path, largest_bytes: int) -> str:
-    """A text file's contents.
+    """Contents of a text file.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is no file (a device, a pipe), too long, or not UTF-8.
+        ValueError: not a regular file (a device, a pipe), too long, or not UTF-8.
     """
     if not path.is_file():
-        path.stat()  # raises where there is nothing
+        path.stat()  # raises if nothing exists there
         raise ValueError("not a file")
     with path.open("rb") as stream:
         data = stream.read(largest_bytes + 1)
     if len(data) > largest_bytes:
-        raise ValueError(f"more than {largest_bytes} bytes")
+        raise ValueError(f"larger than {largest_bytes} bytes")
     return data.decode("utf-8")
 
 
 def _open_brackets(text: str) -> int:
-    """The most brackets that are open at once, those in strings counted as well."""
+    """Maximum nesting depth of brackets, including those in strings."""
     depth = most = 0
     for bracket in _BRACKET.findall(text):
         depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
@@ -64,14 +64,14 @@ def _open_brackets(text: str) -> int:
 
 
 def _count(value: object, depth: int, known: dict[int, int]) -> int:
-    """Values with everything below them, each use of an anchor counted: what writing them out would take."""
+    """Number of values in a tree. Each use of an anchor counts, as if it were written out."""
     if depth > _DEEPEST:
-        raise ValueError(f"nested deeper than {_DEEPEST}, or an anchor that holds itself")
+        raise ValueError(f"nested deeper than {_DEEPEST} levels, or an anchor that contains itself")
     if not isinstance(value, (dict, list)):
         return 1
     if id(value) not in known:
         items = [*value.keys(), *value.values()] if isinstance(value, dict) else value
         known[id(value)] = 1 + sum(_count(item, depth + 1, known) for item in items)
     if known[id(value)] > _MOST_VALUES:
-        raise ValueError(f"anchors that stand for more than {_MOST_VALUES} values")
+        raise ValueError(f"anchors that expand to more than {_MOST_VALUES} values")
     return known[id(value)]

@@ -114,7 +114,7 @@ def test_each_picture_is_in_one_pair_only():
 
 
 def test_left_and_right_never_together():
-    with pytest.raises(RecordingError, match=r"never together: .* nearest two are 0\.500 s apart"):
+    with pytest.raises(RecordingError, match=r"no stereo pairs: .* closest two are 0\.500 s apart"):
         pair_shots(ns([0, 1]), ns([0.5, 1.5]), 0.1)
 
 
@@ -126,7 +126,7 @@ def test_pictures_without_readings_are_left_out():
         Signals(joints={"pan": pan}, wheels=good.wheels, image_ns=good.image_ns, notes=()), ("pan",)
     )
     assert len(plan.stations) == 7
-    assert {r.reason for r in plan.rejections} == {"readings missing around the picture"}
+    assert {r.reason for r in plan.rejections} == {"no readings around the image"}
     assert {r.detail for r in plan.rejections} == {"pan"}
 
 
@@ -134,13 +134,13 @@ def test_readings_that_end_before_the_pictures_begin():
     early = Track(ns([0.0, 1.0]) - 100 * S, [0.0, 0.0])
     good = signals(staircase, staircase)
     bad = Signals(joints={"pan": early}, wheels=good.wheels, image_ns=good.image_ns, notes=())
-    with pytest.raises(RecordingError, match="no picture has readings") as caught:
+    with pytest.raises(RecordingError, match=r"none of .* stereo pairs has readings") as caught:
         plan_stations(bad, ("pan",))
     assert "pan" in caught.value.message
 
 
 def test_wheels_that_never_overlap():
-    with pytest.raises(RecordingError, match="never overlap"):
+    with pytest.raises(RecordingError, match="do not overlap"):
         wheel_track(Track(ns([0, 1]), [0.0, 1.0]), Track(ns([5, 6]), [0.0, 1.0]))
 
 

@@ -1,4 +1,4 @@
-"""What the robot is, found by message type and name where the configuration does not say."""
+"""Discovery of cameras, joints, wheels and head chain by message type and name, where not configured."""
 
 from mobilecal_cli.discovery.draft import draft_rig
 from mobilecal_cli.discovery.settle import Settled, lacking, settle_rig

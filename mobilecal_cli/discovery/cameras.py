@@ -1,4 +1,4 @@
-"""Which topics are the stereo pair, and what their calibrations say."""
+"""Topics of the stereo pair, and its geometry from camera_info."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ def _present(prelude: Prelude) -> str:
 
 
 def is_rectified(topic: str) -> bool:
-    """Whether an image topic's name says that its images are rectified."""
+    """Whether the name of an image topic indicates rectified images."""
     return any(word.startswith("rect") for word in words(topic))
 
 
 def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
-    """The two image topics: as configured, or the pair whose names differ in the side only.
+    """Image topics of both sides: as configured, or a pair whose names differ only in the side.
 
-    Raw images come before rectified ones (the reprojection error is then measured in raw pixels), and full
-    messages before compressed ones.
+    Raw images are preferred to rectified ones (the reprojection error is then in raw pixels), and full messages to
+    compressed ones.
 
     Raises:
-        RecordingError: no such pair; the topics that are there are listed.
+        RecordingError: no such pair; the hint lists the topics present.
     """
     present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
     configured: dict[Side, str | None] = {
@@ -40,7 +40,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
     for side, name in configured.items():
         if name is not None and name not in present:
             raise RecordingError(
-                f"the {side} camera's topic {name} holds no images in this recording",
+                f"cameras.{side}.image: the topic {name} contains no images in this recording",
                 f"image topics present: {', '.join(sorted(present)) or 'none'}; all topics: {_present(prelude)}",
             )
     candidates = [
@@ -50,7 +50,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         both = config.cameras.both.image
         if both not in present:
             raise RecordingError(
-                f"cameras.both: the topic {both} holds no images in this recording",
+                f"cameras.both.image: the topic {both} contains no images in this recording",
                 f"image topics present: {', '.join(sorted(present)) or 'none'}",
             )
         return {"left": both, "right": both}
@@ -61,7 +61,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         candidates = fitting or candidates
     if not candidates:
         raise RecordingError(
-            "no stereo pair: no two image topics whose names differ only in left and right",
+            "no stereo pair: no two image topics have names that differ only in left and right",
             f"set cameras.left.image and cameras.right.image; topics present: {_present(prelude)}",
         )
 
@@ -72,16 +72,16 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
 
 
 def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:
-    """The camera-info topic of an image topic: as configured, beside it, or of the same frame.
+    """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
     Raises:
-        RecordingError: none fits.
+        RecordingError: no topic matches.
     """
     configured = (config.cameras.left if side == "left" else config.cameras.right).info
     if configured is not None:
         if configured not in prelude.infos:
             raise RecordingError(
-                f"the {side} camera's topic {configured} holds no camera info in this recording",
+                f"cameras.{side}.info: the topic {configured} contains no camera info in this recording",
                 f"camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
             )
         return configured
@@ -97,8 +97,8 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
         if len(found) == 1:
             return found[0]
     raise RecordingError(
-        f"no camera info for the {side} images of {image}: looked for "
-        + (f"one topic called {side}" if both else beside),
+        f"no camera info for the {side} images on {image}: expected "
+        + (f"one topic named {side}" if both else beside),
         f"set cameras.{side}.info; camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
     )
 
@@ -115,18 +115,18 @@ def _rectified_origin(info: CameraInfo) -> FloatArray:
 
 
 def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: Side = "left") -> StereoRig:
-    """The pair's geometry out of its two camera infos, by ROS's convention.
+    """Geometry of the stereo pair from its two camera infos, by ROS conventions.
 
-    Raw coordinates x of either camera become rectified ones R x; the rectified frames are parallel, and
-    P = (K', K' t) says where the pair's origin is in each. So T_c_r = (R_c^T R_r, R_c^T (t_r' - t_c')).
+    Raw coordinates x of a camera become rectified coordinates R x. The rectified frames are parallel, and
+    P = (K', K' t) gives the pair's origin in each. Hence T_c_r = (R_c^T R_r, R_c^T (t_r' - t_c')).
 
     Args:
-        left, right: calibrations.
+        left, right: camera infos.
         rectified: the images are rectified, so c and r are the rectified frames.
-        reference: the camera that head_eye speaks of.
+        reference: the camera of the head-eye transform.
 
     Raises:
-        RecordingError: no baseline, or the cameras are the wrong way round.
+        RecordingError: no baseline, or left and right are exchanged.
     """
     offset = _rectified_origin(left) - _rectified_origin(right)
     if abs(offset[0]) < _LEAST_BASELINE_M and np.linalg.norm(offset) < _LEAST_BASELINE_M:
@@ -137,7 +137,7 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
         )
     if offset[0] < 0:
         raise RecordingError(
-            f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left one by its camera info",
+            f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left camera, according to camera_info",
             "exchange cameras.left and cameras.right",
         )
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
@@ -148,14 +148,14 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
 
 
 def check_sizes(infos: dict[Side, CameraInfo]) -> None:
-    """Refuse camera infos that carry no image size.
+    """Check that the camera infos contain an image size.
 
     Raises:
-        ConfigError: a size of zero.
+        ConfigError: an image size is zero.
     """
     for side, info in infos.items():
         if info.width <= 0 or info.height <= 0:
             raise ConfigError(
-                f"the {side} camera's info says its images are {info.width} x {info.height} pixels",
-                "calibrate the camera",
+                f"camera info of the {side} camera: the image size is {info.width} x {info.height} pixels",
+                "calibrate the camera and record its camera_info again",
             )

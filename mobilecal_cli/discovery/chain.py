@@ -1,4 +1,4 @@
-"""The chain from base to head, and what a URDF or the configuration draws of the head."""
+"""Kinematic chain from base to head, and nominal head-eye transform from the URDF or configuration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MIDWAY_M = 1e-6
 
 
 def explicit_chain(config: RigConfig, base_frame: str, head_frame: str, pan: str, tilt: str) -> HeadChain:
-    """The chain that rig.yaml spells out."""
+    """The chain given in rig.yaml."""
     links = tuple(_chain_link(link) for link in config.head.chain or ())
     return HeadChain(base_frame, head_frame, links, pan, tilt)
 
@@ -32,10 +32,10 @@ def _chain_link(link: ChainLink) -> FixedLink | JointLink:
 
 
 def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
-    """Base and head link of a URDF: as configured, or base_link and what the tilt joint carries.
+    """Base and head link of a URDF: as configured, or base_link and the child of the tilt joint.
 
     Raises:
-        ConfigError: there is no tilt joint to hang the head on.
+        ConfigError: no tilt joint to derive the head link from.
     """
     base = config.head.base_frame
     if base is None:
@@ -44,8 +44,8 @@ def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
         return base, config.head.head_frame
     if tilt not in urdf.joints:
         raise ConfigError(
-            f"no joint of the URDF {urdf.name!r} is called tilt: which link carries the camera is not known",
-            f"set joints.tilt or head.head_frame in rig.yaml; its joints: {listed(urdf.joints)}",
+            f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",
+            f"set joints.tilt or head.head_frame in rig.yaml; joints present: {listed(urdf.joints)}",
         )
     carried = urdf.joints[tilt].child
     if "head_link" in urdf.links and carried != "head_link":
@@ -61,13 +61,13 @@ def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
 def chain_from_urdf(
     config: RigConfig, urdf: Urdf, sources: dict[Side, WheelSource], pan: str, tilt: str
 ) -> tuple[HeadChain, list[str]]:
-    """The chain from v to the head, and notes on where v is.
+    """Kinematic chain from v to the head, and notes on the position of v.
 
-    The vehicle frame v lies midway between the wheels, facing across their axle. Where the URDF's base link
-    does not, the difference is taken out of the wheel joints' origins.
+    The vehicle frame v lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
+    differs, the offset is computed from the origins of the wheel joints.
 
     Raises:
-        ConfigError: links missing or not connected.
+        ConfigError: a link is missing or not connected.
     """
     base, head = frames(config, urdf, tilt)
     wheels = urdf_wheels(urdf, sources, base)
@@ -78,20 +78,20 @@ def chain_from_urdf(
     if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
         return head_chain(urdf, base, head, pan, tilt), []
     note = (
-        f"The URDF's {base} is not midway between the wheels: the vehicle frame was put there, "
-        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, turned by {turn:.2f} degrees."
+        f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
+        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
     )
     return head_chain(urdf, base, head, pan, tilt, T_base_v), [note]
 
 
 def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
-    """What the URDF draws: (4, 4) camera to head, where fixed joints lead from the head to the camera's frame."""
+    """(4, 4) camera-to-head transform of the URDF; None unless only fixed joints connect the two frames."""
     if camera_frame not in urdf.links:
         return None
     try:
         path = urdf.path(head, camera_frame)
     except ConfigError:
-        return None  # the camera hangs elsewhere
+        return None  # the camera is not below the head
     if any(joint.kind != "fixed" for joint in path):
         return None
     T_h_reference = np.eye(4)
@@ -101,7 +101,7 @@ def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | Non
 
 
 def nominal_head_eye(config: RigConfig) -> FloatArray | None:
-    """(4, 4) nominal T_h_reference of the configuration."""
+    """(4, 4) nominal T_h_reference of the configuration; None if it is not given."""
     prior = config.nominal.head_eye
     if prior is None:
         return None

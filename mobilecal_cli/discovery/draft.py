@@ -1,4 +1,4 @@
-"""A commented draft of rig.yaml from what a recording tells."""
+"""Commented draft of rig.yaml from a recording."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ T = TypeVar("T")
 
 
 def _quoted(text: str) -> str:
-    """A YAML string that any loader reads back as it was."""
+    """YAML string that any loader reads back unchanged."""
     return json.dumps(text)
 
 
 def _try(step: Callable[[], T]) -> tuple[T | None, list[str]]:
-    """A step's result, or the comment that says why there is none."""
+    """Result of a step, or a comment with the reason why there is none."""
     try:
         return step(), []
     except MobilecalError as error:
         said = f"{error.message}. {error.hint}" if error.hint else error.message
-        return None, [f"# not settled: {' '.join(said.split())}"]
+        return None, [f"# not determined: {' '.join(said.split())}"]
 
 
 def _listing(title: str, names: Iterable[str]) -> list[str]:
@@ -40,7 +40,7 @@ def _listing(title: str, names: Iterable[str]) -> list[str]:
 
 def _cameras(prelude: Prelude) -> list[str]:
     images, why = _try(lambda: image_topics(RigConfig(), prelude))
-    lines = _listing("image topics in the log", (t.name for t in prelude.topics if t.type in IMAGES))
+    lines = _listing("image topics in the recording", (t.name for t in prelude.topics if t.type in IMAGES))
     lines += [*why, "cameras:"]
     for side in _SIDES:
         image = images[side] if images else f"/stereo/{side}/image_raw"
@@ -51,8 +51,8 @@ def _cameras(prelude: Prelude) -> list[str]:
     rectified = bool(images) and is_rectified(images["left"]) if images else False
     return [
         *lines,
-        "  reference: left          # the camera that head_eye speaks of",
-        f"  rectified: {'true' if rectified else 'false'}         # true when the images are rectified",
+        "  reference: left          # camera of the head-eye transform",
+        f"  rectified: {'true' if rectified else 'false'}         # true if the images are rectified",
     ]
 
 
@@ -65,7 +65,7 @@ def _wheels(prelude: Prelude) -> list[str]:
     wheels, why = _try(lambda: wheel_sources(RigConfig(), prelude))
     lines = [
         *why,
-        "# a tick counter: {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16, sign: 1}",
+        "# for a tick counter: {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16, sign: 1}",
     ]
     if wheels is None:
         return [
@@ -79,7 +79,7 @@ def _wheels(prelude: Prelude) -> list[str]:
 
 def _head(prelude: Prelude) -> list[str]:
     names = sorted({name for names in prelude.joint_names.values() for name in names})
-    lines = _listing("joints in the log", names)
+    lines = _listing("joints in the recording", names)
     urdf_text = next((text for _, text in sorted(prelude.urdfs.items())), None)
     urdf, why = _try(lambda: parse_urdf(urdf_text)) if urdf_text is not None else (None, [])
     candidates = [name for name in urdf.joints if name in names] if urdf else names
@@ -94,14 +94,14 @@ def _head(prelude: Prelude) -> list[str]:
     if ends is not None:
         return [
             *lines,
-            "head:                      # its chain comes from the log's robot_description",
+            "head:                      # the chain is in the recording's robot_description",
             f"  base_frame: {_quoted(ends[0])}",
             f"  head_frame: {_quoted(ends[1])}",
         ]
     return [
         *lines,
         *unknown,
-        "# no usable robot_description in the log: give head.urdf, or spell the chain out",
+        "# no usable robot_description in the recording: give head.urdf, or the chain here",
         "# head:",
         "#   base_frame: base_link",
         "#   head_frame: head_link",
@@ -114,18 +114,19 @@ def _head(prelude: Prelude) -> list[str]:
 
 
 def draft_rig(prelude: Prelude, log_name: str) -> str:
-    """The text of a rig.yaml that states what the recording tells, and comments on the rest.
+    """Text of a rig.yaml with the keys found in the recording, and comments on the others.
 
     Args:
-        prelude: the recording's topics and first messages.
-        log_name: for the first line.
+        `prelude`: topics and first messages of the recording.
+        log_name: shown in the first line.
     """
     lines = [
-        f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}. Every key may be left out when the log tells it.",
+        f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
+        "# Every key is optional if the recording contains the information.",
         "schema_version: 1",
         "",
-        "# inner corners of the checkerboard; found in the pictures when left out. square_m: side of a square, m;",
-        "# when left out, the stereo pair gives the scale.",
+        "# inner corners of the checkerboard; detected if omitted. square_m: side of a square, m;",
+        "# measured with the stereo pair if omitted.",
         "# board: {columns: 9, rows: 6, square_m: 0.08}",
         "",
         *_cameras(prelude),
@@ -134,12 +135,12 @@ def draft_rig(prelude: Prelude, log_name: str) -> str:
         "",
         *_head(prelude),
         "",
-        "# prior values, used only where the log shows nothing, and to unwrap large turns",
+        "# nominal values, used only for what the recording does not determine, and to unwrap large turns",
         "# nominal:",
         "#   head_eye: {translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}",
         "#   wheels: {radius_left_m: 0.2, radius_right_m: 0.2, separation_m: 0.5}",
         "",
-        "# standard deviations that are known; the log tells those that are left out",
+        "# known standard deviations; those omitted are estimated from the recording",
         "# noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}",
     ]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Which joints are pan and tilt, and where the head's joints are read."""
+"""Pan and tilt joints, and sources of the head's joint readings."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _TILT_WORDS = {"tilt", "pitch"}
 
 
 def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
-    """The joint whose name says pan (or tilt), one that also says head before others; "" where none does."""
+    """The joint named pan (or tilt), preferably also named head; "" if there is none."""
     found = [name for name in names if kinds & set(words(name))]
     best = [name for name in found if _HEAD_WORDS & set(words(name))] or found
     if len(best) > 1:
         raise ConfigError(
-            f"several joints could be the head's {role}: {listed(best)}", f"set joints.{role} in rig.yaml"
+            f"several joints could be the {role} joint: {listed(best)}", f"set joints.{role} in rig.yaml"
         )
     return best[0] if best else ""
 
 
 def pan_and_tilt(config: RigConfig, prelude: Prelude, candidates: Iterable[str]) -> tuple[str, str]:
-    """Names of the pan and the tilt joint, as configured or by their names.
+    """Names of the pan and tilt joint, as configured or found by name.
 
     Raises:
-        ConfigError: several joints fit.
+        ConfigError: several joints match.
     """
     names = list(candidates)
     pan = config.joints.pan or named_joint("pan", _PAN_WORDS, names)
@@ -40,19 +40,19 @@ def pan_and_tilt(config: RigConfig, prelude: Prelude, candidates: Iterable[str])
 
 
 def joint_fields(config: RigConfig, prelude: Prelude, chain: HeadChain) -> dict[str, JointField]:
-    """The chain's joints that the configuration finds in other messages than joint states.
+    """Joints of the chain that the configuration reads from messages other than JointState.
 
     Raises:
-        ConfigError: a joint that is not on the chain.
-        RecordingError: a topic is missing; those present are listed.
+        ConfigError: a joint is not in the chain.
+        RecordingError: a topic is missing; the hint lists those present.
     """
     present = {topic.name for topic in prelude.topics}
     found = {}
     for joint, source in config.joints.fields.items():
         if joint not in chain.joints:
             raise ConfigError(
-                f"joints.fields: {joint!r} is no joint between {chain.base_frame} and {chain.head_frame}",
-                f"its joints: {listed(chain.joints)}",
+                f"joints.fields: {joint!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
+                f"joints of the chain: {listed(chain.joints)}",
             )
         if source.topic not in present:
             raise RecordingError(
@@ -68,7 +68,7 @@ def joint_fields(config: RigConfig, prelude: Prelude, chain: HeadChain) -> dict[
 def joint_transforms(
     config: RigConfig, prelude: Prelude, chain: HeadChain, urdf: Urdf | None
 ) -> dict[str, JointTransform]:
-    """The chain's joints that no joint state tells but /tf may: by the URDF's links and axes."""
+    """Joints of the chain without joint states that /tf may provide, by the URDF's links and axes."""
     topic = next(
         (info.name for info in prelude.topics if info.type == TRANSFORMS and info.name.endswith("/tf")), None
     )
@@ -86,15 +86,15 @@ def joint_transforms(
 def joint_topics(
     config: RigConfig, prelude: Prelude, chain: HeadChain, elsewhere: Container[str]
 ) -> tuple[str, ...]:
-    """The joint-state topics that carry the chain's joints, but for those that are read elsewhere.
+    """JointState topics with the chain's joints, except those read elsewhere.
 
     Raises:
-        RecordingError: a topic or a joint is missing; those present are listed.
+        RecordingError: a topic or a joint is missing; the hint lists those present.
     """
     topic = config.joints.topic
     if topic is not None and topic not in prelude.joint_names:
         raise RecordingError(
-            f"joints.topic: {topic} holds no joint states in this recording",
+            f"joints.topic: {topic} contains no joint states in this recording",
             f"joint-state topics present: {listed(prelude.joint_names)}",
         )
     names = {topic: prelude.joint_names[topic]} if topic is not None else prelude.joint_names

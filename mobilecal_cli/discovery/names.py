@@ -1,4 +1,4 @@
-"""What a name says: its words, and the side it speaks of."""
+"""Words and side in the name of a topic or joint."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def words(name: str) -> list[str]:
 
 
 def side_of(name: str) -> Side | None:
-    """The side that a name speaks of, None when it speaks of none or of both."""
+    """The side in a name, None if the name contains neither or both."""
     found = {side for word in words(name) if (side := _SIDES.get(word) or _NUMBERED.get(word))}
     return found.pop() if len(found) == 1 else None
 
 
 def mirrored(name: str) -> tuple[str, ...]:
-    """The words of a name with its side taken out: equal for the two halves of a pair."""
+    """Words of a name without its side: equal for the two halves of a pair."""
     return tuple("*" if word in _SIDES or word in _NUMBERED else word for word in words(name))
 
 
 def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
-    """Names that come as left and right, in order of the left one's name."""
+    """Pairs of left and right names, sorted by the left name."""
     by_key: dict[tuple[str, ...], dict[Side, str]] = {}
     for name in sorted(names):
         side = side_of(name)
@@ -39,10 +39,10 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
 
 
 def joint_state_names(prelude: Prelude) -> list[str]:
-    """All joints in the recording's joint states."""
+    """Names of all joints in the recording's joint states."""
     return sorted({name for names in prelude.joint_names.values() for name in names})
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names for people."""
+    """Names as a list in a message."""
     return ", ".join(names) or "none"

@@ -1,4 +1,4 @@
-"""Flag > file > log > default: the rig, settled."""
+"""Resolve the rig: flags first, then the file, the recording, and defaults."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _Lack = RecordingError | ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """A rig and what its settling is worth telling.
+    """A resolved rig, and notes on it.
 
     Attributes:
-        rig: complete.
-        notes: whole sentences for the report.
+        rig: the complete rig.
+        notes: complete sentences for the report.
     """
 
     rig: Rig
@@ -57,7 +57,7 @@ class Settled:
 
 
 def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
-    """What gave a dotted key: "flag" or "file" for it or a key below it, None for neither."""
+    """Source of a dotted key or of a key below it: "flag", "file", or None."""
     if any(flag == key or flag.startswith(f"{key}.") for flag in flags):
         return "flag"
     value: object = config
@@ -70,14 +70,14 @@ def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Head:
-    """The chain and where it is from.
+    """The head chain and its source.
 
     Attributes:
         chain: base to head.
-        urdf: what it was made of, None for a chain that the configuration spells out.
-        drawn: what the URDF draws of the unknowns.
-        origin: where the chain is from, in words.
-        notes: what was odd.
+        urdf: its URDF, None for a chain given in the configuration.
+        drawn: nominal values of the URDF.
+        origin: source of the chain, in words.
+        notes: remarks for the report.
     """
 
     chain: HeadChain
@@ -99,16 +99,16 @@ def _head(
         pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = explicit_chain(config, base, head, pan, tilt)
-        return _Head(chain, None, Nominal(), "chain of the configuration", ())
-    origin = "URDF of the configuration"
+        return _Head(chain, None, Nominal(), "head.chain of the configuration", ())
+    origin = "head.urdf of the configuration"
     notes = []
     if urdf_text is None and not prelude.urdfs:
         return _head_of_transforms(config, prelude, wheels, camera_frame)
     if urdf_text is None:
         topic, urdf_text = next(iter(sorted(prelude.urdfs.items())))
-        origin = f"URDF in the log's {topic}"
+        origin = f"URDF on {topic}"
         if len(set(prelude.urdfs.values())) > 1:
-            notes.append(f"The log holds several URDFs; the one of {topic} was used.")
+            notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
     urdf = parse_urdf(urdf_text)
     pan, tilt = _pan_and_tilt_of_urdf(config, prelude, urdf)
     return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
@@ -117,12 +117,12 @@ def _head(
 def _head_of_transforms(
     config: RigConfig, prelude: Prelude, wheels: dict[Side, WheelSource], camera_frame: str
 ) -> _Head:
-    """The head of a recording without a URDF, as its transforms move."""
+    """The head of a recording without a URDF, from the motion of its transforms."""
     urdf = urdf_of_transforms(prelude.transforms)
     if camera_frame not in urdf.links:
         raise RecordingError(
-            "nothing says how the head is mounted: no robot_description in the recording, no transforms that lead to "
-            f"the camera's frame {camera_frame!r}, no head.urdf and no head.chain in the configuration",
+            "the head chain is unknown: no robot_description in the recording, no transforms to the camera frame "
+            f"{camera_frame!r}, and no head.urdf or head.chain in the configuration",
             "set head.urdf or head.chain in rig.yaml (mobilecal init LOG writes a draft)",
         )
     base = config.head.base_frame or next(
@@ -130,20 +130,20 @@ def _head_of_transforms(
     )
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
     pan, tilt = pan_and_tilt(config, prelude, moving)
-    if not tilt and moving:  # their frames are called otherwise: the head tilts where the last of them is
+    if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
         tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
     note = (
-        "The recording holds no URDF: the head's joints were taken from how its transforms move, with the zeros of "
-        "their angles where they were first."
+        "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
+        "joint angles are zero at the first transform."
     )
-    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the log", [note])
+    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the recording", [note])
 
 
 def _pan_and_tilt_of_urdf(config: RigConfig, prelude: Prelude, urdf: Urdf) -> tuple[str, str]:
     in_states = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
     pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
     if not tilt and config.head.head_frame is None:
-        # Joint states may be short of the head's joints; the URDF still tells which they should be.
+        # Joint states may lack some of the head's joints; the URDF still names them.
         pan, tilt = pan_and_tilt(config, prelude, list(urdf.joints))
     return pan, tilt
 
@@ -167,23 +167,23 @@ def _mounted(
 def _check_moves(chain: HeadChain) -> None:
     if not any(isinstance(link, JointLink) for link in chain.links):
         raise ConfigError(
-            f"no joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
+            f"no moving joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
             "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parts:
-    """What a rig is put together from.
+    """The parts of a rig.
 
     Attributes:
-        images, infos: the topics of each side.
-        rectified: whether the pictures are.
-        cameras: the pair.
-        wheels: where each is read.
-        head: how the camera is mounted.
-        elsewhere: the head's joints that no joint state tells.
-        joints: joint-state topics.
+        images, infos: topics of each side.
+        rectified: whether the images are rectified.
+        cameras: the stereo pair.
+        wheels: source of each wheel's rotation.
+        head: the head chain.
+        elsewhere: the head's joints without joint states.
+        joints: JointState topics.
     """
 
     images: dict[Side, str]
@@ -202,17 +202,17 @@ def settle_rig(
     urdf_text: str | None = None,
     flags: frozenset[str] = frozenset(),
 ) -> Settled:
-    """Complete a configuration by what the recording tells.
+    """Complete a configuration with the contents of the recording.
 
     Args:
-        config: flags already laid over the file.
-        prelude: the recording's topics and first messages.
-        urdf_text: contents of `head.urdf`, when the configuration names one.
-        flags: dotted keys that came from flags, for the report.
+        config: the configuration, flags included.
+        `prelude`: topics and first messages of the recording.
+        urdf_text: contents of `head.urdf`, if the configuration names one.
+        flags: dotted keys given by flags, for the report.
 
     Raises:
-        RecordingError: the recording lacks something that the configuration does not give either.
-        ConfigError: the two do not fit together, or leave several possibilities.
+        RecordingError: the recording lacks something that the configuration does not give.
+        ConfigError: configuration and recording contradict each other, or several choices remain.
     """
     parts, lacks = _find(config, prelude, urdf_text)
     if parts is None:
@@ -231,7 +231,7 @@ def settle_rig(
         return _given(config, flags, key) or otherwise
 
     settled_by = {
-        "board size": settled("board.columns", "pictures"),
+        "board size": settled("board.columns", "images"),
         "board square_m": settled("board.square_m", "stereo"),
         f"left images {images['left']}": settled("cameras.left.image"),
         f"right images {images['right']}": settled("cameras.right.image"),
@@ -240,8 +240,8 @@ def settle_rig(
         f"images are {'rectified' if parts.rectified else 'raw'}": settled("cameras.rectified", "topic name"),
         f"reference camera {config.cameras.reference}": settled("cameras.reference", "default"),
         f"joint states {', '.join(parts.joints)}": settled("joints.topic"),
-        f"pan joint {chain.pan or 'none'}": settled("joints.pan", "its name"),
-        f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "its name"),
+        f"pan joint {chain.pan or 'none'}": settled("joints.pan", "joint name"),
+        f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "joint name"),
         f"head chain {chain.base_frame} to {chain.head_frame}": parts.head.origin,
         **{
             f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
@@ -264,12 +264,12 @@ def settle_rig(
 
 
 def lacking(config: RigConfig, prelude: Prelude, urdf_text: str | None = None) -> tuple[_Lack, ...]:
-    """Everything that keeps `settle_rig` from a rig, as far as one lack does not hide the next."""
+    """All errors that prevent a complete rig, except those that follow from another error."""
     return tuple(_find(config, prelude, urdf_text)[1])
 
 
 def _find(config: RigConfig, prelude: Prelude, urdf_text: str | None) -> tuple[_Parts | None, list[_Lack]]:
-    """The parts of a rig, or, in order, all that is lacking."""
+    """The parts of a rig, or all errors, in order."""
     lacks: list[_Lack] = []
 
     def tried(step: Callable[[], T]) -> T | None:

@@ -1,4 +1,4 @@
-"""The robot's joints out of its transforms, for a recording that holds neither a URDF nor joint states."""
+"""The robot's joints from its transforms, for a recording with neither a URDF nor joint states."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint
 from mobilecal_cli.model import FloatArray
 
-#: A transform that changes by less stands still: encoders and clocks of a fixed mount do not change it at all.
+#: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
 _STILL_RAD, _STILL_M = 2e-3, 5e-4
-#: A joint's transform that leaves its axis by more is none of a joint.
+#: A transform that deviates by more from the motion of a joint is not a joint.
 _OFF_RAD, _OFF_M = 0.02, 0.005
 
 
 def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
-    """The joints that would publish these transforms: each named by the frame that it carries.
+    """Joints that would publish these transforms, each named by its child frame.
 
-    A transform that does not change is a fixed joint; one that only turns about one axis is a revolute joint, one that
-    only slides along one a prismatic one; its zero is where it was first. Any other is "floating". The links' poses are
-    the robot's own whatever the zeros.
+    A transform that does not change is a fixed joint. One that only rotates about one axis is revolute, and one that
+    only translates along one axis is prismatic. Any other is "floating". A joint is at zero at the first sample; this
+    choice does not change the poses of the links.
 
     Args:
         transforms: (parent, child) → (n, 4, 4) samples of T_parent_child over the recording.
@@ -45,7 +45,7 @@ def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:
 
 
 def _axis(values: FloatArray) -> tuple[FloatArray, float]:
-    """The line that vectors (n, 3) lie along, its largest component positive, and how far they leave it."""
+    """The axis of vectors (n, 3), its largest component positive, and their largest deviation from it."""
     axis = np.linalg.svd(values, full_matrices=False)[2][0]
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     off = values - np.outer(values @ axis, axis)

@@ -1,4 +1,4 @@
-"""Where the wheels' rotations are."""
+"""Sources of the wheels' rotations, and nominal wheels from the URDF."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 _COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
-_AS_THE_DRIVER = "nominal.wheels in rig.yaml exactly as the robot's driver has them"
+_AS_THE_DRIVER = "nominal.wheels in rig.yaml to the exact values of the robot's driver"
 
 
 def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource]:
-    """Where each wheel's rotation is: as configured, or the pair of joints that are called wheels.
+    """Source of each wheel's rotation: as configured, or the pair of joints named as wheels.
 
     Raises:
-        RecordingError: no wheel is found; what is there is listed.
-        ConfigError: several pairs fit, or a counter lacks its ticks per revolution.
+        RecordingError: no wheel is found; the hint lists what is present.
+        ConfigError: several pairs match, or a counter lacks its ticks per revolution.
     """
     if config.wheels.odometry is not None:
         return _odometry(config, prelude, config.wheels.odometry)
@@ -68,24 +68,25 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
 
 
 def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, WheelSource]:
-    """Odometry as the source of both wheels' rotation.
+    """Odometry as the source of both wheels' rotations.
 
     Raises:
-        RecordingError: there is no odometry on the topic.
-        ConfigError: the wheels that it was made with are not stated.
+        RecordingError: no odometry on the topic.
+        ConfigError: the wheels used for the odometry are not given.
     """
     present = {info.name: info.type for info in prelude.topics}
     if present.get(topic) != ODOMETRY:
         others = listed(name for name, kind in present.items() if kind == ODOMETRY)
         raise RecordingError(
-            f"wheels.odometry: {topic} holds no {ODOMETRY} in this recording", f"topics that do: {others}"
+            f"wheels.odometry: {topic} contains no {ODOMETRY} in this recording",
+            f"topics with odometry: {others}",
         )
     wheels = config.nominal.wheels
     if wheels is None:
         raise ConfigError(
-            f"wheels.odometry: the poses on {topic} were made from the wheels' rotations with some radii and "
-            "separation, and the rotations cannot be had back without them",
-            f"state {_AS_THE_DRIVER}",
+            f"wheels.odometry: the poses on {topic} depend on the driver's wheel radii and separation, which are "
+            "not given",
+            f"set {_AS_THE_DRIVER}",
         )
     baked_in = WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
     sides: tuple[Side, Side] = ("left", "right")
@@ -96,24 +97,24 @@ def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
     odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
     if odometry and not any(_COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
         return RecordingError(
-            f"wheels.{side}: no joint is called a wheel; there is odometry on {listed(odometry)}",
-            f"set wheels.odometry to {odometry[0]}, and state {_AS_THE_DRIVER}",
+            f"wheels.{side}: no joint is named as a wheel; odometry is present on {listed(odometry)}",
+            f"set wheels.odometry to {odometry[0]}, and {_AS_THE_DRIVER}",
         )
     counters = [t.name for t in prelude.topics if _COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
     if counters:
         return RecordingError(
-            f"wheels.{side}: no joint is called a wheel; {listed(counters)} look like tick counters",
+            f"wheels.{side}: no joint is named as a wheel; {listed(counters)} look like tick counters",
             "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
         )
     return RecordingError(
-        f"wheels.{side}: no pair of joints is called left and right wheel",
+        f"wheels.{side}: no pair of joints is named as left and right wheel",
         f"set wheels.left and wheels.right in rig.yaml; joints present: {listed(joint_state_names(prelude))}; "
         f"topics present: {listed(topic.name for topic in prelude.topics)}",
     )
 
 
 def urdf_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> dict[Side, str]:
-    """Wheel joints of the URDF: those that the wheels are read from, or else those whose names fit."""
+    """Wheel joints of the URDF: those that are read, otherwise a pair found by name."""
     named = {side: source.joint for side, source in sources.items() if source.joint in urdf.joints}
     if len(named) == 2:
         return {side: joint for side, joint in named.items() if joint}
@@ -122,7 +123,7 @@ def urdf_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> dict
 
 
 def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
-    """What the URDF draws: separation from the wheel joints, radii from the wheels' cylinders."""
+    """Nominal wheels of the URDF: separation from the wheel joints, radii from the wheels' cylinders."""
     wheels = urdf_wheels(urdf, sources, base)
     if len(wheels) < 2:
         return None

@@ -1,4 +1,4 @@
-"""Known geometry in motion: the head's chain and the two wheels, with their Jacobians."""
+"""Kinematics of the head chain and the two wheels, with Jacobians."""
 
 from mobilecal_cli.kinematics.head import head_jacobian, head_pose
 from mobilecal_cli.kinematics.wheels import (

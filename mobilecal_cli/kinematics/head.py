@@ -1,4 +1,4 @@
-"""The pan-tilt head: where frame h is for given joint readings."""
+"""Kinematics of the pan-tilt head: pose of frame h for joint readings."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def joint_motion(link: JointLink, reading: FloatArray) -> FloatArray:
 
 
 def head_pose(chain: HeadChain, joints: FloatArray) -> FloatArray:
-    """T_v_h(q): head coordinates to vehicle coordinates.
+    """Pose of the head, T_v_h(q): head coordinates to vehicle coordinates.
 
     Args:
-        chain: the known geometry.
+        chain: the kinematic chain.
         joints: (..., J) readings in the order of `chain.joints`, rad or m.
 
     Returns:
@@ -37,10 +37,10 @@ def head_pose(chain: HeadChain, joints: FloatArray) -> FloatArray:
 
 
 def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:
-    """J with T_v_h(q + dq) = T_v_h(q) exp(J dq) to first order.
+    """Jacobian J with T_v_h(q + dq) = T_v_h(q) exp(J dq) to first order.
 
     Args:
-        chain: the known geometry.
+        chain: the kinematic chain.
         joints: (..., J) readings, rad or m.
 
     Returns:
@@ -48,7 +48,7 @@ def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:
     """
     column = {name: i for i, name in enumerate(chain.joints)}
     J = np.zeros((*joints.shape[:-1], 6, len(column)))
-    # Walk from the head back to the base, so that T_joint_h is at hand at every joint.
+    # Go from the head back to the base, so that T_joint_h is available at every joint.
     T_link_h = np.broadcast_to(np.eye(4), (*joints.shape[:-1], 4, 4))
     for link in reversed(chain.links):
         if isinstance(link, FixedLink):

@@ -1,4 +1,4 @@
-"""The head's chain out of a URDF: only joints matter, so only joints are read."""
+"""The head's kinematic chain from a URDF. Only joints and cylinder radii are read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
 
-_AXIS_DEFAULT = "1 0 0"  # the URDF specification's
+_AXIS_DEFAULT = "1 0 0"  # default of the URDF specification
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class UrdfJoint:
     """One joint of a URDF.
 
     Attributes:
-        name, kind, parent, child: as the file says; kind is "revolute", "continuous", "fixed", ...
+        name, kind, parent, child: as in the file; kind is "revolute", "continuous", "fixed", ...
         T_parent_child: (4, 4) at the joint's zero, m.
         axis: (3,) unit vector in the joint's frame.
         mimic: (joint, multiplier, offset) or None.
@@ -45,7 +45,7 @@ class Urdf:
     Attributes:
         name: the robot's name.
         joints: joint name → joint, in the file's order.
-        cylinder_radius_m: link name → radius of its cylinder (collision before visual), where it has one.
+        cylinder_radius_m: link name → radius of its cylinder (collision before visual), if it has one.
     """
 
     name: str
@@ -61,21 +61,21 @@ class Urdf:
 
     @property
     def root(self) -> str:
-        """The link that is nobody's child."""
+        """The link without a parent."""
         children = {joint.child for joint in self.joints.values()}
         return next((link for link in self.links if link not in children), "")
 
     def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
-        """The joints from one link down to another.
+        """Joints on the path from one link down to another.
 
         Raises:
-            ConfigError: a link is not in the URDF, or the tip does not hang on the base.
+            ConfigError: a link is not in the URDF, or no path of joints connects the two.
         """
         for link in (base, tip):
             if link not in self.links:
                 raise ConfigError(
                     f"URDF of {self.name!r}: no link {link!r}",
-                    f"its links: {', '.join(self.links) or 'none'}",
+                    f"links present: {', '.join(self.links) or 'none'}",
                 )
         above = {joint.child: joint for joint in self.joints.values()}
         path: list[UrdfJoint] = []
@@ -83,8 +83,8 @@ class Urdf:
         while link != base:
             if link not in above or len(path) > len(above):
                 raise ConfigError(
-                    f"URDF of {self.name!r}: {tip!r} does not hang on {base!r}",
-                    "set head.base_frame and head.head_frame",
+                    f"URDF of {self.name!r}: no path of joints from {base!r} to {tip!r}",
+                    "set head.base_frame and head.head_frame to the two ends of the chain",
                 )
             path.append(above[link])
             link = above[link].parent
@@ -95,9 +95,13 @@ def _numbers(text: str, count: int, where: str) -> FloatArray:
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError as error:
-        raise ConfigError(f"URDF: {where}: {text!r} is not {count} numbers", "mend the URDF") from error
+        raise ConfigError(
+            f"URDF: {where}: expected {count} number(s), got {text!r}", "correct the URDF"
+        ) from error
     if values.shape != (count,) or not np.all(np.isfinite(values)):
-        raise ConfigError(f"URDF: {where}: {text!r} is not {count} finite numbers", "mend the URDF")
+        raise ConfigError(
+            f"URDF: {where}: expected {count} finite number(s), got {text!r}", "correct the URDF"
+        )
     return values
 
 
@@ -109,7 +113,7 @@ def _joint(element: Element) -> UrdfJoint:
         found = element.find(end)
         link = found.get("link") if found is not None else None
         if not link:
-            raise ConfigError(f"URDF: {where}: no <{end} link=...>", "mend the URDF")
+            raise ConfigError(f"URDF: {where}: no <{end} link=...>", "correct the URDF")
         ends[end] = link
     T = np.eye(4)
     origin = element.find("origin")
@@ -121,7 +125,7 @@ def _joint(element: Element) -> UrdfJoint:
     axis = _numbers(axis_text, 3, f"{where}, axis")
     kind = element.get("type", "")
     if kind not in ("fixed", "floating") and math.hypot(*axis) < 1e-9:
-        raise ConfigError(f"URDF: {where}: its axis has no length", "mend the URDF")
+        raise ConfigError(f"URDF: {where}: its axis has zero length", "correct the URDF")
     mimic = None
     mimic_element = element.find("mimic")
     if mimic_element is not None:
@@ -141,22 +145,22 @@ def parse_urdf(text: str) -> Urdf:
         text: the XML. Entities and DTDs are refused.
 
     Raises:
-        ConfigError: not XML, not a <robot>, or a joint that makes no sense.
+        ConfigError: not XML, no <robot> element, or an invalid joint.
     """
     try:
         root = fromstring(text, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(
-            f"URDF: not readable as XML: {error}", "give a URDF (xacro files must be expanded first)"
+            f"URDF: not valid XML: {error}", "give a URDF (expand xacro files first)"
         ) from error
     if root.tag != "robot":
-        raise ConfigError(f"URDF: the top element is <{root.tag}>, not <robot>", "give a URDF file")
-    # Transmissions and ros2_control blocks also hold <joint> elements; only the robot's own count.
+        raise ConfigError(f"URDF: the root element is <{root.tag}>, not <robot>", "give a URDF file")
+    # Transmissions and ros2_control blocks also contain <joint> elements; only those of the robot itself count.
     joints = [_joint(element) for element in root.findall("joint")]
     names = [joint.name for joint in joints]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ConfigError(f"URDF: two joints are named {twice[0]!r}", "mend the URDF")
+        raise ConfigError(f"URDF: two joints have the name {twice[0]!r}", "correct the URDF")
     radii = {}
     for link in root.findall("link"):
         for kind in ("collision", "visual"):
@@ -170,10 +174,10 @@ def parse_urdf(text: str) -> Urdf:
 def chain_links(
     path: tuple[UrdfJoint, ...], joints: Mapping[str, UrdfJoint]
 ) -> tuple[FixedLink | JointLink, ...]:
-    """The links of a `HeadChain` for a path of URDF joints.
+    """Links of a `HeadChain` for a path of URDF joints.
 
     Raises:
-        ConfigError: a joint of a kind that no joint state can tell (floating, planar), or a bad mimic.
+        ConfigError: an unsupported kind of joint (floating, planar), or an invalid mimic.
     """
     links: list[FixedLink | JointLink] = []
     for joint in path:
@@ -183,14 +187,14 @@ def chain_links(
             continue
         if joint.kind not in ("revolute", "continuous", "prismatic"):
             raise ConfigError(
-                f"URDF: joint {joint.name!r} is {joint.kind!r}: a head chain takes revolute, continuous, "
+                f"URDF: joint {joint.name!r} is {joint.kind!r}; a head chain supports revolute, continuous, "
                 "prismatic and fixed joints",
                 "set head.base_frame to a link below it",
             )
         read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
         if read not in joints:
             raise ConfigError(
-                f"URDF: joint {joint.name!r} mimics {read!r}, which is not there", "mend the URDF"
+                f"URDF: joint {joint.name!r} mimics {read!r}, which does not exist", "correct the URDF"
             )
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         links.append(JointLink(read, joint.axis, kind, multiplier, offset))  # type: ignore[arg-type]
@@ -200,13 +204,13 @@ def chain_links(
 def head_chain(
     urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
 ) -> HeadChain:
-    """The chain from v to a head link.
+    """Kinematic chain from v to a head link.
 
     Args:
         urdf: the robot.
         base, head: link names.
         pan, tilt: joint names.
-        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None where the two are the same.
+        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None if they are equal.
     """
     links = chain_links(urdf.path(base, head), urdf.joints)
     if T_base_v is not None:
@@ -215,10 +219,10 @@ def head_chain(
 
 
 def wheel_centres(urdf: Urdf, base: str, left: str, right: str) -> tuple[FloatArray, FloatArray]:
-    """Centres of the two wheels in base coordinates, (3,) each, m, for wheel joint names.
+    """Centers of the left and right wheel in base coordinates, (3,) each, m, for the names of their joints.
 
     Raises:
-        ConfigError: a wheel's link does not hang on the base.
+        ConfigError: the link of a wheel is not connected to the base.
     """
     centres = []
     for name in (left, right):
@@ -230,9 +234,9 @@ def wheel_centres(urdf: Urdf, base: str, left: str, right: str) -> tuple[FloatAr
 
 
 def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
-    """T_base_v for wheel centres in base coordinates: origin midway, y from right to left, z up.
+    """T_base_v from wheel centers in base coordinates: origin midway, y from right to left, z up.
 
-    The heading follows the wheels' axle, because the wheels, not the drawing, decide where forward is.
+    The heading is perpendicular to the axle, because the wheels define the forward direction.
     """
     axle = left_m - right_m
     y = np.array([axle[0], axle[1], 0.0]) / math.hypot(axle[0], axle[1])

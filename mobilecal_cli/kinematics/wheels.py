@@ -1,4 +1,4 @@
-"""The differential drive: from wheel rotations to the base's motion (paper, eqs. 1, 10, 11, 14)."""
+"""Differential drive: motion of the base from wheel rotations (paper, eqs. 1, 10, 11, 14)."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
 
 _ROUNDING_RAD = 1e-9
 _WHOLE_STEPS = 0.01
-_SMALL = 0.1  # rad; below it the series' error (h^10 / 11!) is under one ulp
+_SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increments:
-    """Wheel rotations between stations, cut into steps in which both wheels turn at constant rates.
+    """Wheel rotations between stations, split into steps with constant wheel rates.
 
     Attributes:
         right_rad, left_rad: (n,) rotation in each step.
-        leg: (n,) the leg that each step belongs to, not decreasing.
+        leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
     """
 
@@ -39,14 +39,14 @@ class Increments:
         return np.stack([self.total(self.right_rad), self.total(self.left_rad)], axis=1)
 
     def select(self, legs: IntArray) -> Increments:
-        """The steps of some legs (increasing indices), which are numbered anew."""
+        """Steps of some legs (increasing indices), renumbered."""
         number = np.full(self.legs, -1)
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
         return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs))
 
     def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
-        """One more step at the start and one at the end of every leg: (legs, 2) each, right and left, rad."""
+        """Increments with one more step at the start and end of every leg: (legs, 2) each, right and left, rad."""
         legs = np.arange(self.legs)
         leg = np.concatenate([legs, self.leg, legs])
         order = np.argsort(leg, kind="stable")
@@ -56,7 +56,7 @@ class Increments:
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
-    """Resolution of an encoder: the change of which all changes are multiples, (n,) → rad; 0 where there is none."""
+    """Resolution of an encoder: the smallest change, if all are multiples of it, (n,) → rad; 0 otherwise."""
     changes = np.abs(np.diff(readings_rad))
     changes = changes[changes > _ROUNDING_RAD]
     if not len(changes):
@@ -66,10 +66,10 @@ def encoder_step_rad(readings_rad: FloatArray) -> float:
 
 
 def between_steps(track: WheelTrack) -> WheelTrack:
-    """A track without the stairs that an encoder makes: straight lines from one change of a reading to the next.
+    """A track without encoder quantization: linear between the changes of a reading.
 
-    A reading changes where the wheel passes from one step to the next, and so tells best then. At every other moment
-    it may be wrong by half a step, always the same way for as long as it does not change.
+    A reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
+    same sign until the next change.
     """
 
     def smooth(readings_rad: FloatArray) -> FloatArray:
@@ -85,21 +85,21 @@ def between_steps(track: WheelTrack) -> WheelTrack:
 
 
 def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
-    """Cut a wheel track at the stations' times.
+    """Increments of a wheel track, split at the stations' times.
 
     Args:
-        track: both wheels of one log.
+        track: both wheels of one recording.
         times_ns: (N,) increasing, inside the track's span.
 
     Returns:
-        Steps of the N - 1 legs between consecutive stations. Steps without any rotation are left out.
+        Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
     """
     start = track.time_ns[0]
     place = np.searchsorted(track.time_ns, times_ns)
     between = track.time_ns[np.minimum(place, len(track.time_ns) - 1)] != times_ns
     moments = np.insert(track.time_ns, place[between], times_ns[between])
     moments = moments[(moments >= times_ns[0]) & (moments <= times_ns[-1])]
-    # Offsets from the start are small enough for float64 to hold every nanosecond.
+    # Offsets from the start are small enough to be exact nanoseconds in float64.
     at, samples = (moments - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
     right = np.diff(np.interp(at, samples, track.right_rad))
     left = np.diff(np.interp(at, samples, track.left_rad))
@@ -109,7 +109,7 @@ def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
 
 
 def join(parts: list[Increments]) -> Increments:
-    """The legs of several logs, one log's after the other's."""
+    """Legs of several recordings, one recording after the other."""
     offsets = np.cumsum([0, *(part.legs for part in parts)])
     return Increments(
         np.concatenate([part.right_rad for part in parts]),
@@ -121,7 +121,7 @@ def join(parts: list[Increments]) -> Increments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegMotion:
-    """The base's motion over each leg, T_vi_vj = (Rz(psi), t).
+    """Motion of the base over each leg, T_vi_vj = (Rz(psi), t).
 
     Attributes:
         psi_rad: (L,) heading change, not wrapped.
@@ -133,7 +133,7 @@ class LegMotion:
 
 
 def _up_to(steps: Increments, amount: FloatArray) -> FloatArray:
-    """Sum of a quantity over the steps of the same leg up to each step, itself included, (n,) → (n,)."""
+    """Sum of a quantity within the leg up to and including each step, (n,) → (n,)."""
     total = np.cumsum(amount)
     first = np.searchsorted(steps.leg, np.arange(steps.legs))
     earlier = np.concatenate([[0.0], total])[first]
@@ -141,7 +141,7 @@ def _up_to(steps: Increments, amount: FloatArray) -> FloatArray:
 
 
 def _after(steps: Increments, amount: FloatArray) -> FloatArray:
-    """Sum of a quantity over the steps of the same leg after each step, (n,) → (n,)."""
+    """Sum of a quantity within the leg after each step, (n,) → (n,)."""
     total = np.cumsum(amount)
     last = np.searchsorted(steps.leg, np.arange(steps.legs), side="right")
     whole = np.concatenate([[0.0], total])[last]
@@ -149,11 +149,11 @@ def _after(steps: Increments, amount: FloatArray) -> FloatArray:
 
 
 def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """sin(h)/h, the chord of a unit arc that turns by 2h, and its derivative."""
+    """Chord of a unit arc that turns by 2h, sin(h)/h, and its derivative."""
     h, q = half_turn, half_turn**2
     chord = 1 - q / 6 * (1 - q / 20 * (1 - q / 42 * (1 - q / 72)))
     slope = -h / 3 * (1 - q / 10 * (1 - q / 28 * (1 - q / 54 * (1 - q / 88))))
-    large = np.flatnonzero(np.abs(h) > _SMALL)  # samples come often: hardly any
+    large = np.flatnonzero(np.abs(h) > _SMALL)  # rare, because samples are frequent
     chord[large] = np.sin(h[large]) / h[large]
     slope[large] = (np.cos(h[large]) - chord[large]) / h[large]
     return chord, slope
@@ -161,17 +161,17 @@ def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Arcs:
-    """The steps of all legs as circular arcs, and what they lead to (eqs. 10 and 14).
+    """Steps of all legs as circular arcs, and the resulting motion (eqs. 10 and 14).
 
     A step turns by ``psi = (rR phiR - rL phiL) / b`` and moves the base by the chord ``ds sin(h)/h``,
     ``ds = (rR phiR + rL phiL) / 2``, in the direction ``theta + h``, with ``h = psi/2``: exact for constant rates
     within a step.
 
     Attributes:
-        steps, wheels: the wheels' rotations and sizes.
+        steps, wheels: rotations and sizes of the wheels.
         ds, turn: (n,) length and turn of each step, m and rad.
         direction: (2, n) of each chord, in the frame of its leg's start.
-        chord, slope: (n,) length of the chord over that of the arc, and its derivative by h.
+        chord, slope: (n,) chord length / arc length, and its derivative by h.
         psi_rad: (L,) heading change of each leg, not wrapped.
     """
 
@@ -186,7 +186,7 @@ class Arcs:
 
     @classmethod
     def along(cls, steps: Increments, wheels: WheelGeometry) -> Arcs:
-        """The arcs of wheels of some size."""
+        """Arcs for given wheels."""
         right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
         turn = (right - left) / wheels.separation_m
         heading = _up_to(steps, turn) - turn / 2
@@ -194,7 +194,7 @@ class Arcs:
         return cls(steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2), steps.total(turn))
 
     def motion(self) -> LegMotion:
-        """Where each leg leads."""
+        """Motion of the base over each leg."""
         x, y = self.ds * self.chord * self.direction
         return LegMotion(self.psi_rad, np.stack([self.steps.total(x), self.steps.total(y)], axis=1))
 
@@ -202,7 +202,7 @@ class Arcs:
     def _by_step(self) -> tuple[FloatArray, FloatArray]:
         """(2, n) derivatives of the end (x, y) of each step's leg by the step's length and by its turn.
 
-        The length goes along the chord. The turn bends the step itself and swings all that follows it.
+        The length acts along the chord. The turn bends the step itself and rotates all later steps.
         """
         by_length = self.chord * self.direction
         cos, sin = self.direction
@@ -223,7 +223,7 @@ class Arcs:
         return d_psi, d_t
 
     def sensitivity(self, at: IntArray | slice = slice(None)) -> FloatArray:
-        """How the wheel rotations of some steps move the ends of their legs.
+        """Derivatives of the leg ends by the wheel rotations of some steps.
 
         Returns:
             (k, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
@@ -239,7 +239,7 @@ class Arcs:
 
 
 def integrate(steps: Increments, wheels: WheelGeometry) -> LegMotion:
-    """Dead reckoning along circular arcs."""
+    """Motion over each leg by dead reckoning along circular arcs."""
     return Arcs.along(steps, wheels).motion()
 
 

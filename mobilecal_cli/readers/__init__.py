@@ -1,7 +1,8 @@
-"""Readers: one module a container, and what the other stages need out of a recording.
+"""Readers: one module per container format, and the data that other stages need from a recording.
 
-`open_recording` looks at the content, never at the suffix. `read_prelude` tells what there is, `read_signals` reads
-everything but the pictures' contents in one pass, `read_images` streams the pictures that are asked for.
+`open_recording` detects the format from the contents, never from the suffix. `read_prelude` reads what describes
+the robot, `read_signals` reads everything except image contents in one pass, and `read_images` streams selected
+images.
 """
 
 from mobilecal_cli.readers.hashing import sha256_of

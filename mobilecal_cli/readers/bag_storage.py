@@ -1,8 +1,8 @@
-"""ROS 1 bags (format 2.0): indexed, unindexed and cut short.
+"""ROS 1 bags (format 2.0): with an index, without one, and truncated.
 
-rosbags reads healthy bags only and keeps an entry per message in memory; recorders that were killed leave bags
-without an index. So the few record kinds of the format are read here, as blocks, the same way for all bags;
-the tests hold rosbags beside it.
+rosbags reads only intact bags and keeps an entry per message in memory, but a recorder that was killed leaves a bag
+without an index. The format has few kinds of records, so this module reads them itself, as blocks, in the same way
+for all bags. The tests compare the result with rosbags.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 
-#: So much is searched at once for the next record behind damage; no record's head is longer than the second.
+#: Bytes searched at once for the next record after damage; the longest record header that is considered.
 _WINDOW, _LONGEST_HEAD = 2**22, 256
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
 _CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
-#: The header of nearly every message: these three fields in any order, in 38 bytes that hold each of them once.
+#: Header of nearly every message: these three fields once each, in any order, in 38 bytes.
 _MESSAGE_HEAD = re.compile(
     rb"(?:\x04\x00\x00\x00op=\x02|\x09\x00\x00\x00conn=(.{4})|\x0d\x00\x00\x00time=(.{8})){3}", re.DOTALL
 )
@@ -50,11 +50,11 @@ def _time_ns(fields: Fields, name: bytes) -> int:
 
 
 def _fields(header: memoryview) -> Fields:
-    """The name=value fields of a record header.
+    """Fields name=value of a record header.
 
     Raises:
         ValueError: a field without "=".
-        EOFError: a field goes on beyond the header.
+        EOFError: a field extends beyond the header.
     """
     fields: Fields = {}
     at = 0
@@ -62,7 +62,7 @@ def _fields(header: memoryview) -> Fields:
         (size,) = _U32.unpack_from(header, at)
         at += _U32.size
         if at + size > len(header):
-            raise EOFError("a header field goes on beyond its header")
+            raise EOFError("a header field extends beyond the header")
         name, separator, value = bytes(header[at : at + size]).partition(b"=")
         if not separator:
             raise ValueError("a header field without a value")
@@ -72,7 +72,7 @@ def _fields(header: memoryview) -> Fields:
 
 
 def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
-    """Header fields of the record at `at`, and where its data begins and ends."""
+    """Header fields of the record at `at`, and begin and end of its data."""
     (header_size,) = _U32.unpack_from(data, at)
     header = at + _U32.size
     body = header + header_size + _U32.size
@@ -80,12 +80,12 @@ def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
 
 
 def _end(data: memoryview, body: int) -> int:
-    """Where a record's data, which begins at `body`, ends: its size stands before it."""
+    """End of a record's data that begins at `body`; its size is stored before it."""
     if body > len(data):
-        raise EOFError("a record goes on beyond its end")
+        raise EOFError("a record extends beyond the end of the data")
     (size,) = _U32.unpack_from(data, body - _U32.size)
     if body + size > len(data):
-        raise EOFError("a record goes on beyond its end")
+        raise EOFError("a record extends beyond the end of the data")
     return int(body + size)
 
 
@@ -93,7 +93,7 @@ class BagStorage(BlockStorage):
     """One ROS 1 bag.
 
     Attributes:
-        first: where the first record behind the bag header begins, bytes.
+        first: offset of the first record after the bag header, bytes.
     """
 
     container = "ROS 1 bag"
@@ -101,7 +101,7 @@ class BagStorage(BlockStorage):
     first: int
 
     def find_blocks(self) -> None:
-        """Use the index where it is whole, otherwise walk."""
+        """Use the index if it is complete, otherwise scan the file."""
         fields, _, self.first = self.head(len(MAGIC))
         if fields.get(b"encryptor"):
             raise RecordingError(
@@ -115,7 +115,7 @@ class BagStorage(BlockStorage):
             _Walk(self).run()
 
     def head(self, at: int) -> tuple[Fields, int, int]:
-        """Header fields of the record at byte `at` of the file, and where its data begins and ends."""
+        """Header fields of the record at byte `at` of the file, and begin and end of its data."""
         (header_size,) = _U32.unpack(self.read_at(at, _U32.size))
         header = self.read_at(at + _U32.size, header_size)
         body = at + _U32.size + header_size + _U32.size
@@ -123,7 +123,7 @@ class BagStorage(BlockStorage):
         return _fields(memoryview(header)), body, body + size
 
     def _read_index(self, bag: Fields) -> bool:
-        """Use the index at the end of the bag; False when there is none, or any of it is wrong."""
+        """Use the index at the end of the bag; False if it is missing or any of it is wrong."""
         try:
             at = int(_U64.unpack(bag[b"index_pos"])[0])
             if at == 0:
@@ -139,8 +139,8 @@ class BagStorage(BlockStorage):
                 damaged += [trouble] if trouble else []
                 at = end
             if 2 * len(damaged) > len(damaged) + len(self.blocks):
-                return False  # the index lies
-        except Exception:  # a damaged index: any exception at all; the walk does without
+                return False  # the index is wrong
+        except Exception:  # a damaged index may raise anything; the scan does not need it
             return False
         for trouble in damaged:
             self.note(trouble)
@@ -148,29 +148,27 @@ class BagStorage(BlockStorage):
         return True
 
     def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> str:
-        """Take in an entry of the index; what is wrong with its chunk, "" for nothing."""
+        """Process an index entry; returns what is wrong with its chunk, "" for nothing."""
         position = int(_U64.unpack(fields[b"chunk_pos"])[0])
         numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))
         if not numbers <= self.channels.keys():
-            raise ValueError("the index names an unknown connection")
+            raise ValueError("the index refers to an unknown connection")
         for number, messages in struct.iter_unpack("<II", data):
             counts[number] += messages
         start_ns, end_ns = _time_ns(fields, b"start_time"), _time_ns(fields, b"end_time")
         try:
             chunk, _, end = self.head(position)
             whole = chunk[b"op"] == bytes([_CHUNK]) and end <= self.size
-        except Exception:  # damaged bytes: any exception at all
+        except Exception:  # damaged bytes may raise anything
             whole = False
         if not whole:
-            return (
-                f"no chunk begins at byte {position} of {self.size}, where the index has one; it is left out"
-            )
+            return f"no chunk begins at byte {position} of {self.size}, although the index lists one; skipped"
         if numbers:
             self.blocks.append(Block(position, end - position, True, start_ns, end_ns, numbers))
         return ""
 
     def load(self, block: Block) -> bytes:
-        """The block's records, decompressed."""
+        """Decompressed records of a block."""
         data = self.read_at(block.offset, block.size)
         if not block.is_chunk:
             return data
@@ -178,7 +176,7 @@ class BagStorage(BlockStorage):
         return decompress(data[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        """Connection id, log time and payload of every message; connections on the way are registered."""
+        """Connection id, log time and payload of every message; registers connections found on the way."""
         view = memoryview(data)
         at = 0
         while at < len(view):
@@ -200,7 +198,7 @@ class BagStorage(BlockStorage):
             at = end
 
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Connection id and log times of a chunk's messages, from the index records behind it."""
+        """Connection id and log times of a chunk's messages, from the index records after it."""
         at = block.offset + block.size
         while at < self.size:
             fields, body, end = self.head(at)
@@ -211,7 +209,7 @@ class BagStorage(BlockStorage):
             at = end
 
     def define(self, fields: Fields, data: bytes) -> None:
-        """Take in a connection record."""
+        """Register a connection record."""
         number = _u32(fields, b"conn")
         if number in self.channels:
             return
@@ -227,14 +225,14 @@ class BagStorage(BlockStorage):
 
 
 class _Walk(Walk):
-    """Finds the blocks of a bag without a usable index, reading record headers only."""
+    """Finds the blocks of a bag without a usable index by reading record headers only."""
 
     def __init__(self, storage: BagStorage) -> None:
         super().__init__(storage)
         self._storage = storage
 
     def run(self) -> None:
-        """Fill the storage's blocks, channels and counts; note that the index is missing, where it is cut."""
+        """Fill the storage's blocks, channels and counts; note a missing index or where the file is truncated."""
         storage = self._storage
         at = storage.first
         trouble = ""
@@ -242,15 +240,15 @@ class _Walk(Walk):
             try:
                 fields, body, end = storage.head(at)
                 if end > storage.size:
-                    raise EOFError("its data goes on beyond the end")
+                    raise EOFError("its data extends beyond the end of the file")
                 done = self._visit(fields, at, body, end)
-            except Exception as error:  # without a whole head the next record has to be searched for
+            except Exception as error:  # without a complete header, search for the next record
                 cut = self._cut_chunk(at)
                 found = self._next_record(at + 1, _CHUNKS if cut else _KINDS)
                 if found is None:
                     if cut is not None:
                         self.chunk(cut)
-                    trouble = f"the bag breaks off in the record at byte {at} of {storage.size} ({error})"
+                    trouble = f"the bag is truncated in the record at byte {at} of {storage.size} ({error})"
                     break
                 at = self.skip(at, found)
                 continue
@@ -260,12 +258,12 @@ class _Walk(Walk):
         self.finish(trouble)
         if not trouble:
             storage.note(
-                f"the bag has no usable index (the recorder was not stopped properly?); a scan found "
+                f"the bag has no usable index (was the recorder stopped properly?); a scan found "
                 f"{sum((storage.counts or {}).values())} messages"
             )
 
     def _next_record(self, at: int, kinds: re.Pattern[bytes]) -> int | None:
-        """Where, from byte `at` on, the next record of some kinds begins; None for nowhere."""
+        """Offset of the next record of some kinds from byte `at` on, None if there is none."""
         storage = self._storage
         while at < storage.size:
             window = storage.read_at(at, min(_WINDOW, storage.size - at))
@@ -279,21 +277,21 @@ class _Walk(Walk):
         return None
 
     def _fits(self, at: int) -> bool:
-        """Whether a record with whole contents begins at a byte."""
+        """Whether a complete record begins at a byte."""
         try:
             (head_size,) = _U32.unpack(self._storage.read_at(at, _U32.size))
             if head_size > _LONGEST_HEAD:
                 return False
             fields, _, end = self._storage.head(at)
             return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self._storage.size
-        except Exception:  # whatever lies there: any exception at all
+        except Exception:  # arbitrary bytes may raise anything
             return False
 
     def _cut_chunk(self, at: int) -> Block | None:
-        """What the end of the file left of an uncompressed chunk at a byte: its first messages are whole."""
+        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
         try:
             fields, body, _ = self._storage.head(at)
-        except Exception:  # whatever lies there: any exception at all
+        except Exception:  # arbitrary bytes may raise anything
             return None
         if fields.get(b"op") != bytes([_CHUNK]) or fields.get(b"compression") != b"none":
             return None
@@ -303,7 +301,7 @@ class _Walk(Walk):
         storage = self._storage
         kind = fields[b"op"][0]
         if kind == _CHUNK:
-            # The index records tell the channels; the times stand only inside, or in their entries.
+            # The index records give the channels. The times are only in the chunk, or in the index entries.
             self.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
         elif kind == _INDEX:
             self.index(_u32(fields, b"conn"), _u32(fields, b"count"))

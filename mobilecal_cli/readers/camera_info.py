@@ -1,4 +1,4 @@
-"""sensor_msgs/CameraInfo, of ROS 1 and ROS 2, to the calibration of the pixels as they are in the images."""
+"""Conversion of sensor_msgs/CameraInfo (ROS 1 and ROS 2) to the calibration of the images as recorded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CameraInfo, Distortion, FloatArray
 from mobilecal_cli.readers.channels import NOT_ITS_TYPE
 
-#: Coefficient counts of OpenCV's models, in its order.
+#: Coefficient counts of OpenCV's models, in OpenCV's order.
 _LENGTHS: dict[Distortion, tuple[int, ...]] = {
     "none": (0,),
     "plumb_bob": (5,),
@@ -32,26 +32,26 @@ _NAMES: dict[str, Distortion] = {
     "opencv_fisheye": "equidistant",
     "none": "none",
 }
-_ADVICE = "calibrate the camera (for instance with camera_calibration) and record its camera_info again"
+_ADVICE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
 def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the type is the recording's
     """Convert a CameraInfo message.
 
-    The message speaks of the full sensor. A region of interest shifts the principal point, binning then
-    scales both rows of K and P, as image_geometry does it.
+    The message describes the full sensor. A region of interest shifts the principal point, then binning scales both
+    rows of K and P, as in image_geometry.
 
     Args:
-        message: decoded message; ROS 1 spells D, K, R, P, ROS 2 d, k, r, p.
-        topic: its topic, for messages.
+        message: decoded message; ROS 1 names the matrices D, K, R, P, ROS 2 d, k, r, p.
+        topic: its topic, for error messages.
 
     Raises:
-        RecordingError: K or P is zero, something is not finite, or the distortion model is not known.
+        RecordingError: K or P is zero, a value is not finite, or the distortion model is unknown.
     """
     try:
         return _converted(message, topic)
     except NOT_ITS_TYPE as error:
-        raise RecordingError(f"{topic}: not a camera info: {error}", _ADVICE) from error
+        raise RecordingError(f"{topic}: not a valid camera info: {error}", _ADVICE) from error
 
 
 def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
@@ -61,8 +61,8 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
     for name, matrix in (("K", K), ("P", P)):
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
             fact = "is all zeros" if not matrix.any() else "has no positive focal lengths"
-            raise RecordingError(f"{topic}: {name} {fact}: the camera was not calibrated", _ADVICE)
-    if not R.any():  # left out by some drivers; no rotation is what they mean
+            raise RecordingError(f"{topic}: {name} {fact}: the camera is not calibrated", _ADVICE)
+    if not R.any():  # omitted by some drivers, meaning no rotation
         R = np.eye(3)
     distortion, D = _distortion(message, topic)
 
@@ -95,7 +95,7 @@ def _field(message: Any, name: str) -> FloatArray:  # noqa: ANN401
 def _matrix(message: Any, name: str, shape: tuple[int, int], topic: str) -> FloatArray:  # noqa: ANN401
     matrix = _field(message, name).reshape(shape)
     if not np.all(np.isfinite(matrix)):
-        raise RecordingError(f"{topic}: {name} holds values that are not finite numbers", _ADVICE)
+        raise RecordingError(f"{topic}: {name} contains values that are not finite numbers", _ADVICE)
     return matrix
 
 
@@ -103,7 +103,7 @@ def _distortion(message: Any, topic: str) -> tuple[Distortion, FloatArray]:  # n
     D = _field(message, "D").ravel()
     name = str(message.distortion_model).strip().lower()
     if not np.all(np.isfinite(D)):
-        raise RecordingError(f"{topic}: D holds values that are not finite numbers", _ADVICE)
+        raise RecordingError(f"{topic}: D contains values that are not finite numbers", _ADVICE)
     if D.size == 0 or (not name and not D.any()):
         return ("equidistant", np.zeros(4)) if _NAMES.get(name) == "equidistant" else ("none", np.zeros(0))
     model = _NAMES.get(name or "plumb_bob")
@@ -111,13 +111,13 @@ def _distortion(message: Any, topic: str) -> tuple[Distortion, FloatArray]:  # n
         raise RecordingError(
             f"{topic}: unknown distortion model {name!r}; known: {', '.join(_NAMES)}", _ADVICE
         )
-    if model == "plumb_bob" and D.size > 5:  # drivers keep the name when they add terms
+    if model == "plumb_bob" and D.size > 5:  # drivers keep the name when they add coefficients
         model = "rational_polynomial"
     if model == "none":
         return model, np.zeros(0)
     length = next((n for n in _LENGTHS[model] if n >= D.size), None)
     if length is None or (model == "equidistant" and D.size != length):
         raise RecordingError(
-            f"{topic}: {D.size} distortion coefficients do not fit the model {name or model}", _ADVICE
+            f"{topic}: {D.size} distortion coefficients do not match the model {name or model}", _ADVICE
         )
     return model, np.pad(D, (0, length - D.size))

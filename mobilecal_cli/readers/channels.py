@@ -1,4 +1,4 @@
-"""Channels: what a container says of one stream of messages, and how its payloads become values."""
+"""Channels: description of a message stream in a container, and decoding of its payloads."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from mobilecal_cli.readers.values import Decoder, json_decoder, like_ros, protob
 DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
 Payload = bytes | memoryview
 
-#: What reading its fields raises where a message only claims its type: JSON holds anything.
+#: Exceptions raised by a message without the fields of its type: JSON may contain anything.
 NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
 _ENCODINGS = ("cdr", "ros1", "protobuf", "json")
 
-#: The largest messages of MoveIt and Autoware have a third of this; the time to make a decoder grows with it.
+#: The largest messages of MoveIt and Autoware have a third of this; the time to create a decoder grows with it.
 _MOST_FIELDS = 2000
 _MOST_INSIDE = 100_000
-#: What a type costs beside its fields, in fields.
+#: Cost of a type in addition to its fields, in fields.
 _FIELDS_A_TYPE = 10
 _COMMENT = re.compile(r"#.*|//.*")
 _MESSAGE_LIST = re.compile(r"[A-Za-z]\w*(?:/|::)\w+\s*(?:\w+\s*)?\[(?:<=)?(\d+)\]")
 #: Two lines of this precede each file in concatenated IDL definitions.
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
-#: Types whose fields the readers use by name; they are the same in every ROS 1, and in every ROS 2. Spelled out,
-#: because rosbags loads the types of five releases to tell them, for longer than all other imports here take.
+#: Types whose fields the readers use by name; they are the same in every ROS 1, and in every ROS 2. Listed here,
+#: because rosbags loads the types of five releases to get them, which takes longer than all other imports.
 _RELIED_ON = {
     "builtin_interfaces/msg/Time": "sec:int32 nanosec:uint32",
     "sensor_msgs/msg/CameraInfo": (
@@ -59,15 +59,15 @@ _ROS1_HEADER = f"seq:uint32 {_RELIED_ON['std_msgs/msg/Header']}"
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One stream of messages in one container.
+    """One message stream in one container.
 
     Attributes:
-        id: the container's own number for it.
+        id: number of the channel in the container.
         topic: the topic.
         type: message type; ROS's in ROS 2 spelling.
-        encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or whatever else the container says.
-        definition: the message definition with its dependencies, "" where the container has none; bytes for protobuf.
-        definition_format: its language.
+        encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or another value from the container.
+        definition: message definition with its dependencies, "" if the container has none; bytes for protobuf.
+        definition_format: language of the definition.
     """
 
     id: int
@@ -79,11 +79,11 @@ class Channel:
 
     @property
     def ros_type(self) -> str:
-        """The ROS type that the messages are read as; its own name for a type that stands for none."""
+        """ROS type that the messages are read as; the type's own name if no ROS type is equivalent."""
         return ros_type(self.type)
 
     def check(self) -> None:
-        """Make sure that payloads can be decoded at all.
+        """Check that payloads can be decoded.
 
         Raises:
             RecordingError: unknown encoding, or no definition of the message type.
@@ -91,8 +91,8 @@ class Channel:
         if self.encoding not in _ENCODINGS:
             raise RecordingError(
                 f"{self.topic}: messages of type {self.type or '(none)'} are encoded as "
-                f"{self.encoding or '(nothing stated)'!r}; read are {', '.join(_ENCODINGS)}",
-                "record the topic through ROS, or name another topic in rig.yaml",
+                f"{self.encoding or '(nothing stated)'!r}; supported encodings: {', '.join(_ENCODINGS)}",
+                "record the topic with ROS, or set another topic in rig.yaml",
             )
         try:
             _decoder(self.encoding, self.type, self.definition, self.definition_format)
@@ -100,18 +100,18 @@ class Channel:
             raise RecordingError(f"{self.topic}: {error.message}", error.hint) from error
 
     def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
-        """The message as an object with the definition's fields; arrays are views of the payload.
+        """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
-            RecordingError: the payload does not fit the definition.
+            RecordingError: the payload does not match the definition.
         """
         decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
         try:
             return decoder(payload)
-        except Exception as error:  # damaged payloads raise almost anything
+        except Exception as error:  # damaged payloads may raise anything
             raise RecordingError(
-                f"{self.topic}: a message does not fit its type {self.type}: {error}",
-                "the recording is damaged there, or its message definition belongs to another version",
+                f"{self.topic}: a message does not match its type {self.type}: {error}",
+                "copy the recording again; if the error remains, record the topic with its current message definition",
             ) from error
 
 
@@ -139,10 +139,10 @@ def _decoder(
 def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     try:
         return protobuf_decoder(definition.encode() if isinstance(definition, str) else definition, type_name)
-    except Exception as error:  # a damaged definition raises almost anything
+    except Exception as error:  # a damaged definition may raise anything
         raise RecordingError(
             f"the definition of the protobuf type {type_name} cannot be used: {error}",
-            "the recording is damaged there, or was written without the definition's dependencies",
+            "copy the recording again; if the error remains, record it with all dependencies of the definition",
         ) from error
 
 
@@ -154,9 +154,9 @@ def _ros_decoder(
         store = _default_types(encoding)
     if type_name not in store.fielddefs:
         raise RecordingError(
-            f"the recording holds no definition of the message type {type_name}, "
+            f"the recording contains no definition of the message type {type_name}, "
             "and it is not one of the common types",
-            "record with a storage that keeps definitions (MCAP, or rosbag2 from Iron on)",
+            "record in a format that stores definitions (MCAP, or rosbag2 since Iron)",
         )
     if encoding == "ros1":
         return lambda payload: store.deserialize_ros1(payload, type_name)
@@ -166,14 +166,14 @@ def _ros_decoder(
 def _embedded_types(
     encoding: str, type_name: str, definition: str, definition_format: DefinitionFormat
 ) -> Typestore | None:
-    """The types that the definition text declares; None where there is none that can be used."""
+    """Types declared in a definition text; None if none can be used."""
     if not definition.strip() or not definition_format:
         return None
     if _cost(definition) > _MOST_FIELDS:
         raise RecordingError(
-            f"the definition of the message type {type_name} has {_cost(definition)} fields and more, at most "
-            f"{_MOST_FIELDS} are read",
-            "record the topic with its own definition, or leave it out",
+            f"the definition of the message type {type_name} has {_cost(definition)} or more fields "
+            f"(limit {_MOST_FIELDS})",
+            "record the topic with its original definition, or do not record it",
         )
     try:
         if definition_format == "msg":
@@ -190,15 +190,15 @@ def _embedded_types(
         store.get_msgdef(type_name)
     except RecordingError:
         raise
-    except Exception:  # a damaged definition: the common types may still do
+    except Exception:  # a damaged definition: the common types may suffice
         return None
     return store if agrees(store, encoding) else None
 
 
 def _cost(definition: str) -> int:
-    """About how many fields a decoder has to be made for: lists of fixed length count as often as they are long.
+    """Approximate number of fields to create a decoder for; a list of fixed length counts once per element.
 
-    Only lists of messages count so; numbers are read at one stroke.
+    Only lists of messages count this way, because numbers are read in one step.
     """
     plain = _COMMENT.sub("", definition)
     lengths = (int(length[:9]) for length in _MESSAGE_LIST.findall(plain))
@@ -207,16 +207,16 @@ def _cost(definition: str) -> int:
 
 
 def _check_growth(types: Mapping[str, Any]) -> None:
-    """Refuse types of which a few bytes make messages without end.
+    """Check that a few bytes cannot expand to an unlimited number of messages.
 
     Raises:
-        RecordingError: a type that holds millions of others, or a list of messages that take no bytes.
-        RecursionError: a type that holds itself.
+        RecordingError: a type contains millions of others, or a list of messages that occupy no bytes.
+        RecursionError: a type contains itself.
     """
     sizes: dict[str, tuple[int, bool]] = {}
 
     def size(name: str) -> tuple[int, bool]:
-        """Messages inside, itself included, and whether it takes bytes at all."""
+        """Number of messages inside, itself included, and whether the type occupies any bytes."""
         if name not in types or name in sizes:
             return sizes.get(name, (1, True))
         inside, weighs = 1, False
@@ -245,13 +245,13 @@ def _check_growth(types: Mapping[str, Any]) -> None:
 
 def _endless(name: str) -> RecordingError:
     return RecordingError(
-        f"the definition of the message type {name} makes millions of messages out of a few bytes",
-        "record the topic with its own definition, or leave it out",
+        f"the definition of the message type {name} expands a few bytes to millions of messages",
+        "record the topic with its original definition, or do not record it",
     )
 
 
 def agrees(store: Typestore, encoding: str) -> bool:
-    """Whether the types that the readers rely on are as everywhere; else their definitions are damaged."""
+    """Whether the types used by the readers have their standard fields; if not, their definitions are damaged."""
     for name in _RELIED_ON.keys() & store.fielddefs.keys():
         common = _ROS1_HEADER if encoding == "ros1" and name == "std_msgs/msg/Header" else _RELIED_ON[name]
         if (
@@ -263,12 +263,12 @@ def agrees(store: Typestore, encoding: str) -> bool:
 
 
 def _caseless(field: str) -> str:
-    """ROS 1 spells a camera's matrices D, K, R, P, ROS 2 d, k, r, p; all else is the same."""
+    """A field name as in ROS 2: ROS 1 names a camera's matrices D, K, R, P, ROS 2 d, k, r, p."""
     return field.lower() if len(field) == 1 else field
 
 
 def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples
-    """A field's type as message definitions spell it, such as float64[9] or string[]."""
+    """A field's type as spelled in message definitions, such as float64[9] or string[]."""
     kind, what = field_type
     if kind == Nodetype.NAME:
         return str(what)
@@ -281,5 +281,5 @@ def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples
 
 @lru_cache(maxsize=2)
 def _default_types(encoding: str) -> Typestore:
-    """The common types; rosbag2 keeps definitions from Iron on, so files without them are older."""
+    """The common types. rosbag2 stores definitions since Iron, so files without them are older."""
     return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)

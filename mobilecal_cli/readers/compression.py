@@ -1,4 +1,4 @@
-"""Decompression with checks: no block may grow beyond what it claims."""
+"""Decompression with size limits: no block may exceed its stated size."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from mobilecal_cli.readers.storage import SIZE_LIMIT
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-#: Whatever it is made of, so much may come out of a chunk; more only where the ratio below holds.
+#: A chunk may always decompress to this size; to more only within the ratio below.
 ALWAYS_BYTES = 2**24
-#: Pictures and readings never compress further; what claims to is made to fill memory or disk.
+#: Images and readings never compress further; a higher ratio is made to fill memory or disk.
 LARGEST_RATIO = 1000
 
 
 def largest_size(stored: int) -> int:
-    """How many bytes may come out of so many."""
+    """Largest allowed size after decompression, bytes."""
     return min(SIZE_LIMIT, max(ALWAYS_BYTES, LARGEST_RATIO * stored))
 
 
 def decompress(data: bytes, method: str, size: int) -> bytes:
-    """A chunk's bytes.
+    """Decompressed bytes of a chunk.
 
     Args:
         data: as stored.
         method: "", "none", "lz4", "zstd" or "bz2".
-        size: the length that the container claims, bytes.
+        size: length stated by the container, bytes.
 
     Raises:
-        ValueError: unknown method, or the length differs from the claim.
+        ValueError: unknown method, or the length differs from the stated one.
     """
     if not 0 <= size <= largest_size(len(data)):
-        raise ValueError(f"a chunk of {len(data)} bytes claims to hold {size}")
+        raise ValueError(f"a chunk of {len(data)} bytes states a decompressed size of {size}")
     if method in ("", "none"):
         whole = data
     elif method == "lz4":
@@ -50,14 +50,14 @@ def decompress(data: bytes, method: str, size: int) -> bytes:
     else:
         raise ValueError(f"unknown compression {method!r}")
     if len(whole) != size:
-        raise ValueError(f"a chunk claims {size} bytes and holds {len(whole)}")
+        raise ValueError(f"a chunk states {size} bytes, but contains {len(whole)}")
     return whole
 
 
 def message_payload(payload: Payload) -> Payload:
-    """A CDR payload, decompressed where rosbag2 compressed it by itself (zstd).
+    """A CDR payload, decompressed if rosbag2 compressed each message separately (zstd).
 
-    No CDR payload begins like a zstd frame: its first byte is 0.
+    No CDR payload begins like a zstd frame, because its first byte is 0.
 
     Raises:
         ValueError: the frame is damaged or too large.
@@ -70,14 +70,14 @@ def message_payload(payload: Payload) -> Payload:
     if not whole:
         raise ValueError("an empty zstd frame")
     if len(whole) > limit:
-        raise ValueError(f"a message of {len(payload)} bytes decompresses to more than {limit}")
+        raise ValueError(f"a message of {len(payload)} bytes decompresses to more than {limit} bytes")
     return whole
 
 
 def expand(source: BinaryIO, target: Path) -> str:
     """Decompress a zstd file.
 
-    Returns:
+    "" if the file is complete, otherwise what is wrong; `target` then contains what could be decompressed.
         "" when it was whole, otherwise what went wrong; `target` then holds what could be read.
 
     Raises:
@@ -96,5 +96,5 @@ def expand(source: BinaryIO, target: Path) -> str:
                 return ""
             room -= len(piece)
             if room < 0:
-                return f"its {stored} bytes decompress to more than {LARGEST_RATIO} times as many"
+                return f"its {stored} bytes decompress to more than {LARGEST_RATIO} times their size"
             sink.write(piece)

@@ -1,4 +1,4 @@
-"""Numbers in messages of any type, by a path such as "data", "left.ticks" or "values[0]"."""
+"""Field paths: numbers in messages of any type, such as "data", "left.ticks" or "values[0]"."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class FieldPath:
     """A parsed path.
 
     Attributes:
-        text: as the user wrote it.
+        text: as given by the user.
         steps: attribute names and list indices, in order.
     """
 
@@ -28,17 +28,17 @@ class FieldPath:
 
     @classmethod
     def parse(cls, text: str) -> FieldPath:
-        """Read a path.
+        """Parse a path.
 
         Raises:
-            RecordingError: it is not a path.
+            RecordingError: not a valid path.
         """
         steps: list[str | int] = []
         for part in text.split("."):
             match = _STEP.fullmatch(part.strip())
             if match is None:
                 raise RecordingError(
-                    f"{text!r} is not a path to a field", 'write it like "data", "left.ticks" or "values[0]"'
+                    f"{text!r} is not a field path", 'use a path such as "data", "left.ticks" or "values[0]"'
                 )
             steps.append(match[1])
             steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
@@ -49,10 +49,10 @@ class FieldPath:
 
         Args:
             message: any decoded message.
-            topic, setting: where it is from and what in rig.yaml names the path, for messages.
+            topic, setting: topic of the message and key in rig.yaml, for error messages.
 
         Raises:
-            RecordingError: a step is missing (what is there is listed) or it leads to no number.
+            RecordingError: a step is missing, or the value is not a number; the message lists the fields present.
         """
         value = message
         for step in self.steps:
@@ -75,7 +75,7 @@ class FieldPath:
 
 
 def listing(message: Any, prefix: str = "") -> str:  # noqa: ANN401
-    """The paths to numbers and lists in a message, for people."""
+    """Paths to the numbers and lists in a message, for error messages."""
     return ", ".join(_paths(message, prefix)[:40])
 
 

@@ -1,4 +1,4 @@
-"""A recording's fingerprint, for the provenance of an answer."""
+"""SHA-256 of a recording, for the provenance of results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mobilecal_cli.errors import RecordingError
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes; of a directory: of its files' bytes, one after the other, in order of name.
+    """SHA-256 of a file; of a directory: of the bytes of its files, concatenated in order of name.
 
     Raises:
         RecordingError: a file cannot be read.

@@ -1,4 +1,4 @@
-"""Pictures: sensor_msgs Image and CompressedImage to gray, 8 bit."""
+"""Image decoding: sensor_msgs Image and CompressedImage to 8-bit gray."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.video import Video, codec_of
 
-#: No picture may claim more pixels than this, five times those of a large stereo camera.
+#: Maximum number of pixels of an image, five times those of a large stereo camera.
 LARGEST_PIXELS = 2**26
-#: So much of a video is read to find a few key frames.
+#: Bytes of a video that are read to find a few key frames.
 _GLANCE_BYTES = 2**25
 _COMPRESSIONS = ("JPEG", "PNG")
 
 
 @dataclass(frozen=True, slots=True)
 class _Encoding:
-    """How pixels are stored: bytes of one channel's value, channels, and OpenCV's way to gray."""
+    """Storage of pixels: bytes per value, number of channels, and OpenCV's conversion to gray."""
 
     depth: int
     channels: int
@@ -65,17 +65,17 @@ def read_images(
     wanted: Mapping[Side, Collection[int]],
     layout: Layout = "separate",
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
-    """The wanted pictures, one at a time, in the order of the recording.
+    """Selected images, one at a time, in the order of the recording.
 
     Args:
         recording: the open recording.
         image_topics: image topic of each side.
-        wanted: stamps of each side, ns, as `read_signals` gave them. Of several pictures with one stamp the
-            first is given.
-        layout: how the two pictures of a pair come.
+        `wanted`: stamps of each side, ns, as returned by `read_signals`. Of several images with one stamp, the first is
+            returned.
+        layout: arrangement of the two images of a pair.
 
     Yields:
-        Side, stamp, and the picture as (height, width) uint8; or, in its place, why it cannot be decoded.
+        Side, stamp, and the image as (height, width) uint8; or the reason why it cannot be decoded.
 
     Raises:
         RecordingError: see `Recording.messages`.
@@ -87,7 +87,7 @@ def read_images(
     where = _log_times(recording, image_topics, missing)
     if where is not None:
         yield from _read(recording, sides, missing, layout, Extent(at_ns=where))
-    if any(missing.values()):  # not known where they were logged, or an index that lies
+    if any(missing.values()):  # log times unknown, or a wrong index
         yield from _read(recording, sides, missing, layout, EVERYTHING)
 
 
@@ -98,13 +98,13 @@ def _read(
     layout: Layout,
     extent: Extent,
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
-    """One pass for the pictures that are missing; those that are found are taken out."""
+    """One pass for the missing images; removes those that are found."""
     videos: dict[str, Video] = {}
     for message in recording.messages(sides, extent):
         try:
             decoded = message.decode()
         except RecordingError:
-            continue  # it has no stamp that could have been asked for
+            continue  # without a stamp, it cannot have been selected
         stamp_ns = stamp_of(decoded, message.log_time_ns)
         asked = [side for side in sides[message.topic] if stamp_ns in missing[side]]
         video = _video(videos, message.topic, decoded)
@@ -115,7 +115,7 @@ def _read(
             picture = decode_image(decoded) if video is None else video.picture(decoded.data)
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
-            picture = Rejection("readers", "picture cannot be decoded", detail, stamp_ns)
+            picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
         for side in asked:
             missing[side].remove(stamp_ns)
             yield side, stamp_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
@@ -126,7 +126,7 @@ def _read(
 def _log_times(
     recording: Recording, image_topics: Mapping[Side, str], wanted: Mapping[Side, Collection[int]]
 ) -> IntArray | None:
-    """(n,) when the wanted pictures were logged, None where not all are known (of video all frames are needed)."""
+    """(n,) log times of the selected images; None unless all are known (video needs all frames)."""
     found = [
         recording.logged.get(image_topics[side], {}).get(stamp)
         for side, stamps in wanted.items()
@@ -139,7 +139,7 @@ def _log_times(
 def pictures_near(
     recording: Recording, sources: Sources, times_ns: Sequence[int]
 ) -> Iterator[GrayImage | Rejection]:
-    """Both cameras' first pictures from some moments on, without reading all of the recording.
+    """First images of both cameras after given times, without reading the whole recording.
 
     Args:
         recording: the open recording.
@@ -147,7 +147,7 @@ def pictures_near(
         times_ns: log times.
 
     Yields:
-        (height, width) uint8, or why a picture cannot be decoded.
+        (height, width) uint8, or the reason why an image cannot be decoded.
     """
     sides: dict[str, list[Side]] = {}
     for side, topic in sources.image.items():
@@ -161,7 +161,7 @@ def pictures_near(
                 continue
             picture = decode_image(decoded)
         except RecordingError as error:
-            yield Rejection("readers", "picture cannot be decoded", error.message, message.log_time_ns)
+            yield Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
             continue
         for side in sides[message.topic]:
             yield _part(picture, side, sources.layout)
@@ -172,7 +172,7 @@ def pictures_near(
 
 
 def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> Iterator[GrayImage]:
-    """The first frame of a video that builds on no other, from each moment on, as far as a few stretches hold them."""
+    """First key frame of a video after each time, if it is within the stretches that are read."""
     waiting = sorted(times_ns)
     for message in recording.messages([topic], Extent(_GLANCE_BYTES)):
         if not waiting:
@@ -191,7 +191,7 @@ def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> It
 
 
 def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None:  # noqa: ANN401
-    """The decoder of a topic's video, begun with its first frame; None for single pictures."""
+    """Decoder of a topic's video, created with its first frame; None for single images."""
     codec = codec_of(message)
     if codec is None:
         return None
@@ -201,7 +201,7 @@ def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None: 
 
 
 def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:
-    """One camera's part of a picture."""
+    """One camera's part of an image."""
     if layout == "separate":
         return picture
     first, second = np.array_split(picture, 2, axis=1 if layout == "side_by_side" else 0)
@@ -209,34 +209,34 @@ def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:
 
 
 def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
-    """A decoded Image or CompressedImage message as a gray picture.
+    """Gray image from a decoded Image or CompressedImage message.
 
-    16-bit pictures keep their upper byte, except those that do not use it: the picture is then scaled by the
-    smallest power of two that holds its largest value (10 or 12 bit sensors in 16-bit words).
+    A 16-bit image keeps its upper byte. If no pixel uses the full range (10 or 12 bit sensors in 16-bit words), the
+    image is scaled by the smallest power of two that covers its largest value.
 
     Args:
-        message: fields as sensor_msgs defines them, of ROS 1 or ROS 2.
+        message: fields as in sensor_msgs, of ROS 1 or ROS 2.
 
     Returns:
-        (height, width) uint8; a view of the message's bytes where nothing had to be converted.
+        (height, width) uint8; a view of the message's bytes if no conversion is necessary.
 
     Raises:
-        RecordingError: unknown encoding, sizes that do not fit the data, or a damaged JPEG or PNG.
+        RecordingError: unknown encoding, size that does not match the data, or damaged JPEG or PNG.
     """
     try:
         if hasattr(message, "format"):
             return _decompressed(message)
         return _raw(message)
     except (AttributeError, TypeError, ValueError) as error:
-        raise RecordingError(f"not a picture as sensor_msgs defines it: {error}", "") from error
+        raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
     except cv2.error as error:
-        raise RecordingError(f"picture damaged: {error.err}", "") from error
+        raise RecordingError(f"image damaged: {error.err}", "") from error
 
 
 def _decompressed(message: Any) -> GrayImage:  # noqa: ANN401
     data = np.frombuffer(message.data, dtype=np.uint8)
     if not data.size:
-        raise RecordingError("picture empty: 0 bytes", "")
+        raise RecordingError("image empty: 0 bytes", "")
     _check_claim(message.data, str(message.format))
     gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
     if gray is None:
@@ -245,32 +245,30 @@ def _decompressed(message: Any) -> GrayImage:  # noqa: ANN401
 
 
 def _not_a_picture(size: int, kind: str) -> RecordingError:
-    return RecordingError(
-        f"picture damaged: {size} bytes of {kind!r} are neither JPEG nor PNG that opens", ""
-    )
+    return RecordingError(f"image damaged: {size} bytes of {kind!r} are not a readable JPEG or PNG", "")
 
 
 def _check_claim(data: Any, kind: str) -> None:  # noqa: ANN401 - bytes or an array of them
-    """Read a compressed picture's head only, before memory for its pixels is asked for."""
+    """Check the size stated in a compressed image's header before memory for its pixels is allocated."""
     stored = bytes(memoryview(data))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a large picture: it is refused below
+            warnings.simplefilter("ignore")  # about a large image: it is refused below
             with Image.open(io.BytesIO(stored), formats=_COMPRESSIONS) as picture:
                 width, height = picture.size
-    except Image.DecompressionBombError as error:  # larger still than what is refused below
-        raise RecordingError(f"picture size makes no sense: {error}", "") from error
-    except Exception as error:  # damaged heads raise almost anything
+    except Image.DecompressionBombError as error:  # far above the limit below
+        raise RecordingError(f"invalid image size: {error}", "") from error
+    except Exception as error:  # damaged headers may raise anything
         raise _not_a_picture(len(stored), kind) from error
     if width * height > LARGEST_PIXELS:
-        raise RecordingError(f"picture size {width}x{height} makes no sense", "")
+        raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels", "")
 
 
 def _raw(message: Any) -> GrayImage:  # noqa: ANN401
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:
         raise RecordingError(
-            f"picture encoding {message.encoding!r} not known; known: {', '.join(sorted(_ENCODINGS))}", ""
+            f"unknown image encoding {message.encoding!r}; known: {', '.join(sorted(_ENCODINGS))}", ""
         )
     pixels = _pixels(message, encoding)
     if encoding.depth == 2:
@@ -281,17 +279,17 @@ def _raw(message: Any) -> GrayImage:  # noqa: ANN401
 
 
 def _pixels(message: Any, encoding: _Encoding) -> NDArray[Any]:  # noqa: ANN401
-    """(height, width) or (height, width, channels) view of the data, honouring step and byte order."""
+    """(height, width) or (height, width, channels) view of the data, respecting step and byte order."""
     height, width = int(message.height), int(message.width)
     data = np.frombuffer(message.data, dtype=np.uint8)
     row = width * encoding.channels * encoding.depth
     step = int(message.step) or row
     if not height or not width or height * width > LARGEST_PIXELS:
-        raise RecordingError(f"picture size {width}x{height} makes no sense", "")
-    # The last row needs no padding behind it.
+        raise RecordingError(f"invalid image size {width}x{height} (limit {LARGEST_PIXELS} pixels)", "")
+    # The last row needs no padding after it.
     if step < row or data.size < step * (height - 1) + row:
         raise RecordingError(
-            f"picture size {width}x{height} {message.encoding} with {step} bytes a row does not fit "
+            f"image size {width}x{height} {message.encoding} with {step} bytes per row does not match "
             f"its {data.size} bytes",
             "",
         )

@@ -1,4 +1,4 @@
-"""Pictures by the container's index: when they were logged, and the stamps of those few that are wanted."""
+"""Images by the container's index: log times of all of them, and stamps of a selection."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from mobilecal_cli.readers.stamps import Clock, stamp_of
 from mobilecal_cli.readers.storage import Extent
 from mobilecal_cli.readers.video import codec_of
 
-#: So many pictures of a topic are looked at, spread over it, for how far log time and stamps are apart.
+#: Images per topic, spread over it, that are read to measure the lag between stamp and log time.
 _LOOKS = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """What the index and a few pictures tell of all.
+    """Log times of all images, and the lag of a few of them.
 
     Attributes:
         logged_ns: topic → (n,) increasing log times.
-        lag_ns: topic → log time minus stamp, the middle one of those pictures.
-        spread_ns: the most that the lags of one topic differ by.
-        clocks: what the stamps of those pictures are like.
+        lag_ns: topic → median of log time minus stamp.
+        spread_ns: largest range of the lags of one topic.
+        clocks: statistics of the stamps of those few images.
     """
 
     logged_ns: Mapping[str, IntArray]
@@ -36,20 +36,20 @@ class Pictures:
     clocks: tuple[Clock, ...]
 
     def stamps(self, topic: str) -> IntArray:
-        """(n,) approximate stamps of a topic's pictures: log times less the lag."""
+        """(n,) approximate stamps of a topic's images: log times minus the lag."""
         return self.logged_ns[topic] - self.lag_ns[topic]
 
 
 def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pictures | None:
-    """When the pictures were logged and, about, taken, without reading them all.
+    """Log times and approximate stamps of the images, without reading them all.
 
     Args:
         recording: the open recording.
         image_topics: image topic of each side.
 
     Returns:
-        None where that cannot be told: no index, no such topic, stamps missing, pictures that cannot be decoded, or
-        video, of which every frame is needed.
+        None if they cannot be determined: no index, no such topic, missing stamps, undecodable images, or video, which
+        needs every frame.
     """
     types = {info.name: info.type for info in recording.topics}
     topics = sorted(set(image_topics.values()))
@@ -84,16 +84,15 @@ def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pic
 def read_stamps(
     recording: Recording, logged_ns: Mapping[str, IntArray]
 ) -> tuple[dict[str, dict[int, int]], tuple[str, ...]] | None:
-    """The stamps of some pictures; only the blocks that hold them are read.
+    """Stamps of selected images; only the blocks that contain them are read.
 
     Args:
-        recording: the open recording; it keeps in mind where they are.
-        logged_ns: topic → (n,) log times of the pictures that are wanted. Of several with one log time the first is
-            taken.
+        recording: the open recording; it stores the positions found.
+        logged_ns: topic → (n,) log times of the selected images. Of several with one log time, the first is used.
 
     Returns:
-        Topic → log time → stamp, ns, and notes on pictures that cannot be decoded, which have none. None where the
-        index lies, and pictures are not where it says.
+        Topic → log time → stamp, ns, and notes on undecodable images, which have no stamp. None if the index is wrong,
+        and images are not where it says.
     """
     wanted = {topic: set(times.tolist()) for topic, times in logged_ns.items()}
     found: dict[str, dict[int, int]] = {topic: {} for topic in logged_ns}
@@ -116,7 +115,7 @@ def read_stamps(
     if any(wanted.values()):
         return None
     notes = tuple(
-        f"{topic}: {count} of the {len(logged_ns[topic])} pictures that were chosen do not fit their type; left out"
+        f"{topic}: {count} of the {len(logged_ns[topic])} selected images do not match their type; ignored"
         for topic, count in broken.items()
         if count
     )

@@ -1,4 +1,4 @@
-"""Joints on JointState topics: message by message, and many messages at once."""
+"""Joints on JointState topics, read one message or many messages at a time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mobilecal_cli.readers.layouts import Layout, Rows, gathered, layout_of
 from mobilecal_cli.readers.series import Series
 from mobilecal_cli.readers.stamps import Clock
 
-#: So many messages are read at once at most, and so many bytes of them, whatever the length of the recording.
+#: Limits of a batch, in messages and bytes, for any length of the recording.
 BATCH_MESSAGES = 4096
 BATCH_BYTES = 2**22
-#: Shorter runs of messages of known layouts are not worth it.
+#: Shorter runs of messages with known layouts are read one by one, which is faster.
 _SHORTEST_RUN = 8
-#: Drivers that share a topic have a layout each; one that changes all the time is read message by message.
+#: Limits per topic: drivers that share it have one layout each; if the layout keeps changing, it is read one by one.
 _MOST_LAYOUTS, _MOST_TRIES = 8, 64
 
 
@@ -28,8 +28,8 @@ class JointStates:
     """Positions and velocities of named joints on one JointState topic.
 
     Attributes:
-        position, velocity: name → readings, of the joints that are wanted.
-        present: all names met, in order.
+        position, velocity: name → readings, of the subscribed joints.
+        present: all names found, in order.
     """
 
     def __init__(self, topic: str) -> None:
@@ -41,12 +41,12 @@ class JointStates:
         self._places: list[tuple[int, Series, Series]] = []
 
     def want(self, name: str) -> None:
-        """Read this joint, too."""
+        """Subscribe to a joint."""
         self.position.setdefault(name, Series(f"joint {name} on {self.topic}"))
         self.velocity.setdefault(name, Series(f"velocity of joint {name} on {self.topic}"))
 
     def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
-        """Read one JointState message; the order of names may differ from the last one's."""
+        """Read one JointState message; the order of names may change from message to message."""
         if message.name != self._names:
             self._names = list(message.name)
             self.present.update(dict.fromkeys(self._names))
@@ -65,12 +65,12 @@ class JointStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
-    """Those messages of a batch that have one layout.
+    """Messages of a batch with the same layout.
 
     Attributes:
-        layout: it.
-        index: (n,) increasing places in the batch.
-        rows: (n, size) their payloads.
+        layout: their layout.
+        index: (n,) increasing positions in the batch.
+        rows: (n, size) payloads.
     """
 
     layout: Layout
@@ -78,7 +78,7 @@ class _Alike:
     rows: Rows
 
     def within(self, begin: int, end: int) -> _Alike:
-        """Those from one place in the batch up to another, counted from the first."""
+        """Messages between two positions in the batch."""
         low, high = np.searchsorted(self.index, [begin, end])
         return _Alike(self.layout, self.index[low:high] - begin, self.rows[low:high])
 
@@ -86,13 +86,13 @@ class _Alike:
 class Columns:
     """Reads a JointState topic in batches, with the same result as message by message.
 
-    Messages whose layout is known are read as columns of numbers; those between them (damaged ones, or of another
-    encoding) one by one, in their turn.
+    Messages with a known layout are read as columns of numbers. Others (damaged ones, or with another encoding) are
+    read one by one, in order.
 
     Args:
-        joints: where the readings go.
-        clock: counts what the stamps are like.
-        one_by_one: reads a message that is like no other.
+        joints: receives the readings.
+        clock: receives statistics of the stamps.
+        one_by_one: reads a message without a known layout.
     """
 
     def __init__(
@@ -105,19 +105,19 @@ class Columns:
         self._tries = 0
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
-        """Take a message; it is read with its batch."""
+        """Add a message to the batch."""
         if len(payload) > BATCH_BYTES:
             self.read()
             self._one_by_one(channel, log_ns, payload)
             return
-        # A copy: a view would keep the block that it lies in, with its pictures, in memory.
+        # A copy: a view would keep its whole block in memory, images included.
         self._batch.append((channel, log_ns, bytes(payload)))
         self._bytes += len(payload)
         if len(self._batch) >= BATCH_MESSAGES or self._bytes >= BATCH_BYTES:
             self.read()
 
     def read(self) -> None:
-        """Read what has been taken."""
+        """Read the batch."""
         batch, self._batch, self._bytes = self._batch, [], 0
         alike = self._sorted(batch)
         known = np.zeros(len(batch), dtype=np.bool_)
@@ -135,7 +135,7 @@ class Columns:
             begin = end
 
     def _sorted(self, batch: list[tuple[Channel, int, bytes]]) -> list[_Alike]:
-        """The messages of a batch by layout; those of none are in no group."""
+        """Messages of a batch by layout; messages without a layout are in no group."""
         places: dict[tuple[str, str, int], list[int]] = {}
         for place, (channel, _, payload) in enumerate(batch):
             places.setdefault((channel.type, channel.encoding, len(payload)), []).append(place)
@@ -155,7 +155,7 @@ class Columns:
         return alike
 
     def _learnt(self, channel: Channel, _: int, payload: bytes) -> Layout | None:
-        """The layout of a message that has none of those known, kept; None where no more are kept, or it has none."""
+        """Layout of a message that matches no known one, stored; None if there is none or no more are stored."""
         if len(self._layouts) == _MOST_LAYOUTS or self._tries == _MOST_TRIES:
             return None
         self._tries += 1
@@ -165,10 +165,10 @@ class Columns:
         return layout
 
     def _read(self, log_ns: IntArray, alike: list[_Alike]) -> None:
-        """Read a run of messages that all have a known layout.
+        """Read a run of messages with known layouts.
 
         Args:
-            log_ns: (n,) their log times.
+            log_ns: (n,) log times.
             alike: the same messages by layout.
         """
         joints = self._joints
@@ -187,7 +187,7 @@ class Columns:
 
 
 def _extend(series: Series, time_ns: IntArray, field: str, name: str, alike: list[_Alike]) -> None:
-    """Add a joint's readings of one field, of all layouts that have it, in the order of the messages."""
+    """Append a joint's readings of one field, from all layouts that have it, in message order."""
     index: list[IntArray] = []
     values: list[FloatArray] = []
     for group in alike:

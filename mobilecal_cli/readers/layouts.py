@@ -1,4 +1,4 @@
-"""Layouts of JointState payloads: where their numbers lie, so that many are read at once."""
+"""Byte layouts of JointState payloads, to read the numbers of many messages at once."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, FloatArray, IntArray
 from mobilecal_cli.readers.channels import Channel
 
-#: Encodings in which equal lengths and names put equal fields at equal places.
+#: Encodings in which equal lengths and names imply equal positions of the fields.
 ENCODINGS = ("cdr", "ros1")
-#: The stamp lies behind the encapsulation (CDR) or the sequence number (ROS 1), 4 bytes each.
+#: The stamp follows the encapsulation (CDR) or the sequence number (ROS 1), 4 bytes each.
 _STAMP, _STAMP_END = 4, 12
 _LITTLE_ENDIAN = b"\x00\x01"
 _WORD = 8
@@ -25,14 +25,14 @@ Rows = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """What the payloads of one publisher have in common.
+    """Common structure of one publisher's payloads.
 
     Attributes:
-        kind: their message type, encoding and length, bytes.
-        template: (words,) uint64: one of them.
-        fixed: (words,) uint64: bits in which the others equal it: all but stamp, sequence number, padding and numbers.
-        names: the joints, in their order.
-        numbers: field ("position", "velocity", "effort") → where its first number lies, bytes, and how many there are.
+        kind: message type, encoding and length, bytes.
+        template: (words,) uint64: one of the payloads.
+        fixed: (words,) uint64: mask of the bits equal in all: all but stamp, sequence number, padding and numbers.
+        names: the joints, in order.
+        numbers: field ("position", "velocity", "effort") → offset of its first number, bytes, and number of elements.
     """
 
     kind: tuple[str, str, int]
@@ -42,17 +42,17 @@ class Layout:
     numbers: dict[str, tuple[int, int]]
 
     def fits(self, rows: Rows) -> NDArray[np.bool_]:
-        """(n,) which payloads have this layout; rows as `gathered` gives them."""
+        """(n,) which payloads have this layout; rows as returned by `gathered`."""
         different = (rows.view(np.uint64) ^ self.template) & self.fixed
         return np.asarray(~different.any(axis=1))
 
     def stamps(self, rows: Rows) -> tuple[IntArray, IntArray]:
-        """(n,) seconds and (n,) nanoseconds of the header stamps."""
+        """Seconds (n,) and nanoseconds (n,) of the header stamps."""
         stamp = np.ascontiguousarray(rows[:, _STAMP:_STAMP_END])
         return stamp.view("<i4")[:, 0].astype(np.int64), stamp.view("<u4")[:, 1].astype(np.int64)
 
     def column(self, rows: Rows, field: str, place: int) -> FloatArray | None:
-        """(n,) the number at one place of a field; None where the field is shorter."""
+        """(n,) one element of a field; None if the field is shorter."""
         begin, count = self.numbers[field]
         if place >= count:
             return None
@@ -62,16 +62,16 @@ class Layout:
 
 
 def gathered(payloads: Sequence[bytes]) -> Rows:
-    """(n, size) uint8 of payloads of one length, the size rounded up to whole words of 8 bytes."""
+    """(n, size) uint8 of payloads of equal length, padded to whole words of 8 bytes."""
     size = len(payloads[0])
     gap = bytes(-size % _WORD)
     return np.frombuffer(gap.join(payloads) + gap, np.uint8).reshape(len(payloads), size + len(gap))
 
 
 def layout_of(channel: Channel, payload: bytes) -> Layout | None:
-    """The layout of a payload; None where it is damaged, or is no JointState in one of the encodings.
+    """Layout of a payload; None if it is damaged, or not a JointState in one of the encodings.
 
-    Only where the decoder finds its numbers at the same places is the layout given.
+    The layout is verified: the decoder must find the numbers at the same positions.
     """
     if channel.type != JOINT_STATE or channel.encoding not in ENCODINGS:
         return None
@@ -91,10 +91,10 @@ def layout_of(channel: Channel, payload: bytes) -> Layout | None:
 
 
 class _Walk:
-    """Goes through a JointState once.
+    """Parses a JointState once.
 
     Attributes:
-        fixed: 255 for each byte that the layout consists of, 0 for the others.
+        fixed: 255 for each byte that belongs to the layout, 0 for the others.
         numbers: see `Layout`.
     """
 
@@ -111,11 +111,11 @@ class _Walk:
 
     def _fix(self, begin: int, end: int) -> None:
         if end > len(self._payload):
-            raise ValueError("the message goes on beyond its end")
+            raise ValueError("a field extends beyond the end of the message")
         self.fixed[begin:end] = b"\xff" * (end - begin)
 
     def _align(self, size: int) -> None:
-        if self._aligned:  # counted from behind the encapsulation
+        if self._aligned:  # counted from the end of the encapsulation
             self._at += (_STAMP - self._at) % size
 
     def _word(self) -> int:
@@ -141,7 +141,7 @@ class _Walk:
 
 
 def _place(payload: bytes, numbers: Any) -> tuple[int, int] | None:  # noqa: ANN401 - what the decoder gives
-    """Where a decoded array lies in its payload, and its length; None where it is no view of it."""
+    """Offset and length of a decoded array in its payload; None if it is not a view of it."""
     if not isinstance(numbers, np.ndarray) or numbers.dtype != np.dtype("<f8") or numbers.ndim != 1:
         return None
     if not len(numbers):

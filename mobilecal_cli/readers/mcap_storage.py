@@ -1,4 +1,4 @@
-"""MCAP files: with an index, with half of one, without, and cut short."""
+"""MCAP files: with an index, with part of one, without one, and truncated."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
-#: As a plain number: comparing with an enumeration's member is slow, and is done for every message.
+#: A plain number, because comparing with an enum member is slow and happens for every message.
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
-#: So much is searched at once for the next record behind damage.
+#: Bytes searched at once for the next record after damage.
 _WINDOW = 2**22
-#: Channels and schemas are at most 65,535 each.
+#: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
 _FORMATS: dict[str, DefinitionFormat] = {
     "ros1msg": "msg",
@@ -44,9 +44,9 @@ _FORMATS: dict[str, DefinitionFormat] = {
 class McapStorage(BlockStorage):
     """One MCAP file.
 
-    A complete summary is used as the index. Where it is missing or incomplete, the file's record heads are
-    walked once, skipping payloads; the message indexes behind the chunks tell channels and counts, and only
-    chunks that have none, or name a channel not met before, are decompressed for it.
+    A complete summary is used as the index. If it is missing or incomplete, the record headers of the file are scanned
+    once, without payloads. The message indexes after the chunks give channels and counts. Only chunks without them, or
+    with an unknown channel, are decompressed.
     """
 
     container = "MCAP"
@@ -57,7 +57,7 @@ class McapStorage(BlockStorage):
         super().__init__(path)
 
     def find_blocks(self) -> None:
-        """Use the summary where it is complete, otherwise walk."""
+        """Use the summary if it is complete, otherwise scan the file."""
         self._profile = self._read_profile()
         summary = self._complete_summary()
         if summary is not None:
@@ -73,10 +73,10 @@ class McapStorage(BlockStorage):
         return str(header.profile)
 
     def _complete_summary(self) -> Summary | None:
-        """The summary, if its index can be relied on: most chunks are where it says, every channel is known."""
+        """The summary, if its index is reliable: most chunks are where it says, and every channel is known."""
         try:
             summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
-        except Exception:  # cut short or damaged: any exception at all; the walk does not need a summary
+        except Exception:  # damage may raise anything; the scan does not need a summary
             return None
         if summary is None or not summary.chunk_indexes:
             return None
@@ -91,7 +91,7 @@ class McapStorage(BlockStorage):
             return None
         misplaced = sum(not self._is_chunk(index) for index in summary.chunk_indexes)
         if 2 * misplaced > len(summary.chunk_indexes):
-            return None  # the index lies; a chunk or two with a damaged head are found damaged when they are read
+            return None  # the index is wrong; a few damaged chunk headers are found on reading
         return summary
 
     def _is_chunk(self, index: records.ChunkIndex) -> bool:
@@ -123,7 +123,7 @@ class McapStorage(BlockStorage):
             )
 
     def load(self, block: Block) -> bytes:
-        """The block's records, decompressed, its checksum verified."""
+        """Decompressed records of a block, checksum verified."""
         data = self.read_at(block.offset, block.size)
         if not block.is_chunk:
             return data
@@ -138,11 +138,11 @@ class McapStorage(BlockStorage):
         (stored,) = struct.unpack_from("<Q", data, at)
         whole = decompress(data[at + 8 : at + 8 + stored], method, full_size)
         if checksum and zlib.crc32(whole) != checksum:
-            raise ValueError("its checksum is wrong")
+            raise ValueError("wrong checksum")
         return whole
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        """Channel id, log time and payload of every message; channels met on the way are registered."""
+        """Channel id, log time and payload of every message; registers channels found on the way."""
         view = memoryview(data)
         at = definitions = 0
         packable = self._packable()
@@ -151,7 +151,7 @@ class McapStorage(BlockStorage):
             at += _HEAD.size
             end = at + length
             if end > len(data):
-                raise EOFError("a record goes on beyond its end")
+                raise EOFError("a record extends beyond the end of the data")
             if opcode == _MESSAGE_RECORD:
                 number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
                 payload: Payload = view[at + _MESSAGE.size : end]
@@ -167,11 +167,11 @@ class McapStorage(BlockStorage):
             at = end
 
     def _packable(self) -> set[int]:
-        """The channels whose messages rosbag2 may have compressed by themselves."""
+        """Channels whose messages rosbag2 may have compressed separately."""
         return {number for number, channel in self.channels.items() if channel.encoding == "cdr"}
 
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id and log times of a chunk's messages, from the message indexes behind it."""
+        """Channel id and log times of a chunk's messages, from the message indexes after it."""
         at = block.offset + block.size
         while at + _HEAD.size <= self.size:
             opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
@@ -184,7 +184,7 @@ class McapStorage(BlockStorage):
             at += _HEAD.size + length
 
     def define(self, opcode: int, body: bytes) -> None:
-        """Take in a schema or channel record."""
+        """Register a schema or channel record."""
         if opcode == Opcode.SCHEMA:
             schema = records.Schema.read(_stream(body))
             self._schemas.setdefault(schema.id, schema)
@@ -211,16 +211,16 @@ class McapStorage(BlockStorage):
 
 
 class _Walk(Walk):
-    """Finds the blocks of a file whose index is missing, reading heads only."""
+    """Finds the blocks of a file without an index by reading record headers only."""
 
     def __init__(self, storage: McapStorage) -> None:
         super().__init__(storage)
         self._storage = storage
 
     def run(self) -> None:
-        """Fill the storage's blocks, channels and counts; note where the file is cut."""
+        """Fill the storage's blocks, channels and counts; note where the file is truncated."""
         storage = self._storage
-        at, trouble = len(MAGIC), "the file ends without a footer, the recorder was not stopped properly"
+        at, trouble = len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)"
         while at + _HEAD.size <= storage.size:
             opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
             end = at + _HEAD.size + length
@@ -228,7 +228,7 @@ class _Walk(Walk):
                 found = self._next_record(at + 1)
                 if found is None:
                     what = "chunk" if opcode == Opcode.CHUNK else "record"
-                    trouble = f"the file ends inside a {what} that begins at byte {at} of {storage.size}"
+                    trouble = f"the file ends inside a {what} at byte {at} of {storage.size}"
                     break
                 at = self.skip(at, found)
                 continue
@@ -237,13 +237,13 @@ class _Walk(Walk):
                 break
             try:
                 self._visit(opcode, at, length)
-            except Exception as error:  # one damaged record: the next one has its own head
+            except Exception as error:  # one damaged record; the next one has its own header
                 storage.note(f"the record at byte {at} of {storage.size} is damaged: {error}")
             at = end
         self.finish(trouble)
 
     def _next_record(self, at: int) -> int | None:
-        """Where, from byte `at` on, the next chunk or message that fits its own lengths begins; None for nowhere."""
+        """Offset of the next chunk or message with consistent lengths from byte `at` on, None if there is none."""
         storage = self._storage
         while at + _HEAD.size < storage.size:
             window = np.frombuffer(storage.read_at(at, min(_WINDOW, storage.size - at)), np.uint8)
@@ -260,7 +260,7 @@ class _Walk(Walk):
         return None
 
     def _fits(self, at: int) -> bool:
-        """Whether a chunk or a message begins at a byte, by what its head says of its own length and time."""
+        """Whether a chunk or a message begins at a byte, judged by the length and time in its header."""
         storage, body = self._storage, at + _HEAD.size
         opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
         if body + length > storage.size:
@@ -269,7 +269,7 @@ class _Walk(Walk):
             if length < _MESSAGE.size:
                 return False
             number, _, time_ns, _ = _MESSAGE.unpack(storage.read_at(body, _MESSAGE.size))
-            # Channels that chunks define are not known here: a message outside chunks follows its channel.
+            # Channels defined in chunks are not known here, but a message outside chunks follows its channel record.
             return number in storage.channels and time_ns < LATEST_NS and self._goes_on(body + length)
         if length < _CHUNK.size + 12:
             return False

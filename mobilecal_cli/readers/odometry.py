@@ -1,4 +1,4 @@
-"""Wheel rotations out of a driver's odometry, which it made with wheels of known (nominal) size."""
+"""Wheel rotations from a driver's odometry, which was computed with known (nominal) wheels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mobilecal_cli.model import FloatArray, Side, Track, WheelGeometry
 from mobilecal_cli.readers.series import Series
 
 _SMALL = 1e-6
-#: No robot on wheels goes so far, or turns so far, from one message to the next: the driver was reset.
+#: No wheeled robot moves or turns this far from one message to the next: the driver was reset.
 _JUMP_M, _JUMP_RAD = 0.5, 1.5
 
 
@@ -21,7 +21,7 @@ class Odometry:
 
     Args:
         topic: the topic.
-        baked_in: the wheels that the driver made its poses with.
+        baked_in: the wheels that the driver computed its poses with.
     """
 
     def __init__(self, topic: str, baked_in: WheelGeometry) -> None:
@@ -39,7 +39,7 @@ class Odometry:
         self._heading.add(time_ns, heading if math.isfinite(position.x + position.y) else math.nan)
 
     def track(self, side: Side, notes: list[str]) -> Track:
-        """A wheel's rotation, rad, from zero on.
+        """Rotation of a wheel, rad, starting at zero.
 
         Raises:
             RecordingError: no finite pose.
@@ -52,18 +52,19 @@ class Odometry:
     def _taken_apart(self) -> tuple[dict[Side, Track], list[str]]:
         notes: list[str] = []
         time_ns, heading = self._heading.ordered(notes)
-        quiet: list[str] = []  # the same stamps once more
+        quiet: list[str] = []  # notes on the same stamps
         xy = np.stack([self._x.ordered(quiet)[1], self._y.ordered(quiet)[1]], axis=1)
         right, left, jumps = rotations(xy, heading, self.baked_in)
         wheels = self.baked_in
         notes.append(
-            f"{self._topic}: wheel rotations are worked out from odometry that was made with radii of "
+            f"{self._topic}: wheel rotations are derived from odometry, assuming wheel radii of "
             f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right), "
-            f"{wheels.separation_m * 1e3:g} mm apart; if it was made with others, the result is as far off"
+            f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result has "
+            "the same relative error"
         )
         if jumps:
             notes.append(
-                f"{self._topic}: the pose jumps {jumps} times; the wheels are taken to stand still there"
+                f"{self._topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
             )
         return {"right": Track(time_ns, right), "left": Track(time_ns, left)}, notes
 
@@ -71,9 +72,9 @@ class Odometry:
 def rotations(
     xy_m: FloatArray, heading_rad: FloatArray, wheels: WheelGeometry
 ) -> tuple[FloatArray, FloatArray, int]:
-    """The rotations that move a differential drive along poses (paper, eqs. 8-10, the other way round).
+    """Wheel rotations that move a differential drive along poses (inverse of the paper's eqs. 8-10).
 
-    Between two poses the base goes along an arc: its length is the chord times h / sin(h), h half the turn.
+    Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn.
 
     Args:
         xy_m: (n, 2) positions.
@@ -81,7 +82,7 @@ def rotations(
         wheels: their sizes.
 
     Returns:
-        (n,) right and left rotation from zero on, rad, and how many steps were no motion but jumps.
+        (n,) right and left rotation starting at zero, rad, and the number of jumps.
     """
     turn = np.remainder(np.diff(heading_rad) + math.pi, 2 * math.pi) - math.pi
     step = np.diff(xy_m, axis=0)

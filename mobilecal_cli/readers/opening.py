@@ -1,4 +1,4 @@
-"""Opening what the user names: recognised by content, never by suffix."""
+"""Opening of recordings: the format is detected from the contents, never from the suffix."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mobilecal_cli.readers.recording import Recording, boundary
 from mobilecal_cli.readers.storage import Storage
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
-#: First bytes of a file → what reads it.
+#: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
     mcap_storage.MAGIC: mcap_storage.McapStorage,
     bag_storage.MAGIC: bag_storage.BagStorage,
@@ -30,14 +30,14 @@ def open_recording(paths: Sequence[Path]) -> Recording:
     """Open files or directories as one recording.
 
     Args:
-        paths: MCAP files, ROS 1 bags, .db3 files (each also compressed as a whole by zstd), or rosbag2
-            directories with or without metadata.yaml. Several are parts of one recording, in any order.
+        paths: MCAP files, ROS 1 bags, .db3 files (each also as a zstd-compressed file), or rosbag2
+            directories with or without metadata.yaml. Several paths are parts of one recording, in any order.
 
     Raises:
-        RecordingError: nothing usable is there: missing, empty, not a recording, damaged beyond use.
+        RecordingError: no usable data: missing, empty, not a recording, or damaged.
     """
     if not paths:
-        raise RecordingError("no recording was named", "name one: mobilecal calibrate LOG")
+        raise RecordingError("no recording given", "give one: mobilecal calibrate LOG")
     with ExitStack() as stack:
         opened = _Opened(stack)
         for path in paths:
@@ -50,7 +50,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
         recording.close()
         raise RecordingError(
             f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
-            "copy the recording again, or record anew",
+            "copy the recording again, or record a new one",
         )
     return recording
 
@@ -90,7 +90,9 @@ class _Opened:
         storage = CONTAINERS[magic](source)
         self.stack.callback(storage.close)
         if trouble:
-            storage.note(f"the compressed file is cut or damaged ({trouble}); what could be unpacked is used")
+            storage.note(
+                f"the compressed file is truncated or damaged ({trouble}); the decompressed part is used"
+            )
         return storage
 
     def _directory(self, folder: Path) -> None:
@@ -100,24 +102,24 @@ class _Opened:
                 try:
                     with boundary(path):
                         self.parts.append(self._file(path))
-                except RecordingError as error:  # the other parts may do
-                    self.notes.append(f"{error.message}; this part is left out")
+                except RecordingError as error:  # the other parts may suffice
+                    self.notes.append(f"{error.message}; this part is skipped")
             return
         files = [path for path in sorted(folder.iterdir()) if path.is_file() and recognised(path)]
         if not files:
-            raise RecordingError(f"{folder}: a directory without a recording in it", KNOWN)
+            raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
         storages = [self._file(path) for path in files]
         groups = group_parts(storages)
         if len(groups) > 1:
             names = "; ".join(", ".join(storages[i].path.name for i in group) for group in groups)
             raise RecordingError(
-                f"{folder}: holds {len(groups)} recordings and no {METADATA} that joins them: {names}",
-                "name the files of one recording",
+                f"{folder}: contains {len(groups)} recordings and no {METADATA} that combines them: {names}",
+                "give the files of one recording",
             )
         self.parts.extend(storages)
 
     def _listed(self, folder: Path) -> list[Path]:
-        """The files that metadata.yaml names, and its message counts; empty when it cannot be used."""
+        """Files listed in metadata.yaml, and its message counts; empty if it cannot be used."""
         try:
             information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))[
                 "rosbag2_bagfile_information"
@@ -127,7 +129,7 @@ class _Opened:
                 str(entry["topic_metadata"]["name"]): int(entry["message_count"])
                 for entry in information.get("topics_with_message_count") or ()
             }
-        except Exception as error:  # a damaged YAML file raises almost anything
+        except Exception as error:  # a damaged YAML file may raise anything
             self.notes.append(
                 f"{folder / METADATA}: cannot be used ({type(error).__name__}: {error}); "
                 "the files in the directory are read instead"
@@ -139,7 +141,7 @@ class _Opened:
 
 
 def _magic(path: Path, name: Path | None = None) -> bytes:
-    """Which of the known beginnings a file has, b"" for none.
+    """Which known first bytes a file has, b"" for none.
 
     Raises:
         RecordingError: the file is missing or empty.
@@ -151,11 +153,11 @@ def _magic(path: Path, name: Path | None = None) -> bytes:
         head = stream.read(16)
     if not head:
         raise RecordingError(
-            f"{name}: the file is empty (0 bytes)", "copy the recording again, or record anew"
+            f"{name}: the file is empty (0 bytes)", "copy the recording again, or record a new one"
         )
     if head.startswith(b"#ROSBAG V") and not head.startswith(bag_storage.MAGIC):
         raise RecordingError(
-            f"{name}: a ROS 1 bag of format {head[9:12].decode(errors='replace')}; only 2.0 is read",
+            f"{name}: ROS 1 bag of format {head[9:12].decode(errors='replace')}, only 2.0 is supported",
             "convert it with rosbag fix or rosbag filter",
         )
     known = (*CONTAINERS, compression.ZSTD_MAGIC)
@@ -171,10 +173,9 @@ def recognised(path: Path) -> bool:
 
 
 def join_parts(paths: Sequence[Path]) -> list[list[Path]]:
-    """Which of the user's paths are parts of one recording.
+    """Group the user's paths into recordings.
 
-    See `parts.group_parts` for the rule: times and topics decide, not names. A directory is one recording's
-    part like a file is.
+    See `parts.group_parts` for the rule: times and topics decide, not names. A directory counts like a file.
 
     Returns:
         Groups of paths, in order of their first path; each in order of time.
@@ -192,7 +193,7 @@ def join_parts(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 class _Range:
-    """The range and channels of a recording that is closed again."""
+    """Time range and channels of a closed recording."""
 
     def __init__(self, recording: Recording) -> None:
         self.start_ns = recording.start_ns

@@ -1,4 +1,4 @@
-"""Which files are parts of one recording: told by their contents, not by their names."""
+"""Which files are parts of one recording, decided by their contents, not by their names."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Protocol
 
 from mobilecal_cli.readers.channels import Channel
 
-#: A recorder that splits goes on at once; a longer pause means that somebody started a new recording.
+#: A recorder that splits files continues at once; a longer pause means a new recording.
 LARGEST_GAP_NS = 5 * 10**9
-#: Messages wait in the recorder's queue while it changes files, so neighbouring parts may overlap a little.
+#: Messages wait in the recorder's queue while it changes files, so neighboring parts may overlap a little.
 LARGEST_OVERLAP_NS = 10**9
 
 
 class Ranged(Protocol):
-    """What has channels and a range of log times: an open file."""
+    """An object with channels and a range of log times, such as an open file."""
 
     channels: dict[int, Channel]
     start_ns: int | None
@@ -22,11 +22,11 @@ class Ranged(Protocol):
 
 
 def group_parts(files: Sequence[Ranged]) -> list[list[int]]:
-    """Indices of the files, grouped to recordings.
+    """Indices of the files, grouped into recordings.
 
-    Two files belong together when the later one begins within 5 s after the earlier one's end (or up to 1 s
-    before it) and they share a topic, as a recorder that splits makes them; or when they overlap in time and
-    share no topic, as two recorders make them that run side by side. Empty files stand alone.
+    Two files belong together if the later one begins within 5 s after the end of the earlier one (or up to 1 s before
+    it) and they share a topic, as from a recorder that splits files; or if they overlap in time and share no topic, as
+    from two recorders that run side by side. Empty files form their own group.
 
     Returns:
         Groups in order of their first file; each in order of time.

@@ -1,4 +1,4 @@
-"""What the first messages of a recording tell about the robot."""
+"""Robot description and first messages of a recording."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from mobilecal_cli.readers.transforms import transforms_of
 
 T = TypeVar("T")
 
-#: So many messages of a joint-state topic are looked at: drivers that share a topic take turns on it.
+#: Messages read per joint-state topic, because several drivers may share it.
 JOINT_MESSAGES = 50
-#: Other topics: so many are tried until one can be decoded.
+#: Messages tried on other topics until one can be decoded.
 TRIES = 5
 
 
 def read_prelude(recording: Recording) -> Prelude:
     """Read the first messages of the topics that describe the robot.
 
-    Each topic is read by itself and only as far as needed (one message; 50 of joint states). With an index, or
-    after the walk that stands in for one, blocks without the topic are skipped, so a huge file is not read to
-    its end; an SQLite file is scanned to the topic's first (50th) message. Where no topic holds a URDF, the transforms
-    are sampled over the recording.
+    Each topic is read separately and only as far as needed (one message; 50 joint states). With an index, or after
+    the scan that replaces it, blocks without the topic are skipped, so a huge file is not read to its end. An SQLite
+    file is scanned to the topic's first (50th) message. If no topic contains a URDF, transforms are sampled over the
+    recording.
 
     Raises:
-        RecordingError: the recording is empty, or fewer than two cameras have a usable calibration because
-            that of another is zero, not finite or of an unknown model.
+        RecordingError: the recording is empty, or fewer than two cameras have a usable calibration because another is
+            zero, not finite or of an unknown model.
     """
     if not any(info.count is None or info.count for info in recording.topics):
-        raise RecordingError(f"{recording.name}: the recording holds no messages", "record anew")
+        raise RecordingError(f"{recording.name}: the recording contains no messages", "record a new one")
     names: dict[str, list[str]] = {}
     for info in recording.topics:
         names.setdefault(info.type, []).append(info.name)
@@ -72,20 +72,20 @@ def read_prelude(recording: Recording) -> Prelude:
 def _transforms(recording: Recording, topics: list[str]) -> dict[tuple[str, str], FloatArray]:
     try:
         return transforms_of(recording, topics)
-    except RecordingError as error:  # the configuration may do without
+    except RecordingError as error:  # the configuration may not need them
         recording.note(error.message)
         return {}
 
 
 def _first(recording: Recording, topic: str, read: Callable[[Any], T]) -> list[T]:
-    """What is read of the topic's first message that has it, if one of the first few has."""
+    """Value read from the first message of a topic that has it, among the first few."""
     return _read(recording, topic, TRIES, 1, read)
 
 
 def _read(recording: Recording, topic: str, most: int, enough: int, read: Callable[[Any], T]) -> list[T]:
-    """What is read of up to `enough` messages among the topic's first `most`; a topic that cannot be read gives none.
+    """Values read from at most `enough` of a topic's first `most` messages; empty if the topic cannot be read.
 
-    The reason is noted, not raised: the topic may be none that the calibration uses.
+    The reason is noted, not raised, because the calibration may not use the topic.
     """
     result: list[T] = []
     reason = ""
@@ -97,7 +97,7 @@ def _read(recording: Recording, topic: str, most: int, enough: int, read: Callab
             except RecordingError as error:
                 reason = error.message
             except NOT_ITS_TYPE as error:
-                reason = f"{topic}: a {message.type} that is none: {error}"
+                reason = f"{topic}: not a valid {message.type}: {error}"
             if len(result) == enough:
                 break
     except RecordingError as error:
@@ -115,7 +115,7 @@ def _joint_names(recording: Recording, topic: str) -> tuple[str, ...]:
 
 
 def _infos(recording: Recording, topics: list[str]) -> dict[str, CameraInfo]:
-    """The usable calibrations; the others are noted, or raised where no stereo pair is left without them."""
+    """Usable calibrations; the others are noted, or raised if no stereo pair is left without them."""
     infos: dict[str, CameraInfo] = {}
     problems: list[RecordingError] = []
     for topic in topics:
@@ -127,5 +127,5 @@ def _infos(recording: Recording, topics: list[str]) -> dict[str, CameraInfo]:
     if problems and len(infos) < 2:
         raise RecordingError("; ".join(problem.message for problem in problems), problems[0].hint)
     for problem in problems:
-        recording.note(f"{problem.message}; it is left out")
+        recording.note(f"{problem.message}; ignored")
     return infos

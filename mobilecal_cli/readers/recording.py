@@ -1,4 +1,4 @@
-"""A recording: one or more files that are read as one stream of messages."""
+"""A recording: one or more files, read as one stream of messages."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Message:
     """One message, not yet decoded.
 
     Attributes:
-        log_time_ns: when the recorder wrote it.
+        log_time_ns: time at which the recorder wrote it.
         channel: its channel.
-        payload: its bytes.
+        payload: raw bytes.
     """
 
     log_time_ns: int
@@ -35,7 +35,7 @@ class Message:
 
     @property
     def topic(self) -> str:
-        """The topic."""
+        """Topic of the message."""
         return self.channel.topic
 
     @property
@@ -44,17 +44,17 @@ class Message:
         return self.channel.type
 
     def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
-        """The message as an object with its definition's fields; arrays are views of the payload.
+        """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
-            RecordingError: the payload does not fit the definition.
+            RecordingError: the payload does not match the definition.
         """
         return self.channel.decode(self.payload)
 
 
 @contextmanager
 def boundary(path: Path) -> Iterator[None]:
-    """The one place where what third-party readers raise on damaged files becomes a `RecordingError`."""
+    """Convert what third-party readers raise on damaged files to `RecordingError`."""
     try:
         yield
     except MobilecalError:
@@ -65,7 +65,7 @@ def boundary(path: Path) -> Iterator[None]:
         ) from error
     except Exception as error:
         raise RecordingError(
-            f"{path}: damaged beyond use ({type(error).__name__}: {error})",
+            f"{path}: damaged and unreadable ({type(error).__name__}: {error})",
             "copy the recording again, or repair it (mcap recover, rosbag reindex, ros2 bag reindex)",
         ) from error
 
@@ -74,10 +74,10 @@ class Recording:
     """An open recording. Use it as a context manager.
 
     Args:
-        paths: as the user gave them.
+        paths: as given by the user.
         parts: the open files.
-        stated: topic → messages that a metadata.yaml promises, if there is one.
-        notes: what was odd while opening.
+        stated: topic → message count in metadata.yaml, if there is one.
+        notes: remarks from opening.
         resources: closed together with the recording.
     """
 
@@ -95,7 +95,7 @@ class Recording:
         self._notes = dict.fromkeys(notes)
         self._resources = resources
         self.topics = self._list_topics()
-        #: Topic → stamp of a picture → its log time, as far as a pass has met them: where to find it again.
+        #: Topic → stamp of an image → its log time, as far as earlier passes have found them.
         self.logged: dict[str, dict[int, int]] = {}
 
     def __enter__(self) -> Self:
@@ -107,32 +107,32 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Release the files."""
+        """Close the files."""
         self._resources.close()
 
     @property
     def name(self) -> str:
-        """The recording in messages for people."""
+        """Name of the recording, for messages."""
         more = f" and {len(self.paths) - 1} more" if len(self.paths) > 1 else ""
         return f"{self.paths[0]}{more}"
 
     @property
     def start_ns(self) -> int | None:
-        """Log time of the first message, None where unknown."""
+        """Log time of the first message, None if unknown."""
         return min((part.start_ns for part in self.parts if part.start_ns is not None), default=None)
 
     @property
     def end_ns(self) -> int | None:
-        """Log time of the last message, None where unknown."""
+        """Log time of the last message, None if unknown."""
         return max((part.end_ns for part in self.parts if part.end_ns is not None), default=None)
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What was lost, whole sentences with numbers; complete after a full pass."""
+        """Data that was lost, as sentences with numbers; complete after a full pass."""
         return tuple(dict.fromkeys([*self._notes, *(note for part in self.parts for note in part.damage)]))
 
     def note(self, sentence: str) -> None:
-        """Add to what was odd, once however often a pass is repeated."""
+        """Add a remark; a repeated one counts once."""
         self._notes[sentence] = None
 
     def _list_topics(self) -> tuple[TopicInfo, ...]:
@@ -152,26 +152,26 @@ class Recording:
         )
 
     def topic(self, name: str) -> TopicInfo:
-        """One topic.
+        """Information on one topic.
 
         Raises:
-            RecordingError: it is not in the recording; those that are are listed.
+            RecordingError: the topic is not in the recording; the message lists those present.
         """
         for info in self.topics:
             if info.name == name:
                 return info
-        present = ", ".join(f"{info.name} ({info.type})" for info in self.topics) or "none at all"
+        present = ", ".join(f"{info.name} ({info.type})" for info in self.topics) or "none"
         raise RecordingError(
-            f"{self.name}: no topic {name}; topics present: {present}", "name one of them in rig.yaml"
+            f"{self.name}: no topic {name}; topics present: {present}", "set one of them in rig.yaml"
         )
 
     @property
     def containers(self) -> tuple[str, ...]:
-        """What kinds of files these are."""
+        """Container formats of the files."""
         return tuple(dict.fromkeys(part.container for part in self.parts))
 
     def log_times(self) -> dict[str, IntArray]:
-        """Topic → (n,) log times in the order of the files; only topics of which all times can be had cheaply."""
+        """Topic → (n,) log times in file order; only topics whose times are available without reading all."""
         times: dict[str, list[IntArray]] = {}
         unknown = set()
         for part in self.parts:
@@ -184,7 +184,7 @@ class Recording:
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        """For every time and topic the first message from then on in the file that goes on at that time."""
+        """First message of each topic at or after each time, in the file that covers that time."""
         for part in self.parts:
             if part.start_ns is None or part.end_ns is None:
                 continue
@@ -194,17 +194,17 @@ class Recording:
                     yield Message(time_ns, channel, payload)
 
     def bytes_of(self, topics: Collection[str]) -> int:
-        """How much of the files `messages` reads for the topics."""
+        """Number of bytes that `messages` reads for the topics."""
         return sum(part.bytes_of(topics) for part in self.parts)
 
     def share(self, topics: Collection[str], extent: Extent) -> float:
-        """How much of what `messages` reads for the topics an extent leaves, 0 to 1."""
+        """Share of the bytes of `messages` that an extent leaves, 0 to 1."""
         own = self._of_part(extent)
         every = self.bytes_of(topics)
         return sum(part.bytes_of(topics, own) for part in self.parts) / every if every else 1.0
 
     def _of_part(self, extent: Extent) -> Extent:
-        """An extent of the recording as each of its files has it."""
+        """The share of an extent for each file."""
         if extent.within_bytes is None:
             return extent
         return replace(extent, within_bytes=extent.within_bytes // len(self.parts))
@@ -216,14 +216,14 @@ class Recording:
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Channel, log time and payload of the topics' messages in order of log time.
 
-        Files that follow one another are read one after the other; files that overlap in time are merged.
+        Consecutive files are read one after the other; files that overlap in time are merged.
 
         Args:
-            topics: which.
-            extent: how much of the recording is read.
+            topics: the topics to read.
+            extent: the part of the recording to read.
 
         Raises:
-            RecordingError: a topic is missing or its encoding is not read, or a file is damaged beyond use.
+            RecordingError: a topic is missing, its encoding is not supported, or a file is damaged and unreadable.
         """
         names = frozenset(topics)
         for name in sorted(names):
@@ -255,7 +255,7 @@ class Recording:
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:
-    """The parts, in order of time, in groups that overlap; parts without a known time stand alone."""
+    """Parts in order of time, grouped by overlap; parts without a known time form their own group."""
     group: list[Storage] = []
     end_ns = -1
     for part in parts:

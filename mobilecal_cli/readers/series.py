@@ -1,4 +1,4 @@
-"""Readings over time, as they arrive, and the tracks that are made of them."""
+"""Time series of readings, and the tracks made from them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track, WheelSource
 from mobilecal_cli.readers.stamps import in_order
 
-#: A pause in a wheel's samples is a gap when it is this long and this many times the usual interval ...
+#: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
 GAP_S = 0.5
 GAP_INTERVALS = 10
-#: ... and it is told when the wheel turned by more than this across it.
+#: ... and is noted if the wheel turned by more than this during it.
 GAP_RAD = 0.01
-#: Positions that a driver wraps to one turn jump by almost a turn within this time.
+#: Positions wrapped to one turn jump by almost a turn within this time.
 WRAP_S = 1.0
 
 
@@ -24,7 +24,7 @@ class Series:
     """Readings of one quantity, 16 bytes each.
 
     Args:
-        label: what it is, for messages ("joint head_pan_joint on /joint_states").
+        label: name for messages ("joint head_pan_joint on /joint_states").
     """
 
     def __init__(self, label: str) -> None:
@@ -37,7 +37,7 @@ class Series:
         return len(self._time_ns)
 
     def add(self, time_ns: int, value: float) -> None:
-        """Take a reading; one that is not finite is counted and dropped."""
+        """Append a reading; one that is not finite is counted and dropped."""
         if math.isfinite(value):
             self._time_ns.append(time_ns)
             self._value.append(value)
@@ -45,17 +45,17 @@ class Series:
             self.not_finite += 1
 
     def extend(self, time_ns: IntArray, value: FloatArray) -> None:
-        """Take (n,) readings, like one after the other."""
+        """Append (n,) readings."""
         finite = np.isfinite(value)
         self.not_finite += len(value) - int(finite.sum())
         self._time_ns.frombytes(time_ns[finite].tobytes())
         self._value.frombytes(value[finite].tobytes())
 
     def ordered(self, notes: list[str]) -> tuple[IntArray, FloatArray]:
-        """Times, strictly increasing, and values; what was dropped is noted.
+        """Strictly increasing times, and values; notes what is dropped.
 
         Raises:
-            RecordingError: no finite reading at all.
+            RecordingError: no finite reading.
         """
         if self.not_finite:
             total = self.not_finite + len(self)
@@ -72,27 +72,27 @@ class Series:
 
 
 def order_notes(label: str, time_ns: IntArray) -> tuple[BoolArray, list[str]]:
-    """`in_order`, and what it dropped in words."""
+    """`in_order`, and notes on what it drops."""
     keep, duplicates, dropped, back_s = in_order(time_ns)
     notes = []
     if duplicates:
         notes.append(f"{label}: {duplicates} of {len(time_ns)} stamps occur twice; the first is kept")
     if dropped:
         notes.append(
-            f"{label}: the clock steps back, by up to {back_s:.3f} s; {dropped} of {len(time_ns)} samples "
-            "that are out of order are dropped"
+            f"{label}: the clock steps back by up to {back_s:.3f} s; {dropped} of {len(time_ns)} samples "
+            "are out of order and dropped"
         )
     return keep, notes
 
 
 class TickCounter:
-    """Turns a counter's readings to a continuous angle that starts at zero.
+    """Converts readings of a counter to a continuous angle that starts at zero.
 
-    A counter of `bits` bits wraps round; signed or not makes no difference to its differences, which are taken
-    to be less than half its range.
+    A counter of `bits` bits wraps around. Differences are assumed to be less than half its range, so they are the same
+    for signed and unsigned counters.
 
     Args:
-        series: where the angles go, rad.
+        series: receives the angles, rad.
         source: scale, width and sign.
     """
 
@@ -107,7 +107,7 @@ class TickCounter:
         """Take a reading.
 
         Raises:
-            RecordingError: it does not fit the counter's width.
+            RecordingError: the reading does not fit the counter's width.
         """
         if not math.isfinite(ticks):
             self.series.add(time_ns, ticks)
@@ -130,23 +130,23 @@ class TickCounter:
 
 
 def wheel_track(position: Series, velocity: Series, source: WheelSource, notes: list[str]) -> Track:
-    """A wheel's track from joint states: positions, or velocities integrated where there are none.
+    """A wheel's track from joint states: positions, or integrated velocities if there are none.
 
     Args:
         position: rad (or ticks, with `source.ticks_per_revolution`).
         velocity: rad/s (or ticks/s).
         source: scale and sign.
-        notes: what was odd is added.
+        notes: receives remarks.
 
     Raises:
-        RecordingError: neither holds a finite reading.
+        RecordingError: no finite reading of either.
     """
     scale = source.sign * (2 * math.pi / (source.ticks_per_revolution or 2 * math.pi))
     if len(position) or not len(velocity):
         if not len(position) and not position.not_finite:
             raise RecordingError(
                 f"{position.label}: neither positions nor velocities in its messages",
-                "name another source for the wheel in rig.yaml",
+                "set another source for the wheel in rig.yaml",
             )
         time_ns, value = position.ordered(notes)
         if source.ticks_per_revolution is None:
@@ -161,9 +161,9 @@ def wheel_track(position: Series, velocity: Series, source: WheelSource, notes: 
 
 
 def _unwrapped(label: str, time_ns: IntArray, value: FloatArray, notes: list[str]) -> FloatArray:
-    """Undo a driver's wrapping of positions to one turn; other positions are returned as they are.
+    """Unwrap positions that a driver wraps to one turn; other positions are returned unchanged.
 
-    Wrapped are those that never leave [-pi, pi] or [0, 2 pi], and jump by more than three quarters of a turn,
+    Positions are wrapped if they never leave [-pi, pi] or [0, 2 pi], and jump by more than three quarters of a turn,
     each time within a second.
     """
     slack = 1e-3
@@ -182,7 +182,7 @@ def _unwrapped(label: str, time_ns: IntArray, value: FloatArray, notes: list[str
 
 
 def gap_notes(label: str, track: Track) -> list[str]:
-    """The pauses across which a wheel turned: the path inside is not known."""
+    """Notes on pauses during which a wheel turned, because its path in them is unknown."""
     if len(track.time_ns) < 3:
         return []
     pauses_s = np.diff(track.time_ns) * 1e-9
@@ -194,6 +194,6 @@ def gap_notes(label: str, track: Track) -> list[str]:
     worst = gaps[np.argmax(turned[gaps])]
     start_s = (track.time_ns[worst] - track.time_ns[0]) * 1e-9
     return [
-        f"{label}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''} in which the wheel turned; the worst lasts "
-        f"{pauses_s[worst]:.2f} s from {start_s:.2f} s on, {turned[worst]:.3f} rad"
+        f"{label}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''} during which the wheel turned; the worst lasts "
+        f"{pauses_s[worst]:.2f} s from {start_s:.2f} s on, with {turned[worst]:.3f} rad"
     ]

@@ -1,4 +1,4 @@
-"""One pass over a recording: joints, wheels and image stamps over time."""
+"""One pass over a recording: joints, wheels and image stamps."""
 
 from __future__ import annotations
 
@@ -47,25 +47,25 @@ def read_signals(
     extent: Extent = EVERYTHING,
     clocks: Sequence[Clock] = (),
 ) -> Signals:
-    """Read everything but the pictures' contents, in one pass.
+    """Read everything except image contents, in one pass.
 
-    Time is the header stamp where there is one that is not zero, the log time otherwise. Of equal stamps the
-    first is kept; where a clock steps back, the longest run in order is kept (`stamps.in_order`). Readings that
-    are not finite, and messages that cannot be decoded, are dropped. All of it is noted with counts.
+    Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; where a clock
+    steps back, the longest run in order is kept (`stamps.in_order`). Readings that are not finite and undecodable
+    messages are dropped. Notes give the counts.
 
     Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
 
     Args:
         recording: the open recording.
-        sources: the topics in use.
+        sources: the topics to read.
         joints: names of the head's joints.
-        sides: whose pictures' stamps are wanted.
+        sides: the sides whose image stamps are read.
         extent: how much of the recording is read.
-        clocks: of topics that are not read here; told of where they differ from the others.
+        clocks: clocks of topics that are read elsewhere, to be compared with the others.
 
     Raises:
-        RecordingError: a topic, joint or field is missing (what is there is listed), a topic is of the wrong
-            type, a side has no images, or nothing finite is left of a joint or wheel.
+        RecordingError: a topic, joint or field is missing (the message lists what is present), a topic has the wrong
+            type, a side has no images, or a joint or wheel has no finite reading.
     """
     reader = _Reader(recording)
     for side in sides:
@@ -93,13 +93,13 @@ def _scaled(series: Series, scale: float, time_ns: int, value: float) -> None:
 
 
 class _Field:
-    """A number by field path, over time.
+    """A number at a field path, over time.
 
     Args:
-        topic, path: where it is.
-        setting: what in rig.yaml names the path, for messages.
-        series: where the readings go.
-        add: what takes a reading to the series.
+        topic, path: its location.
+        setting: key of the path in rig.yaml, for error messages.
+        series: receives the readings.
+        add: adds a reading to the series.
     """
 
     def __init__(
@@ -115,29 +115,29 @@ class _Field:
         """Read one message."""
         try:
             value = self._path.number(message, self._topic, self._setting)
-        except RecordingError as error:  # a list may be empty in one message; fatal when it is in all
+        except RecordingError as error:  # a list may be empty in one message, but not in all
             self._missing += 1
             self._error = self._error or error
             return
         self._add(time_ns, value)
 
     def track(self, notes: list[str]) -> Track:
-        """What was read; the error where there is nothing, a note where some is missing."""
+        """The track; raises the error if nothing was read, notes missing readings."""
         if self._error is not None:
             if not len(self._series):
                 raise self._error
-            notes.append(f"{self._series.label}: the field is missing in {self._missing} messages; left out")
+            notes.append(f"{self._series.label}: the field is missing in {self._missing} messages; ignored")
         time_ns, value = self._series.ordered(notes)
         return Track(time_ns, value)
 
 
 @dataclass(frozen=True, slots=True)
 class _Apart:
-    """A joint or wheel that is read from other messages than joint states.
+    """A joint or wheel that is read from messages other than JointState.
 
     Attributes:
-        topic: their topic.
-        track: what was read, once all messages have gone by; given where notes go.
+        topic: topic of the messages.
+        track: returns the track after the pass; its argument receives notes.
     """
 
     topic: str
@@ -145,7 +145,7 @@ class _Apart:
 
 
 class _Reader:
-    """Hands each message to those who want its topic, decoded once."""
+    """Decodes each message once, and passes it to all subscribers of its topic."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -169,7 +169,9 @@ class _Reader:
         info = self.recording.topic(topic)
         if info.type not in types:
             wanted = " or ".join(types)
-            raise RecordingError(f"{self.recording.name}: {topic} is a {info.type}, not a {wanted}", hint)
+            raise RecordingError(
+                f"{self.recording.name}: {topic} has the type {info.type}, expected {wanted}", hint
+            )
 
     def image(self, side: Side, topic: str) -> None:
         """Collect the stamps of a side's images."""
@@ -180,14 +182,14 @@ class _Reader:
 
     def joints(self, topic: str, names: Sequence[str]) -> None:
         """Collect joints of a topic."""
-        self._of_type(topic, (JOINT_STATE,), "name a JointState topic in rig.yaml (wheels may use a field)")
+        self._of_type(topic, (JOINT_STATE,), "set a JointState topic in rig.yaml (a wheel may use a field)")
         group = self._joints.setdefault(topic, JointStates(topic))
         for name in names:
             group.want(name)
         self._subscribe(topic, group.take)
 
     def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> None:
-        """Collect joints from other messages than joint states."""
+        """Collect joints from messages other than JointState."""
         moved: dict[str, dict[str, JointTransform]] = {}
         for name, source in sources.items():
             self.recording.topic(source.topic)
@@ -205,7 +207,7 @@ class _Reader:
             self._subscribe(topic, transforms.take)
 
     def wheel(self, side: Side, source: WheelSource) -> None:
-        """Collect a wheel."""
+        """Collect a wheel's readings."""
         if source.joint is not None:
             self.joints(source.topic, [source.joint])
             return
@@ -217,8 +219,8 @@ class _Reader:
             return
         if source.field is None:
             raise RecordingError(
-                f"{side} wheel: neither joint nor field is named on {source.topic}",
-                f"name wheels.{side}.joint or wheels.{side}.field in rig.yaml",
+                f"{side} wheel: neither joint nor field is set for {source.topic}",
+                f"set wheels.{side}.joint or wheels.{side}.field in rig.yaml",
             )
         self.recording.topic(source.topic)
         series = Series(f"{side} wheel ({source.topic} {source.field})")
@@ -228,8 +230,8 @@ class _Reader:
         self._subscribe(source.topic, field.take)
 
     def run(self, extent: Extent) -> None:
-        """The pass."""
-        # Where nobody but the joints wants a topic, its messages may be read many at once.
+        """Run the pass."""
+        # If only joints are read from a topic, its messages can be read in batches.
         columns = {
             topic: Columns(joints, self.clocks[topic], self._take)
             for topic, joints in self._joints.items()
@@ -244,7 +246,7 @@ class _Reader:
             waiting.read()
 
     def _take(self, channel: Channel, log_ns: int, payload: Payload) -> None:
-        """Hand on one message."""
+        """Pass on one message."""
         topic = channel.topic
         try:
             decoded = channel.decode(payload)
@@ -257,23 +259,23 @@ class _Reader:
             self._broken[topic] = self._broken.get(topic, 0) + 1
 
     def undecodable(self) -> list[str]:
-        """Notes on messages that do not fit their type."""
+        """Notes on messages that do not match their type."""
         return [
-            f"{topic}: {self._broken[topic]} of {self._broken[topic] + clock.messages} messages do not fit their "
-            "type; left out"
+            f"{topic}: {self._broken[topic]} of {self._broken[topic] + clock.messages} messages do not match their "
+            "type; ignored"
             for topic, clock in self.clocks.items()
             if topic in self._broken
         ]
 
     def image_stamps(self, side: Side, topic: str, notes: list[str]) -> IntArray:
-        """A side's stamps, strictly increasing."""
+        """Stamps of a side's images, strictly increasing."""
         stamps: IntArray = np.array(self._stamps[side], dtype=np.int64)
         if not len(stamps):
             broken = self._broken.get(topic, 0)
             fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
             raise RecordingError(
                 f"{self.recording.name}: no images of the {side} camera on {topic}: {fact}",
-                "record both cameras, or name other topics in rig.yaml",
+                "record both cameras, or set other topics in rig.yaml",
             )
         keep, found = order_notes(topic, stamps)
         notes += found
@@ -285,7 +287,7 @@ class _Reader:
         return ", ".join(names) or "none"
 
     def joint_track(self, name: str, topics: Sequence[str], notes: list[str]) -> Track:
-        """A head joint, from its own field or the joint-state topic that has most of it."""
+        """Track of a head joint, from its own field or the JointState topic with most of its readings."""
         if name in self._joints_apart:
             return self._read(self._joints_apart[name], notes)
         found = [self._joints[topic].position[name] for topic in topics]
@@ -293,7 +295,7 @@ class _Reader:
         if best is None or not len(best):
             bad = next((series for series in found if series.not_finite), None)
             if bad is not None:
-                bad.ordered(notes)  # raises: nothing finite
+                bad.ordered(notes)  # raises: no finite reading
             where = ", ".join(topics) or "any topic"
             raise RecordingError(
                 f"{self.recording.name}: no position of joint {name} on {where}; "
@@ -304,7 +306,7 @@ class _Reader:
         return Track(time_ns, value)
 
     def wheel_track(self, side: Side, source: WheelSource, notes: list[str]) -> Track:
-        """A wheel's rotation, rad, positive forward."""
+        """Rotation of a wheel, rad, positive forward."""
         if side in self._wheels_apart:
             return self._read(self._wheels_apart[side], notes)
         group, name = self._joints[source.topic], source.joint or ""
@@ -326,4 +328,6 @@ class _Reader:
     def _empty(self, topic: str) -> RecordingError:
         broken = self._broken.get(topic, 0)
         fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
-        return RecordingError(f"{self.recording.name}: {topic}: {fact}", "record the topic, or name another")
+        return RecordingError(
+            f"{self.recording.name}: {topic}: {fact}", "record the topic, or set another one in rig.yaml"
+        )

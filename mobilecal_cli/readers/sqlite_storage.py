@@ -1,4 +1,4 @@
-"""rosbag2's sqlite3 files (.db3), whole or damaged."""
+"""rosbag2 sqlite3 files (.db3), intact or damaged."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from mobilecal_cli.readers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMes
 
 MAGIC = b"SQLite format 3\x00"
 
-#: So many damaged or missing rows in turn end the search for further ones.
+#: Consecutive damaged or missing rows after which the search ends.
 MOST_FAILURES = 10_000
-#: So many log times are asked for at once; older versions of SQLite take no more than 999 values.
+#: Log times per query; older versions of SQLite accept 999 values at most.
 _TIMES_AT_ONCE = 500
-#: Log time and row number: where a row stands in either order.
+#: Log time and row number: the position of a row in either order.
 _Key = tuple[int, int]
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
@@ -35,8 +35,8 @@ _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
 class SqliteStorage(Storage):
     """One .db3 file.
 
-    The file is opened immutable, so nothing is ever written beside it. A write-ahead log that a killed recorder
-    left behind holds messages: both are then copied to a temporary directory and read there.
+    The file is opened immutable, so nothing is written next to it. If a killed recorder left a write-ahead log, it
+    contains messages: both files are then copied to a temporary directory and read there.
     """
 
     container = "rosbag2 SQLite"
@@ -48,7 +48,7 @@ class SqliteStorage(Storage):
         self._size_of: dict[int, int] | None = None
         try:
             self._connection = self._connect(path)
-            # Without it sqlite refuses a file that is shorter than its header says.
+            # Otherwise SQLite refuses a file that is shorter than its header states.
             self._connection.execute("PRAGMA writable_schema=ON")
             self._read_topics(self._connection)
         except BaseException:
@@ -72,7 +72,7 @@ class SqliteStorage(Storage):
         return connection
 
     def close(self) -> None:
-        """Release the file."""
+        """Close the file."""
         if self._connection is not None:
             self._connection.close()
         if self._copies is not None:
@@ -83,7 +83,7 @@ class SqliteStorage(Storage):
         if not {"topics", "messages"} <= tables:
             raise RecordingError(
                 f"{self.path}: an SQLite database, but not a rosbag2 recording (no tables topics and messages)",
-                "name the .db3 file that ros2 bag record wrote",
+                "give the .db3 file that ros2 bag record wrote",
             )
         definitions: dict[str, tuple[str, str]] = {}
         if "message_definitions" in tables:
@@ -93,12 +93,14 @@ class SqliteStorage(Storage):
                 )
                 definitions = {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
             except sqlite3.Error as error:
-                self.note(f"the message definitions cannot be read ({error}); the common ones are used")
+                self.note(
+                    f"the message definitions cannot be read ({error}); the common definitions are used"
+                )
         for number, topic, name, encoding in connection.execute(
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         ):
-            if not isinstance(number, int):  # SQLite keeps whatever was written, of whatever type
-                self.note(f"topic {topic!r} has the number {number!r}; it is left out")
+            if not isinstance(number, int):  # SQLite stores values of any type
+                self.note(f"topic {topic!r} has the invalid id {number!r}; skipped")
                 continue
             language, text = definitions.get(str(name), ("", ""))
             self.channels[number] = Channel(
@@ -111,7 +113,7 @@ class SqliteStorage(Storage):
             )
 
     def _count(self, connection: sqlite3.Connection) -> None:
-        """Counts and times; a damaged table leaves them unknown."""
+        """Message counts and times; unknown if the table is damaged."""
         try:
             rows = connection.execute(
                 "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages GROUP BY topic_id"
@@ -128,8 +130,8 @@ class SqliteStorage(Storage):
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.
 
-        Rows of other topics cost nothing but their place in the table, so a bound in bytes is none here. Log times
-        are looked up in the index, where there is one; it may be damaged, and say nothing of it.
+        Rows of other topics are not read, so a limit in bytes does not apply. Log times are looked up in the index, if
+        there is one; damage to it may go unnoticed.
         """
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
@@ -140,7 +142,7 @@ class SqliteStorage(Storage):
         last: _Key | None = None
         try:
             for row, number, time_ns, payload in _rows(connection, "data", wanted, order, extent):
-                if isinstance(time_ns, int):  # a damaged row may hold anything
+                if isinstance(time_ns, int):  # a damaged row may contain anything
                     last = (time_ns, row)
                     seen[number] += 1
                     yield self.channels[number], time_ns, self._payload(number, payload)
@@ -149,12 +151,14 @@ class SqliteStorage(Storage):
                 if number in wanted:
                     seen[number] += 1
                     yield self.channels[number], time_ns, self._payload(number, payload)
-            self.note(f"the table of messages is damaged; {sum(seen.values())} messages in use could be read")
+            self.note(
+                f"the message table is damaged; {sum(seen.values())} messages of the topics in use could be read"
+            )
         if extent.at_ns is None:
             self.compare_counts(topics, seen)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """How much of the file `raw` reads: the messages; all of it where the table is damaged."""
+        """Number of bytes that `raw` reads: the messages, or the whole file if the table is damaged."""
         connection = self._connection
         wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
         if connection is None or not wanted:
@@ -168,9 +172,9 @@ class SqliteStorage(Storage):
             return self.path.stat().st_size
 
     def _sizes(self, connection: sqlite3.Connection) -> dict[int, int]:
-        """Topic id → bytes of its messages; looked up once. Of large ones SQLite reads the length only."""
+        """Topic id → bytes of its messages, stored. SQLite reads only the length of large ones."""
         if self._size_of is None:
-            # Summed here: to group them, SQLite would carry whole messages along.
+            # Summed here, because SQLite would load whole messages to group them.
             found: Counter[int] = Counter()
             for number, size in connection.execute("SELECT topic_id, LENGTH(data) FROM messages"):
                 found[number] += size or 0
@@ -178,7 +182,7 @@ class SqliteStorage(Storage):
         return self._size_of
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
-        """For every time and topic the first message from then on."""
+        """First message of each topic at or after each time."""
         connection = self._connection
         if connection is None:
             return
@@ -197,7 +201,7 @@ class SqliteStorage(Storage):
                     yield self.channels[number], found[0], self._payload(number, found[1])
 
     def log_times(self) -> dict[int, IntArray]:
-        """Topic id → (n,) log times in the order of the table; empty where the table is damaged."""
+        """Topic id → (n,) log times in table order; empty if the table is damaged."""
         times: dict[int, array[int]] = {}
         if self._connection is None:
             return {}
@@ -216,11 +220,11 @@ class SqliteStorage(Storage):
             return data
         try:
             return bytes(message_payload(data))
-        except Exception:  # a damaged frame: the message is found undecodable where it is used
+        except Exception:  # a damaged frame; the message is reported as undecodable on use
             return data
 
     def _order(self, connection: sqlite3.Connection) -> str:
-        """By time where an index gives it without sorting in memory and is whole; else as written."""
+        """Order of rows: by time if an intact index gives it without sorting in memory, otherwise as written."""
         if self.counts is None:
             return "id"
         for _, name, *_ in connection.execute("PRAGMA index_list(messages)").fetchall():
@@ -233,7 +237,7 @@ class SqliteStorage(Storage):
 def _rows(
     connection: sqlite3.Connection, what: str, wanted: Sequence[int], order: str, extent: Extent
 ) -> Iterator[tuple[Any, ...]]:
-    """Row number, topic, time and something else of the rows of some topics, in order."""
+    """Row number, topic, time and another column of the rows of some topics, in order."""
     select = (
         f"SELECT id, topic_id, timestamp, {what} FROM messages WHERE topic_id IN ({_places(len(wanted))})"
     )
@@ -253,10 +257,10 @@ def _places(count: int) -> str:
 def _row_by_row(
     connection: sqlite3.Connection, order: str, last: _Key | None
 ) -> Iterator[tuple[int, int, object]]:
-    """Topic, time and payload of the rows behind `last`, each looked up by its number.
+    """Topic, time and payload of the rows after `last`, each looked up by its number.
 
-    A damaged page then costs the rows on it and no others, whatever the topics in use. The pass ends at the last
-    row, or after many damaged rows in turn where the last row's number is lost, too.
+    A damaged page then costs only the rows on it, whatever the topics. The pass ends at the last row, or after many
+    consecutive damaged rows if the number of the last row is also lost.
     """
     try:
         (end,) = connection.execute("SELECT MAX(id) FROM messages").fetchone()
@@ -273,7 +277,7 @@ def _row_by_row(
         except sqlite3.Error:
             found = None
         if found and not isinstance(found[1], int):
-            found = None  # damage that the lookup did not notice
+            found = None  # damage that the lookup did not detect
         failures = 0 if found else failures + 1
         if found and (last is None or order == "id" or (found[1], row) > last):
             yield found

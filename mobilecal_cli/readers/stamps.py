@@ -1,4 +1,4 @@
-"""Time: header stamps where they are meant, the log time otherwise; and what is done with odd clocks."""
+"""Message times: header stamp or log time, and the treatment of faulty clocks."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 
 from mobilecal_cli.model import BoolArray, IntArray
 
-#: Stamps of two topics that stand this much differently to the log time come from different clocks.
+#: Two topics whose lags between stamp and log time differ by more use different clocks.
 CLOCKS_DIFFER_S = 1.0
-#: So many lags of a topic are kept, enough for a median.
+#: Lags stored per topic, enough for a median.
 _LAGS = 101
 
 
 def _header_stamp(message: Any) -> Any:  # noqa: ANN401
-    """The stamp in a message's header; of a TFMessage, that of its first transform."""
+    """Header stamp of a message; of a TFMessage, that of its first transform."""
     if getattr(message, "transforms", None):
         message = message.transforms[0]
     return getattr(getattr(message, "header", None), "stamp", None)
 
 
 def stamp_of(message: Any, log_time_ns: int) -> int:  # noqa: ANN401 - the type is the recording's
-    """The message's header stamp, ns; the log time where there is no header or its stamp is zero."""
+    """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
     stamp = _header_stamp(message)
     if stamp is None:
         return log_time_ns
@@ -33,12 +33,12 @@ def stamp_of(message: Any, log_time_ns: int) -> int:  # noqa: ANN401 - the type 
 
 @dataclass(slots=True)
 class Clock:
-    """Counts what the stamps of one topic are like.
+    """Statistics of the stamps of one topic.
 
     Attributes:
         topic: the topic.
-        messages, unstamped: how many there were, and how many of them had no header or a zero stamp.
-        has_header: the type has a header stamp.
+        messages, unstamped: number of messages, and of those without a header or with a zero stamp.
+        has_header: whether the type has a header stamp.
         lag_s: log time minus stamp of the first few stamped messages.
     """
 
@@ -49,8 +49,8 @@ class Clock:
     lag_s: list[float] = field(default_factory=list)
 
     def time_ns(self, message: Any, log_time_ns: int) -> int:  # noqa: ANN401
-        """`stamp_of` the message, counted."""
-        time_ns = stamp_of(message, log_time_ns)  # raises for a stamp that is no time: not counted
+        """Call `stamp_of` and count the message."""
+        time_ns = stamp_of(message, log_time_ns)  # raises for an invalid stamp, which is not counted
         self.messages += 1
         stamp = _header_stamp(message)
         self.has_header = stamp is not None
@@ -61,11 +61,11 @@ class Clock:
         return time_ns
 
     def count(self, time_ns: IntArray, unstamped: BoolArray, log_time_ns: IntArray) -> None:
-        """Count (n,) messages that have a header, like one after the other.
+        """Count (n,) messages that have a header.
 
         Args:
-            time_ns: their times, as `stamp_of` gives them.
-            unstamped: whose stamp is zero.
+            time_ns: their times, as returned by `stamp_of`.
+            unstamped: which stamps are zero.
             log_time_ns: their log times.
         """
         self.messages += len(time_ns)
@@ -75,7 +75,7 @@ class Clock:
             self.lag_s.append((int(log_time_ns[place]) - int(time_ns[place])) * 1e-9)
 
     def notes(self) -> list[str]:
-        """Whole sentences on missing and zero stamps."""
+        """Sentences on missing and zero stamps."""
         if not self.unstamped:
             return []
         if not self.has_header:
@@ -89,15 +89,15 @@ class Clock:
 
 
 def clock_notes(clocks: list[Clock]) -> list[str]:
-    """Notes of all topics, and on topics whose stamps come from different clocks."""
+    """Notes of all topics, and on topics with stamps from different clocks."""
     notes = [note for clock in clocks for note in clock.notes()]
-    # A topic without stamps uses the log time itself: no lag.
+    # A topic without stamps uses the log time, so its lag is zero.
     lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages}
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
         if lags[high] - lags[low] > CLOCKS_DIFFER_S:
             notes.append(
-                f"clocks differ: the stamps of {high} lie {lags[high]:.3f} s before the log time, those of "
+                f"clocks differ: the stamps of {high} are {lags[high]:.3f} s before the log time, those of "
                 f"{low} {lags[low]:.3f} s"
             )
     return notes
@@ -106,15 +106,15 @@ def clock_notes(clocks: list[Clock]) -> list[str]:
 def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
     """Which samples make time strictly increase.
 
-    Of equal stamps the first is kept. Where a clock steps back, the longest increasing run is kept and the
-    rest dropped: one stray stamp costs one sample, and after a step back the samples that the clock had
-    already passed are left out, so that two stretches of time are never mixed.
+    Of equal stamps the first is kept. Where a clock steps back, the longest increasing run is kept and the rest is
+    dropped. A single stray stamp costs one sample. After a step back, samples at times already covered are dropped, so
+    two stretches of time are never mixed.
 
     Args:
-        time_ns: (n,) in the order of arrival.
+        time_ns: (n,) in order of arrival.
 
     Returns:
-        (n,) True to keep; how many were duplicates; how many were dropped for order; largest step back, s.
+        (n,) True to keep; number of duplicates; number dropped for order; largest step back, s.
     """
     steps = np.diff(time_ns)
     keep = np.ones(len(time_ns), dtype=np.bool_)

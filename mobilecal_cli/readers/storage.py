@@ -1,4 +1,4 @@
-"""What every container offers: channels, a time range, and raw messages as a stream in order of log time."""
+"""Interface of all containers: channels, a time range, and raw messages in order of log time."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, Payload
 
 RawMessage = tuple[Channel, int, Payload]
-#: A message that waits for its turn: log time, place in the order of reading, channel and payload.
+#: A message in the queue: log time, number in reading order, channel and payload.
 _Waiting = tuple[int, int, Channel, Payload]
 
-#: No chunk, message or decompressed payload may claim more than this: it is held in memory as a whole.
+#: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
 SIZE_LIMIT = 2**29
-#: A block holds no more messages than this; empty ones could fill the memory from a few bytes.
+#: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
 _MOST_MESSAGES = 2**19
-#: So much may be decompressed to learn the times of messages that no index tells, bytes in the file.
+#: Bytes of the file that may be decompressed to find log times that are not in an index.
 UNINDEXED_BYTES = 2**26
-#: A log time beyond the year 2262 is damage; times fit 64 signed bits everywhere.
+#: Log times after the year 2262 are damage; times fit into 64 signed bits everywhere.
 LATEST_NS = 2**63
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extent:
-    """How much of a recording is read.
+    """Part of a recording to read.
 
     Attributes:
-        within_bytes: where the topics cannot be had without reading more of the file than this, only stretches spread
-            evenly over it are read; None: no bound.
-        at_ns: (n,) increasing log times: only what is logged then is wanted, and more may come; None: all times.
+        within_bytes: if the topics need more bytes of the file than this, only stretches spread evenly over it are
+            read; None: no limit.
+        at_ns: (n,) increasing log times: only their messages are needed, and others may be included; None: all times.
     """
 
     within_bytes: int | None = None
@@ -52,13 +52,12 @@ class Storage(ABC):
     """One file of a recording.
 
     Attributes:
-        container: what kind of file it is, for people.
-        path: the file, as the user knows it.
+        container: format of the file, for messages.
+        path: the file, as given by the user.
         channels: channel id → channel.
-        counts: channel id → number of messages that the file itself states (or that counting found), None
-            where unknown.
-        start_ns, end_ns: log time of the first and last message, None where unknown or empty.
-        damage: what was lost, whole sentences; complete after a full pass.
+        counts: channel id → number of messages, stated in the file or counted; None if unknown.
+        start_ns, end_ns: log time of the first and last message, None if unknown or empty.
+        damage: data that was lost, as sentences; complete after a full pass.
     """
 
     container: ClassVar[str]
@@ -82,31 +81,31 @@ class Storage(ABC):
         return tuple(self._damage)
 
     def note(self, sentence: str) -> None:
-        """Add a note on damage, once however often a pass is repeated."""
+        """Add a note on damage; a repeated one counts once."""
         self._damage[f"{self.path.name}: {sentence}"] = None
 
     @abstractmethod
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the file is whole."""
+        """Messages of the topics in order of log time, as far as the file is intact."""
 
     @abstractmethod
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """How much of the file `raw` reads."""
+        """Number of bytes that `raw` reads."""
 
     @abstractmethod
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
-        """For every time and topic the first message from then on; the few blocks that hold them are read."""
+        """First message of each topic at or after each time; only the few blocks that contain them are read."""
 
     @abstractmethod
     def log_times(self) -> dict[int, IntArray]:
-        """Channel id → (n,) log times in the order of the file; empty where they cannot be had without reading all."""
+        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release the file."""
+        """Close the file."""
 
     def compare_counts(self, topics: Collection[str], seen: Mapping[int, int]) -> None:
-        """After a full pass: note the topics of which fewer messages were read than the file states."""
+        """After a full pass, note topics with fewer messages than the file states."""
         if self.counts is None:
             return
         for number, channel in sorted(self.channels.items()):
@@ -117,14 +116,14 @@ class Storage(ABC):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of the file that is read at once: a chunk, or neighbouring messages outside chunks.
+    """Part of the file that is read at once: a chunk, or neighboring messages outside chunks.
 
     Attributes:
-        offset: where it begins, bytes.
+        offset: its first byte.
         size: its length in the file, bytes.
-        is_chunk: a chunk record; otherwise plain records.
+        is_chunk: whether it is a chunk record; otherwise it consists of plain records.
         start_ns, end_ns: log times of its messages.
-        channels: ids of the channels with messages in it, None where unknown.
+        channels: ids of the channels with messages in it, None if unknown.
     """
 
     offset: int
@@ -136,11 +135,11 @@ class Block:
 
 
 class BlockStorage(Storage):
-    """A container made of chunks: MCAP and ROS 1 bags.
+    """A container that consists of chunks: MCAP and ROS 1 bags.
 
-    Only blocks with an asked-for channel are read. Messages come in order of log time: a message waits until
-    no block that is still unread can hold an earlier one, so memory holds the blocks that overlap in time,
-    whatever the length of the file.
+    Only blocks with a requested channel are read. Messages are returned in order of log time: a message waits until no
+    unread block can contain an earlier one. Memory therefore contains only blocks that overlap in time, for any length
+    of the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -156,7 +155,7 @@ class BlockStorage(Storage):
         self.settle()
 
     def close(self) -> None:
-        """Release the file."""
+        """Close the file."""
         self._stream.close()
 
     @abstractmethod
@@ -165,40 +164,44 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def load(self, block: Block) -> bytes:
-        """The block's records, decompressed."""
+        """Decompressed records of a block."""
 
     @abstractmethod
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        """Channel id, log time and payload of every message; channels met on the way are registered."""
+        """Channel id, log time and payload of every message; registers channels found on the way."""
 
     def read_at(self, offset: int, size: int) -> bytes:
         """Exactly `size` bytes from `offset`.
 
         Raises:
-            EOFError: the file ends before.
+            EOFError: the file ends earlier.
         """
         if not 0 <= size <= SIZE_LIMIT:
-            raise ValueError(f"a record claims {size} bytes, at most {SIZE_LIMIT} are read")
+            raise ValueError(f"a record states {size} bytes (limit {SIZE_LIMIT})")
         if offset + size > self.size:
-            raise EOFError(f"the file ends at byte {self.size}, {size} bytes were expected from {offset}")
+            raise EOFError(
+                f"the file ends at byte {self.size}, {size} bytes were expected from byte {offset}"
+            )
         self._stream.seek(offset)
         data = self._stream.read(size)
         if len(data) != size:
-            raise EOFError(f"the file ends at byte {self.size}, {size} bytes were expected from {offset}")
+            raise EOFError(
+                f"the file ends at byte {self.size}, {size} bytes were expected from byte {offset}"
+            )
         return data
 
     @abstractmethod
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id and log times of a block's messages as its index tells them; nothing where it has none."""
+        """Channel id and log times of a block's messages from its index; nothing without an index."""
 
     def _blocks_with(self, topics: Collection[str]) -> list[Block]:
-        """Blocks that may hold messages of the topics, in order of time."""
+        """Blocks that may contain messages of the topics, in order of time."""
         wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
         blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
         return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
 
     def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
-        """Those of `_blocks_with` that are read."""
+        """Blocks of `_blocks_with` that are read."""
         blocks = self._blocks_with(topics)
         if extent.within_bytes is not None:
             blocks = _spread(blocks, extent.within_bytes)
@@ -207,11 +210,11 @@ class BlockStorage(Storage):
         return blocks
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """How much of the file `raw` reads."""
+        """Number of bytes that `raw` reads."""
         return sum(block.size for block in self._blocks_of(topics, extent))
 
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the file is whole."""
+        """Messages of the topics in order of log time, as far as the file is intact."""
         blocks = self._blocks_of(topics, extent)
         waiting: list[_Waiting] = []
         order = count()
@@ -220,9 +223,9 @@ class BlockStorage(Storage):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
             found = self._wanted(block, topics, order, seen)
             if len(waiting) <= len(found):
-                # Both are all but in order, which sorting is quick at; a sorted list is a heap, too.
+                # Both lists are almost sorted, so sorting is fast; a sorted list is also a heap.
                 waiting = sorted(waiting + found)
-                found.clear()  # or the block stays in memory while the next one is read
+                found.clear()  # otherwise the block stays in memory while the next one is read
                 ready = bisect_left(waiting, following_ns, key=_log_time)
                 for time_ns, _, channel, payload in waiting[:ready]:
                     yield channel, time_ns, payload
@@ -239,7 +242,7 @@ class BlockStorage(Storage):
     def _wanted(
         self, block: Block, topics: Collection[str], order: Iterator[int], seen: Counter[int]
     ) -> list[_Waiting]:
-        """The topics' messages in a block, counted, as they stand there."""
+        """Messages of the topics in a block, counted, in file order."""
         found: list[_Waiting] = []
         for number, time_ns, payload in self._messages_of(block):
             channel = self.channels.get(number)
@@ -249,11 +252,11 @@ class BlockStorage(Storage):
         return found
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
-        """For every time and topic the first message from then on; the few blocks that hold them are read."""
+        """First message of each topic at or after each time; only the few blocks that contain them are read."""
         of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}
         for time_ns in times_ns:
             for topic, blocks in of_topic.items():
-                # The block that goes on at that time may hold the topic's messages before it only.
+                # The block that covers that time may contain messages of the topic only before it.
                 later = (item for b in blocks if b.end_ns >= time_ns for item in self._messages_of(b))
                 for number, at_ns, payload in later:
                     channel = self.channels.get(number)
@@ -262,13 +265,13 @@ class BlockStorage(Storage):
                         break
 
     def log_times(self) -> dict[int, IntArray]:
-        """Channel id → (n,) log times in the order of the file; empty where they cannot be had without reading all."""
+        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
         found: dict[int, list[IntArray]] = {}
         unindexed = 0
         for block in sorted(self.blocks, key=lambda block: block.offset):
             try:
                 times = list(self.indexed_times(block)) if block.is_chunk else []
-            except Exception:  # a damaged index: any exception at all; what is inside tells it
+            except Exception:  # a damaged index may raise anything; the block itself is read
                 times = []
             if not times:
                 unindexed += block.size
@@ -280,20 +283,20 @@ class BlockStorage(Storage):
         return {number: np.concatenate(parts).astype(np.int64) for number, parts in found.items()}
 
     def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
-        """The block's messages up to the first damage, which is noted."""
+        """Messages of a block up to the first damage, which is noted."""
         found = 0
         try:
             for item in self._counted(block):
                 found += 1
                 yield item
-        except Exception as error:  # damaged bytes raise almost anything in the decompressors and parsers
+        except Exception as error:  # damaged bytes may raise anything
             self._note_block(block, found, error)
 
     def _counted(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
-        """The block's messages.
+        """Messages of a block.
 
         Raises:
-            ValueError: more than there can be; or of any kind, for damaged bytes.
+            ValueError: too many messages. Damaged bytes may raise anything.
         """
         messages = self.parse(self.load(block))
         yield from islice(messages, _MOST_MESSAGES)
@@ -301,16 +304,16 @@ class BlockStorage(Storage):
             raise ValueError(f"more than {_MOST_MESSAGES} messages")
 
     def _note_block(self, block: Block, found: int, error: Exception) -> None:
-        kept = f"its first {found} messages are used" if found else "its messages are left out"
+        kept = f"its first {found} messages are used" if found else "its messages are skipped"
         self.note(
-            f"the {'chunk' if block.is_chunk else 'stretch'} at byte {block.offset} of {self.size} is "
+            f"the {'chunk' if block.is_chunk else 'block'} at byte {block.offset} of {self.size} is "
             f"damaged ({type(error).__name__}: {error}); {kept}"
         )
 
     def look_inside(self, block: Block, *, cut: bool) -> tuple[dict[int, int], int, int, Exception | None]:
         """Messages per channel in a block, its first and last log time, and the damage that ended it.
 
-        The damage is noted, unless the block is known to be cut by the end of the file.
+        The damage is noted, unless the block is known to be truncated by the end of the file.
         """
         counts: Counter[int] = Counter()
         start_ns, end_ns = 2**63 - 1, 0
@@ -318,14 +321,14 @@ class BlockStorage(Storage):
             for number, time_ns, _ in self._counted(block):
                 counts[number] += 1
                 start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
-        except Exception as error:  # damaged bytes raise almost anything
+        except Exception as error:  # damaged bytes may raise anything
             if not cut:
                 self._note_block(block, counts.total(), error)
             return dict(counts), start_ns, end_ns, error
         return dict(counts), start_ns, end_ns, None
 
     def settle(self) -> None:
-        """Take start and end from the blocks, after they are all known."""
+        """Set start and end from the blocks, once all are known."""
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
@@ -336,7 +339,7 @@ def _log_time(waiting: _Waiting) -> int:
 
 
 def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
-    """Blocks at even distances whose sizes add up to no more than allowed, at least one."""
+    """Blocks at even distances, at least one, whose total size is within the limit."""
     total = sum(block.size for block in blocks)
     if total <= within_bytes:
         return blocks
@@ -345,6 +348,6 @@ def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
 
 
 def _holds(block: Block, at_ns: IntArray) -> bool:
-    """Whether one of some log times, increasing, lies in a block."""
+    """Whether any of some increasing log times lies in a block."""
     first = int(np.searchsorted(at_ns, min(block.start_ns, LATEST_NS - 1)))
     return first < len(at_ns) and int(at_ns[first]) <= block.end_ns

@@ -1,4 +1,4 @@
-"""Joint readings out of /tf, where a robot publishes what its joints do but not the joints themselves."""
+"""Joint readings from /tf, for robots that publish transforms but no joint states."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from mobilecal_cli.readers.series import Series
 from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.storage import Extent
 
-#: A joint's transform that leaves its axis or its place by more than this belongs to another robot, or URDF.
+#: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
-#: So much of a recording is read for its transforms, and so many samples of each are kept.
+#: Bytes of a recording that are read for its transforms, and samples stored of each.
 _SAMPLED_BYTES, _MOST_SAMPLES = 2**28, 400
 
 
@@ -27,7 +27,7 @@ class Transforms:
 
     Args:
         topic: the topic.
-        joints: name → what the joint moves.
+        joints: name → its transform.
     """
 
     def __init__(self, topic: str, joints: Mapping[str, JointTransform]) -> None:
@@ -53,24 +53,25 @@ class Transforms:
             self._worst[name] = (max(worst[0], off_rad), max(worst[1], off_m))
 
     def track(self, name: str, notes: list[str]) -> Track:
-        """A joint over time.
+        """Track of a joint.
 
         Raises:
-            RecordingError: its transform is not there, or moves otherwise than the URDF says.
+            RecordingError: its transform is missing, or does not move as the URDF states.
         """
         source, series = self._joints[name], self._series[name]
         if not len(series) and not series.not_finite:
             raise RecordingError(
-                f"{self._topic}: no transform from {source.parent} to {source.child}, which would tell joint {name}; "
+                f"{self._topic}: no transform from {source.parent} to {source.child}, needed for joint {name}; "
                 f"present: {', '.join(self._present) or 'none'}",
-                "record /joint_states, or use the URDF that the robot's transforms were made with",
+                "record /joint_states, or use the URDF that the transforms were computed with",
             )
         off_rad, off_m = self._worst[name]
         if off_rad > _OFF_RAD or off_m > _OFF_M:
             raise RecordingError(
-                f"{self._topic}: the transform from {source.parent} to {source.child} leaves the axis of joint {name} "
-                f"by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm",
-                "use the URDF that the robot's transforms were made with",
+                f"{self._topic}: the transform from {source.parent} to {source.child} deviates from joint {name} "
+                f"by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm "
+                f"(limit {math.degrees(_OFF_RAD):.1f} degrees, {_OFF_M * 1e3:.0f} mm)",
+                "use the URDF that the transforms were computed with",
             )
         time_ns, value = series.ordered(notes)
         notes.append(f"{series.label}: read from the transform from {source.parent} to {source.child}")
@@ -78,7 +79,7 @@ class Transforms:
 
 
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
-    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; of a long one from stretches of it."""
+    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; a long recording is read in parts."""
     found: dict[tuple[str, str], list[FloatArray]] = {}
     for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
@@ -89,18 +90,18 @@ def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str
             try:
                 ends = (str(item.header.frame_id).lstrip("/"), str(item.child_frame_id).lstrip("/"))
                 T = _matrix(item.transform)
-            except (AttributeError, TypeError, ValueError):  # JSON holds anything
+            except (AttributeError, TypeError, ValueError):  # JSON may contain anything
                 continue
             if T is not None:
                 samples = found.setdefault(ends, [])
                 samples.append(T)
-                if len(samples) > _MOST_SAMPLES:  # the first stays, and every second of the others
+                if len(samples) > _MOST_SAMPLES:  # keep the first and every second of the others
                     del samples[1::2]
     return {ends: np.stack(samples) for ends, samples in found.items()}
 
 
 def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401
-    """(4, 4) of a geometry_msgs/Transform, None for one that is not finite."""
+    """(4, 4) of a geometry_msgs/Transform, None if it is not finite."""
     q, t = transform.rotation, transform.translation
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
     if not (np.isfinite(quaternion).all() and np.isfinite(place).all() and np.linalg.norm(quaternion) > 0.5):
@@ -109,10 +110,10 @@ def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401
 
 
 def reading(source: JointTransform, transform: Any) -> tuple[float, float, float]:  # noqa: ANN401
-    """A joint's position out of the transform of its link.
+    """Position of a joint from the transform of its link.
 
     Returns:
-        rad (or m), and how far the transform is from one of that joint: rad, m. NaN for one that is not finite.
+        rad (or m), and deviation of the transform from the joint's motion: rad, m. NaN if the transform is not finite.
     """
     T = _matrix(transform)
     if T is None:
@@ -122,7 +123,7 @@ def reading(source: JointTransform, transform: Any) -> tuple[float, float, float
     if source.kind == "prismatic":
         way = float(source.axis @ moved[:3, 3])
         return way, float(np.linalg.norm(turn)), float(np.linalg.norm(moved[:3, 3] - way * source.axis))
-    # About a known axis also near half a turn, where the logarithm may choose the other sign.
+    # The axis is known, so this also works near half a turn, where the logarithm may choose the other sign.
     R, a = moved[:3, :3], source.axis
     angle = math.atan2(
         float(a @ np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])), float(np.trace(R) - 1)

@@ -1,4 +1,4 @@
-"""Messages as the readers want them: protobuf and JSON as objects, types that say the same as others in one form."""
+"""Messages in a common form: protobuf and JSON as objects, equivalent types as one ROS type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-#: Types of Foxglove's that say the same as a type of ROS; dots and slashes as each encoding spells them.
+#: Foxglove types that are equivalent to a ROS type; each encoding spells dots and slashes differently.
 _FOXGLOVE = {
     "RawImage": "sensor_msgs/msg/Image",
     "CompressedImage": "sensor_msgs/msg/CompressedImage",
@@ -24,7 +24,7 @@ Decoder = Callable[[bytes | memoryview], Any]
 
 
 def ros_type(name: str) -> str:
-    """The ROS type that a type stands for: its own name for most.
+    """The ROS type that is equivalent to a type; most types are returned unchanged.
 
     "foxglove.RawImage" is read as a sensor_msgs/msg/Image; "sensor_msgs.JointState" and "sensor_msgs.msg.JointState"
     (as bridges to protobuf and JSON spell them) as a sensor_msgs/msg/JointState.
@@ -38,10 +38,10 @@ def ros_type(name: str) -> str:
 
 
 def protobuf_decoder(definition: bytes, type_name: str) -> Decoder:
-    """Decodes messages of one type of a `FileDescriptorSet`.
+    """Decoder of messages of one type in a `FileDescriptorSet`.
 
     Raises:
-        Exception: of any kind, where the set is damaged or lacks the type.
+        Exception: of any kind, if the set is damaged or lacks the type.
     """
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
@@ -51,7 +51,7 @@ def protobuf_decoder(definition: bytes, type_name: str) -> Decoder:
     while waiting:
         ready = [file for file in waiting.values() if not waiting.keys() & set(file.dependency)]
         if not ready:
-            raise ValueError(f"files that need one another in a ring: {', '.join(waiting)}")
+            raise ValueError(f"circular dependencies between files: {', '.join(waiting)}")
         for file in ready:
             pool.Add(file)
             del waiting[file.name]
@@ -72,7 +72,7 @@ def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
         if field.message_type is None:
             value = list(value) if field.is_repeated else value
         elif field.message_type.GetOptions().map_entry:
-            value = None  # no reader asks for a map
+            value = None  # no reader uses a map
         elif field.is_repeated:
             value = [_from_protobuf(item) for item in value]
         else:
@@ -82,19 +82,19 @@ def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
 
 
 def json_decoder() -> Decoder:
-    """Decodes JSON objects; numbers that JSON does not know (NaN, Infinity) may be there."""
+    """Decoder of JSON objects; NaN and Infinity are allowed."""
 
     def decode(payload: bytes | memoryview) -> Any:  # noqa: ANN401
         value = json.loads(bytes(payload), object_hook=lambda fields: SimpleNamespace(**fields))
         if not isinstance(value, SimpleNamespace):
-            raise TypeError(f"a JSON {type(value).__name__}, not an object")
+            raise TypeError(f"expected a JSON object, got {type(value).__name__}")
         return value
 
     return decode
 
 
 def like_ros(message: Any, type_name: str) -> Any:  # noqa: ANN401
-    """The message in the fields of the ROS type that it stands for, with a header where it has a `timestamp`."""
+    """The message with the fields of its equivalent ROS type, and a header if it has a `timestamp`."""
     if hasattr(message, "interface_values"):
         return _with(message, name=list(message.joint_names), **_interfaces(message.interface_values))
     stamp = getattr(message, "timestamp", None)
@@ -115,7 +115,7 @@ def like_ros(message: Any, type_name: str) -> Any:  # noqa: ANN401
 
 
 def _interfaces(joints: Any) -> dict[str, list[float]]:  # noqa: ANN401
-    """Positions and velocities of a DynamicJointState; NaN for a joint that has none."""
+    """Positions and velocities of a DynamicJointState; NaN if a joint has none."""
     found: dict[str, list[float]] = {"position": [], "velocity": []}
     for joint in joints:
         values = dict(zip(joint.interface_names, joint.values, strict=False))
@@ -137,10 +137,10 @@ def fields_of(message: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _bytes(data: Any) -> Any:  # noqa: ANN401
-    """A picture's bytes; JSON carries them in base 64."""
+    """Bytes of an image; JSON encodes them in base64."""
     if not isinstance(data, str):
         return data
     try:
         return base64.b64decode(data, validate=True)
     except binascii.Error as error:
-        raise ValueError(f"data is not base 64: {error}") from error
+        raise ValueError(f"data is not base64: {error}") from error

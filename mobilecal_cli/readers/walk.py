@@ -1,4 +1,4 @@
-"""Walking a container whose index is missing: record heads are read, payloads skipped."""
+"""Scan of a container without an index: record headers are read, payloads are skipped."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from dataclasses import replace
 
 from mobilecal_cli.readers.storage import Block, BlockStorage
 
-#: Messages that lie outside chunks are grouped to blocks of about this many bytes.
+#: Messages outside chunks are grouped into blocks of about this many bytes.
 SPAN_BYTES = 4 * 2**20
 
 
 class Walk:
-    """Collects blocks and message counts while a file's records pass by in file order.
+    """Collects blocks and message counts during a scan of a file's records.
 
-    The index records behind a chunk tell its channels and counts. A chunk is decompressed only where they are
-    missing, cut short, or name a channel not met before (its definition is then in that chunk).
+    The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
+    truncated, or refer to an unknown channel, whose definition is then in that chunk.
     """
 
     def __init__(self, storage: BlockStorage) -> None:
@@ -30,7 +30,7 @@ class Walk:
         self._chunk = block
 
     def index(self, channel: int, messages: int) -> None:
-        """An index record: the last chunk holds so many messages of a channel."""
+        """An index record: number of messages of a channel in the last chunk."""
         if self._chunk is not None and messages:
             self._indexed[channel] = self._indexed.get(channel, 0) + messages
 
@@ -56,21 +56,21 @@ class Walk:
             self._close_span()
 
     def other(self) -> None:
-        """Any other record: what was open is complete."""
+        """Any other record: completes the open block."""
         self._close_chunk()
         self._close_span()
 
     def skip(self, at: int, found: int) -> int:
-        """What lies from byte `at` up to the record that was found next is damaged; where to go on."""
+        """Note damage from byte `at` to the next record found; returns where to continue."""
         self.other()
-        self._target.note(f"{found - at} bytes from byte {at} on are no records; reading goes on behind them")
+        self._target.note(f"{found - at} bytes from byte {at} on are not valid records; skipped")
         return found
 
     def finish(self, trouble: str) -> None:
-        """The walk is over.
+        """End the scan.
 
         Args:
-            trouble: where the file is cut, "" when it is whole.
+            trouble: where the file is truncated, "" if it is complete.
         """
         self._close_chunk(cut=bool(trouble))
         self._close_span()
@@ -80,7 +80,9 @@ class Walk:
             storage.settle()
             seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
             messages = sum(self._counts.values())
-            storage.note(f"{trouble}, after {messages} messages, {seconds:.1f} s; what follows is lost")
+            storage.note(
+                f"{trouble}; {messages} messages ({seconds:.1f} s) were found before it, the rest is lost"
+            )
 
     def _close_span(self) -> None:
         if self._span is not None:

@@ -113,7 +113,7 @@ def test_the_wrong_board_size(paper, tmp_path):
 
 def test_left_and_right_never_together(make, tmp_path):
     log = make(lambda topic, m: at(m, 100) if topic == IMAGES[1] else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "never together")
+    refused(run("calibrate", log, cwd=tmp_path), 3, "no stereo pairs")
 
 
 def test_one_camera_only(make, tmp_path):
@@ -123,7 +123,7 @@ def test_one_camera_only(make, tmp_path):
 
 def test_joints_missing_around_the_pictures(make, tmp_path):
     log = make(lambda topic, m: at(m, -1000) if topic == "/joint_states" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "no picture has readings", "clock")
+    refused(run("calibrate", log, cwd=tmp_path), 3, "stereo pairs has readings", "clock")
 
 
 def without(message, *names):
@@ -191,7 +191,7 @@ def test_pictures_of_another_size_than_the_camera_info(make, tmp_path):
 
 def test_no_robot_description(make, tmp_path):
     log = make(lambda topic, m: None if topic == "/robot_description" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "nothing says how the head is mounted", "head.urdf")
+    refused(run("calibrate", log, cwd=tmp_path), 3, "the head chain is unknown", "head.urdf")
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ def test_unknown_key(paper, tmp_path, tmp_path_factory):
 def test_bad_flags(paper, tmp_path):
     refused(run("calibrate", paper, "--board", "nine", cwd=tmp_path), 2, "--board nine")
     refused(
-        run("calibrate", paper, "--set", "board.columns=9", cwd=tmp_path), 2, "columns and rows go together"
+        run("calibrate", paper, "--set", "board.columns=9", cwd=tmp_path), 2, "give both columns and rows"
     )
     assert run("calibrate", cwd=tmp_path).code == 2
     assert run("calibrate", paper, "--method", "magic", cwd=tmp_path).code == 2

@@ -27,7 +27,7 @@ def test_sample_log(sample_logs, name):
     assert found.motion.share == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
-    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF in the log's /robot_description"
+    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF on /robot_description"
 
 
 def test_motion_that_does_not_show_everything(sample_logs):
@@ -45,7 +45,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     log = sample_logs / "tick_robot.mcap"
     text = run("inspect", log, cwd=tmp_path)
     assert text.code == 0, text.err
-    assert "wheels.left: no joint is called a wheel; /wheel_ticks/left" in text.out
+    assert "wheels.left: no joint is named as a wheel; /wheel_ticks/left" in text.out
     assert text.out.endswith("This recording cannot be calibrated as it is.\n")
     config = sample_logs / "tick_robot.rig.yaml"
     made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
@@ -68,7 +68,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
-    assert any("nothing says how the head is mounted" in text for text in said)
+    assert any("the head chain is unknown" in text for text in said)
     assert all(lack.cure for lack in found.missing)
 
 
@@ -92,7 +92,7 @@ def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
 
 def test_empty_recording(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
-    assert "holds no messages" in found.missing[0].what
+    assert "contains no messages" in found.missing[0].what
     assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
 
 

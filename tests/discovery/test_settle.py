@@ -189,21 +189,21 @@ def test_explicit_chain_needs_no_urdf():
     ("sections", "changes", "error", "words_"),
     [
         ({}, {"images": ("/camera/image",)}, RecordingError, "no stereo pair"),
-        ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope holds no images"),
-        ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope holds no camera info"),
+        ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
+        ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
-        ({}, {"urdf": None}, RecordingError, "nothing says how the head is mounted"),
-        ({}, {"urdf": "<robot"}, ConfigError, "not readable as XML"),
+        ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
+        ({}, {"urdf": "<robot"}, ConfigError, "not valid XML"),
         (
             {},
             {"joint_names": {"/joint_states": JOINTS[:3]}},
             RecordingError,
             "no joint state for 'head_tilt_joint'",
         ),
-        ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope holds no joint states"),
+        ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
         ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
         ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
-        ({}, {"joint_names": {"/joint_states": JOINTS[2:]}}, RecordingError, "no pair of joints is called"),
+        ({}, {"joint_names": {"/joint_states": JOINTS[2:]}}, RecordingError, "no pair of joints is named"),
         (
             {},
             {"joint_names": {"/joint_states": (*JOINTS, "front_left_wheel", "front_right_wheel")}},
@@ -225,7 +225,7 @@ def test_what_is_missing_is_named(sections, changes, error, words_):
     ("left", "right", "words_"),
     [
         (info("left"), info("right", baseline=0.0), "no baseline"),
-        (info("left"), info("right", baseline=-0.12), "120.0 mm to the left of the left one"),
+        (info("left"), info("right", baseline=-0.12), "120.0 mm to the left of the left camera"),
         (info("left", width=0), info("right"), "0 x 480"),
     ],
 )
@@ -253,15 +253,15 @@ def test_a_draft_loads_and_settles_the_same_rig():
     again, first = settle_rig(loaded, prelude()).rig, settle_rig(RigConfig(), prelude()).rig
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
-    assert "# image topics in the log" in text
+    assert "# image topics in the recording" in text
 
 
 def test_a_draft_of_a_poor_log_says_what_is_not_settled():
     from ruamel.yaml import YAML
 
     text = draft_rig(prelude(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
-    assert "# not settled: no stereo pair" in text
-    assert "spell the chain out" in text
+    assert "# not determined: no stereo pair" in text
+    assert "or the chain here" in text
     RigConfig.model_validate(YAML(typ="safe").load(text))
 
 
@@ -275,22 +275,22 @@ def test_joints_in_other_messages_than_joint_states():
     assert rig.sources.joints == ("/joint_states",)
     with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
         settle_rig(config(joints={"fields": fields}), prelude(joint_names=names))
-    with pytest.raises(ConfigError, match="'arm' is no joint between base_link and tilt"):
+    with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
         settle_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))
 
 
 def test_odometry_needs_the_wheels_that_it_was_made_with():
     topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
     bare = prelude(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
-    with pytest.raises(RecordingError, match="there is odometry on /odom") as told:
+    with pytest.raises(RecordingError, match="odometry is present on /odom") as told:
         settle_rig(RigConfig(), bare)
     assert "wheels.odometry to /odom" in told.value.hint
-    with pytest.raises(ConfigError, match="cannot be had back without them"):
+    with pytest.raises(ConfigError, match="wheel radii and separation, which are not given"):
         settle_rig(config(wheels={"odometry": "/odom"}), bare)
     nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
     rig = settle_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
-    with pytest.raises(RecordingError, match=r"/joint_states holds no nav_msgs/msg/Odometry") as told:
+    with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
         settle_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
     assert told.value.hint == "topics that do: /odom"
 
@@ -301,7 +301,7 @@ def test_both_cameras_in_one_topic():
     assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
     assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
     assert rig.sources.layout == "stacked"
-    with pytest.raises(RecordingError, match=r"cameras\.both: the topic /other holds no images"):
+    with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
         settle_rig(config(cameras={"both": {"image": "/other"}}), prelude())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
         config(cameras={"both": both, "left": {"image": "/l"}})
@@ -366,7 +366,5 @@ def test_joints_out_of_transforms():
 
 def test_transforms_that_do_not_lead_to_the_camera_are_said():
     transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
-    with pytest.raises(
-        RecordingError, match="no transforms that lead to the camera's frame 'stereo_left_optical'"
-    ):
+    with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
         settle_rig(RigConfig(), replace(prelude(urdf=None), transforms=transforms))

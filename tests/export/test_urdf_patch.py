@@ -113,9 +113,9 @@ def test_any_pose_survives(numbers):
 @pytest.mark.parametrize(
     ("content", "calibrated", "joints", "says"),
     [
-        (b"<robot", robot(), {}, "not readable as XML"),
+        (b"<robot", robot(), {}, "not valid XML"),
         (URDF.decode().encode("utf-16"), robot(), {}, "not UTF-8"),
-        (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', robot(), {}, "not readable as XML"),
+        (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', robot(), {}, "not valid XML"),
         (URDF, robot(parent="base_link"), {}, "is not fixed to 'base_link': joint 'tilt'"),
         (URDF, robot(parent="neck", child="eye"), {}, "neither 'eye' nor 'neck'"),
         (URDF, robot(), {"left": "wheel"}, "no joint 'wheel'"),
@@ -125,7 +125,7 @@ def test_any_pose_survives(numbers):
             ),
             robot(),
             JOINTS,
-            "does not hang on",
+            "no path of joints",
         ),
     ],
 )

@@ -99,7 +99,7 @@ def test_a_record_of_petabytes(tmp_path, sound, opcode):
     path = tmp_path / "log.mcap"
     huge = record(opcode, b"x" * 100, 2**50)
     path.write_bytes(MAGIC + huge)
-    with pytest.raises(RecordingError, match=r"nothing usable|damaged beyond use"):
+    with pytest.raises(RecordingError, match=r"nothing usable|damaged and unreadable"):
         read(path)
     # What lies before it is used, up to the last message index of the first chunk.
     end = next(end for kind, _, end in records(sound) if kind == 7)
@@ -123,7 +123,9 @@ def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
     path.write_bytes(
         MAGIC + HEADER + chunk(method, stored, size if honest else 1000) + record(2, bytes(20)) + MAGIC
     )
-    with pytest.raises(RecordingError, match=r"claims to hold|claims 1000 bytes|nothing usable") as caught:
+    with pytest.raises(
+        RecordingError, match=r"states a decompressed size|states 1000 bytes|nothing usable"
+    ) as caught:
         read(path)
     assert caught.value.hint
 
@@ -177,7 +179,7 @@ def test_a_chunk_of_a_bag_that_decompresses_without_end(tmp_path):
 def test_a_file_that_decompresses_without_end(tmp_path):
     path = tmp_path / "log.mcap.zstd"
     path.write_bytes(zstandard.compress(MAGIC + HEADER + bytes(2**28)))
-    with pytest.raises(RecordingError, match="more than 1000 times as many"):
+    with pytest.raises(RecordingError, match="more than 1000 times their size"):
         read(path)
 
 
@@ -217,7 +219,7 @@ def jpeg(width: int, height: int) -> bytes:
 def test_a_compressed_picture_of_60000_by_60000(make):
     message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
     message.data = np.frombuffer(make(60_000, 60_000), np.uint8)
-    with bounded(), pytest.raises(RecordingError, match=r"picture size makes no sense: .*3600000000 pixels"):
+    with bounded(), pytest.raises(RecordingError, match=r"invalid image size: .*3600000000 pixels"):
         decode_image(message)
 
 
@@ -228,7 +230,7 @@ def test_other_kinds_of_pictures_are_not_tried(kind):
 
     message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
     message.data = cv2.imencode(kind, np.zeros((8, 8), np.uint8))[1].ravel()
-    with pytest.raises(RecordingError, match="neither JPEG nor PNG"):
+    with pytest.raises(RecordingError, match="not a readable JPEG or PNG"):
         decode_image(message)
 
 
@@ -308,7 +310,7 @@ def test_metadata_cannot_name_files_outside_its_directory(tmp_path, escape):
     with open_recording([folder]) as recording:
         assert [part.path for part in recording.parts] == [inside]
         assert secret not in [part.path for part in recording.parts]
-        assert "left out" in " ".join(recording.damage)
+        assert "this part is skipped" in " ".join(recording.damage)
 
 
 LAUGHS = "a0: &a0 [lol, lol]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))

@@ -20,16 +20,16 @@ from tests.report.example import make_extraction
 
 YAMLS = {
     "tag": ("board: !!python/object/apply:os.system ['touch pwned']", "not valid YAML"),
-    "laughs": (LAUGHS, "anchors that stand for more"),
-    "laughs in a value": (LAUGHS + "board: *a59\n", "anchors that stand for more"),
-    "itself": ("board: &a {columns: *a}", "holds itself"),
-    "itself in a list": ("board: &a [*a]", "holds itself"),
+    "laughs": (LAUGHS, "anchors that expand to more"),
+    "laughs in a value": (LAUGHS + "board: *a59\n", "anchors that expand to more"),
+    "itself": ("board: &a {columns: *a}", "contains itself"),
+    "itself in a list": ("board: &a [*a]", "contains itself"),
     "deep": ("board: " + "[" * 3000, "nested deeper"),
     "deep items": ("board:\n  " + "- " * 3000, "nested deeper"),
     "deep keys": ("board:\n  " + "? " * 3000, "nested deeper"),
     "deep lines": ("\n".join(" " * i + "a:" for i in range(400)), "not valid YAML"),
     "deep and closed": ("board: " + "[" * 300 + "]" * 300, "nested deeper"),
-    "long": ("board:\n" + "  x: 1\n" * 100_000, "more than 131072 bytes"),
+    "long": ("board:\n" + "  x: 1\n" * 100_000, "larger than 131072 bytes"),
     "number": ("board: {columns: " + "9" * 100_000 + "}", "not valid YAML"),
     "many keys": ("\n".join(f"k{i}: 1" for i in range(2000)), "unknown key"),
 }

@@ -104,17 +104,17 @@ def test_vehicle_frame_is_midway_between_the_wheels():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("not xml", "not readable"),
+        ("not xml", "not valid XML"),
         ("<model/>", "not <robot>"),
-        ('<!DOCTYPE r [<!ENTITY x "y">]><robot name="r"/>', "not readable"),
+        ('<!DOCTYPE r [<!ENTITY x "y">]><robot name="r"/>', "not valid XML"),
         ('<robot name="r"><joint name="a" type="fixed"/></robot>', "no <parent"),
         (
             '<robot><joint name="a" type="fixed"><parent link="p"/><child link="c"/><origin xyz="1 2"/></joint></robot>',
-            "3 finite numbers",
+            "3 finite number",
         ),
         (
             '<robot><joint name="a" type="revolute"><parent link="p"/><child link="c"/><axis xyz="0 0 0"/></joint></robot>',
-            "no length",
+            "zero length",
         ),
     ],
 )

@@ -238,7 +238,7 @@ def test_clocks_that_differ_are_noted(tmp_path):
     _, expected, _ = planned(paths, joints_first=False)
     assert decoded["/l"] == 89
     assert notes == expected
-    assert any(note.startswith("clocks differ: the stamps of /r lie 2.003 s") for note in notes)
+    assert any(note.startswith("clocks differ: the stamps of /r are 2.003 s") for note in notes)
 
 
 def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
@@ -264,7 +264,7 @@ def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording([file]) as recording:
         plan, notes = plan_log(recording, RIG, frozenset())
     assert len(plan.stations[0].shots) == 9
-    assert "/l: 1 of the 80 pictures that were chosen do not fit their type; left out" in notes
+    assert "/l: 1 of the 80 selected images do not match their type; ignored" in notes
 
 
 def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
@@ -283,7 +283,7 @@ def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
             plan_log(recording, RIG, frozenset())
         messages.append((caught.value.message, caught.value.hint))
     assert messages[0] == messages[1]
-    assert "never together" in messages[0][0]
+    assert "no stereo pairs" in messages[0][0]
 
 
 def apart(source: Path, folder: Path) -> list[Path]:

@@ -87,7 +87,7 @@ def test_truncated_file_gives_its_whole_messages_and_says_so(originals, tmp_path
         note = " ".join(recording.damage)
     assert 10 < len(times) < len(ITEMS)
     assert times == [item.log_ns for item in ITEMS[: len(times)]]
-    assert f"after {len(times)} messages, {(times[-1] - times[0]) * 1e-9:.1f} s" in note
+    assert f"{len(times)} messages ({(times[-1] - times[0]) * 1e-9:.1f} s) were found before it" in note
     assert "of " + str(path.stat().st_size) in note
 
 
@@ -99,7 +99,7 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
         count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
         note = " ".join(recording.damage)
     assert 0 < count < len(ITEMS)
-    assert f"damaged; {count} messages in use could be read" in note
+    assert f"damaged; {count} messages of the topics in use could be read" in note
 
 
 def test_truncated_part_is_compared_with_metadata(tmp_path):
@@ -168,7 +168,7 @@ def test_bag_without_index_reads_like_the_whole_one(originals, tmp_path):
         assert sum(t.count or 0 for t in recording.topics) == len(ITEMS)
         assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS)
         assert recording.damage == (
-            "unindexed.bag: the bag has no usable index (the recorder was not stopped properly?); "
+            "unindexed.bag: the bag has no usable index (was the recorder stopped properly?); "
             f"a scan found {len(ITEMS)} messages",
         )
 
@@ -199,10 +199,10 @@ def test_write_ahead_log_of_a_killed_recorder_is_read_and_nothing_is_written(ori
     [
         (b"", "empty"),
         (b"timestamp,left,right\n1,2,3\n", "not a recording"),
-        (b"#ROSBAG V1.2\n" + bytes(50), "format 1.2; only 2.0 is read"),
-        (b"#ROSBAG V2.0\n", "damaged beyond use"),
-        (b"\x89MCAP0\r\n", "damaged beyond use"),
-        (b"SQLite format 3\x00", "damaged beyond use"),
+        (b"#ROSBAG V1.2\n" + bytes(50), "format 1.2, only 2.0 is supported"),
+        (b"#ROSBAG V2.0\n", "damaged and unreadable"),
+        (b"\x89MCAP0\r\n", "damaged and unreadable"),
+        (b"SQLite format 3\x00", "damaged and unreadable"),
         (b"\x28\xb5\x2f\xfd", "empty"),
     ],
 )
@@ -216,11 +216,11 @@ def test_what_is_no_recording_is_refused(tmp_path, content, message):
 
 
 def test_nothing_named_missing_and_empty_directory_are_refused(tmp_path):
-    with pytest.raises(RecordingError, match="no recording was named"):
+    with pytest.raises(RecordingError, match="no recording given"):
         open_recording([])
     with pytest.raises(RecordingError, match="no such file or directory"):
         open_recording([tmp_path / "none.mcap"])
-    with pytest.raises(RecordingError, match="a directory without a recording"):
+    with pytest.raises(RecordingError, match="no recording in this directory"):
         open_recording([tmp_path])
 
 
@@ -236,7 +236,7 @@ def test_other_database_is_refused(tmp_path):
 def test_directory_of_several_recordings_is_refused(tmp_path):
     r.write_mcap(tmp_path / "a.mcap", ITEMS)
     r.write_mcap(tmp_path / "b.mcap", ITEMS)
-    with pytest.raises(RecordingError, match=r"holds 2 recordings.*a\.mcap; b\.mcap"):
+    with pytest.raises(RecordingError, match=r"contains 2 recordings.*a\.mcap; b\.mcap"):
         open_recording([tmp_path])
 
 
@@ -308,7 +308,7 @@ def test_garbage_between_records_costs_nothing(whole, tmp_path, size):
     path.write_bytes(data[:at] + garbage + data[at:])
     found, damage = messages_of(path)
     assert sorted(found) == sorted((item.topic, item.log_ns) for item in ITEMS)
-    assert any("are no records; reading goes on behind them" in note for note in damage)
+    assert any("are not valid records; skipped" in note for note in damage)
 
 
 def test_a_chunk_that_is_gone_costs_only_its_messages(whole, tmp_path):

@@ -222,10 +222,10 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
 @pytest.mark.parametrize(
     ("payload", "said"),
     [
-        (b"[1, 2]", "a JSON list, not an object"),
-        (b"{", "does not fit its type"),
-        (b"[" * 100_000, "does not fit its type"),
-        (b'{"timestamp": {"sec": 1, "nsec": 2}, "data": "!"}', "not base 64"),
+        (b"[1, 2]", "expected a JSON object, got list"),
+        (b"{", "does not match its type"),
+        (b"[" * 100_000, "does not match its type"),
+        (b'{"timestamp": {"sec": 1, "nsec": 2}, "data": "!"}', "not base64"),
     ],
 )
 def test_json_that_is_no_message(tmp_path, payload, said):

@@ -99,12 +99,12 @@ def test_compressed(extension, pixels):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"height": 4000}, "size 64x4000 mono8 with 64 bytes a row does not fit its 3072 bytes"),
-        ({"step": 10}, "10 bytes a row"),
-        ({"width": 0}, "makes no sense"),
-        ({"width": 2**32 - 1, "height": 2**32 - 1}, "makes no sense"),
-        ({"encoding": "yuv422"}, "encoding 'yuv422' not known; known: 16uc1"),
-        ({"encoding": "rgb8"}, "does not fit"),
+        ({"height": 4000}, "size 64x4000 mono8 with 64 bytes per row does not match its 3072 bytes"),
+        ({"step": 10}, "10 bytes per row"),
+        ({"width": 0}, "invalid image size"),
+        ({"width": 2**32 - 1, "height": 2**32 - 1}, "invalid image size"),
+        ({"encoding": "yuv422"}, "unknown image encoding 'yuv422'; known: 16uc1"),
+        ({"encoding": "rgb8"}, "does not match"),
     ],
 )
 def test_dishonest_pictures_are_refused(changes, message):
@@ -116,7 +116,7 @@ def test_dishonest_pictures_are_refused(changes, message):
 def test_damaged_compressed_pictures_are_refused(data):
     message = r.compressed(GRAY, ".png")(r.ROS2)
     message.data = np.frombuffer(data, dtype=np.uint8)
-    with pytest.raises(RecordingError, match=r"picture (empty|damaged)"):
+    with pytest.raises(RecordingError, match=r"image (empty|damaged)"):
         decode_image(message)
 
 
@@ -134,7 +134,7 @@ def test_undecodable_picture_is_a_rejection_in_its_place(tmp_path):
     assert [(s, k) for s, k, _ in found] == [("left", 0), ("left", 1), ("left", 2)]
     rejection = found[1][2]
     assert isinstance(rejection, Rejection)
-    assert (rejection.stage, rejection.reason) == ("readers", "picture cannot be decoded")
+    assert (rejection.stage, rejection.reason) == ("readers", "image cannot be decoded")
     assert "/l: picture encoding 'yuv422'" in rejection.detail
     assert rejection.time_ns == r.START_NS + 1
     np.testing.assert_array_equal(found[2][2], GRAY)
@@ -145,7 +145,7 @@ def test_largest_picture_of_a_forged_png_is_refused():
     header[16:24] = (2**31 - 1).to_bytes(4, "big") * 2
     message = r.compressed(GRAY, ".png")(r.ROS2)
     message.data = np.frombuffer(bytes(header), dtype=np.uint8)
-    with pytest.raises(RecordingError, match="picture damaged"):
+    with pytest.raises(RecordingError, match="image damaged"):
         decode_image(message)
 
 

@@ -63,15 +63,15 @@ def test_distortion_models(name, D, model, count):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"K": np.zeros((3, 3))}, "/info: K is all zeros: the camera was not calibrated"),
+        ({"K": np.zeros((3, 3))}, "/info: K is all zeros: the camera is not calibrated"),
         ({"K": K, "P": np.zeros((3, 4))}, "/info: P is all zeros"),
-        ({"K": np.where(K, np.nan, 0)}, "/info: K holds values that are not finite"),
-        ({"K": K, "P": np.where(P, np.inf, 0)}, "/info: P holds values that are not finite"),
-        ({"K": K, "D": [np.nan]}, "/info: D holds values that are not finite"),
+        ({"K": np.where(K, np.nan, 0)}, "/info: K contains values that are not finite"),
+        ({"K": K, "P": np.where(P, np.inf, 0)}, "/info: P contains values that are not finite"),
+        ({"K": K, "D": [np.nan]}, "/info: D contains values that are not finite"),
         ({"K": -K}, "/info: K has no positive focal lengths"),
         ({"K": K, "D": [1, 2], "model": "omnidirectional"}, "unknown distortion model 'omnidirectional'"),
-        ({"K": K, "D": [1, 2], "model": "equidistant"}, "2 distortion coefficients do not fit"),
-        ({"K": K, "D": [1] * 15}, "15 distortion coefficients do not fit"),
+        ({"K": K, "D": [1, 2], "model": "equidistant"}, "2 distortion coefficients do not match"),
+        ({"K": K, "D": [1] * 15}, "15 distortion coefficients do not match"),
     ],
 )
 def test_calibrations_that_are_none_are_refused(arguments, message):
@@ -126,5 +126,5 @@ def test_long_recording_is_not_read_to_its_end(tmp_path, monkeypatch, name):
 
 def test_empty_recording_is_refused(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", [])
-    with open_recording([path]) as recording, pytest.raises(RecordingError, match="holds no messages"):
+    with open_recording([path]) as recording, pytest.raises(RecordingError, match="contains no messages"):
         read_prelude(recording)

@@ -83,7 +83,7 @@ def test_whole_bags(shared_data, name):
 @pytest.mark.parametrize(
     ("name", "messages", "note"),
     [
-        ("test_sample_truncated.mcap", 14, "at byte 1475 of 1533, after 14 messages, 3.5 s"),
+        ("test_sample_truncated.mcap", 14, "at byte 1475 of 1533; 14 messages (3.5 s)"),
         ("test_truncated.bag", 3, "at byte 4117 of 5992"),
         ("test_unindexed.bag", 14, "no usable index"),
     ],

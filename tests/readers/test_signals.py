@@ -99,7 +99,7 @@ def test_zero_stamps_fall_back_to_log_time(tmp_path):
 def test_other_clock_is_noted(tmp_path):
     rows = [(0.1 * k, at(0.1 * k) - 100 * S, NAMES, [k, k, k]) for k in range(5)]
     signals = signals_of(tmp_path, [*images(), *joints(rows)])
-    assert any(note.startswith("clocks differ: the stamps of /j lie 100.000 s") for note in signals.notes)
+    assert any(note.startswith("clocks differ: the stamps of /j are 100.000 s") for note in signals.notes)
 
 
 def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
@@ -110,7 +110,7 @@ def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
     assert len(track.time_ns) == 6
     np.testing.assert_allclose((track.time_ns - r.START_NS) / S, track.value)
     assert (
-        "joint pan on /j: the clock steps back, by up to 1.500 s; 2 of 8 samples that are out of order are dropped"
+        "joint pan on /j: the clock steps back by up to 1.500 s; 2 of 8 samples are out of order and dropped"
         in signals.notes
     )
 
@@ -128,7 +128,7 @@ def test_gap_in_which_wheels_turned_is_reported(tmp_path):
     rows = [(s, at(s), NAMES, [0, 2 * s, 0]) for s in times]
     signals = signals_of(tmp_path, [*images(), *joints(rows)])
     assert (
-        "left wheel: 1 gap in which the wheel turned; the worst lasts 2.56 s from 0.98 s on, 5.120 rad"
+        "left wheel: 1 gap during which the wheel turned; the worst lasts 2.56 s from 0.98 s on, with 5.120 rad"
         in signals.notes
     )
     assert not any(note.startswith("right wheel") for note in signals.notes)
@@ -175,8 +175,11 @@ def test_sign_turns_a_wheel_round(tmp_path):
     ("change", "message"),
     [
         ({"joints": ("/nope",)}, r"no topic /nope; topics present: /j \(sensor_msgs/msg/JointState\), /l"),
-        ({"joints": ("/l",)}, "/l is a sensor_msgs/msg/Image, not a sensor_msgs/msg/JointState"),
-        ({"image": {"left": "/j", "right": "/r"}}, "/j is a sensor_msgs/msg/JointState, not a sensor_msgs"),
+        ({"joints": ("/l",)}, "/l has the type sensor_msgs/msg/Image, expected sensor_msgs/msg/JointState"),
+        (
+            {"image": {"left": "/j", "right": "/r"}},
+            "/j has the type sensor_msgs/msg/JointState, expected sensor_msgs",
+        ),
         (
             {"wheels": {**SOURCES.wheels, "left": WheelSource("/j", joint="x")}},
             "no joint x on /j; joints present: pan",
@@ -186,7 +189,7 @@ def test_sign_turns_a_wheel_round(tmp_path):
             "no field ticks .*velocity",
         ),
         ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="name")}}, "is a list, not a number"),
-        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="a..b")}}, "not a path to a field"),
+        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="a..b")}}, "not a field path"),
         ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j")}}, "neither joint nor field"),
     ],
 )

@@ -108,5 +108,5 @@ def test_transforms_of_another_robot(tmp_path):
     with pytest.raises(RecordingError, match=r"no transform from torso to neck.*present: map to odom"):
         signals_of(tmp_path, strangers, {"pan": PAN})
     skewed = [tf_message(i, ("torso", "neck", moved(LIFT, 0.1 * i))) for i in range(3)]
-    with pytest.raises(RecordingError, match=r"leaves the axis of joint pan by up to .* degrees and .* mm"):
+    with pytest.raises(RecordingError, match=r"deviates from joint pan by up to .* degrees and .* mm"):
         signals_of(tmp_path, skewed, {"pan": PAN})
