@@ -58,7 +58,7 @@ class Odometry:
         wheels = self.baked_in
         notes.append(
             f"{self._topic}: wheel rotations are derived from odometry, assuming wheel radii of "
-            f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right), "
+            f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right) "
             f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result has "
             "the same relative error"
         )

@@ -292,7 +292,7 @@ def test_odometry_needs_the_wheels_that_it_was_made_with():
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
     with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
         settle_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
-    assert told.value.hint == "topics that do: /odom"
+    assert told.value.hint == "topics with odometry: /odom"
 
 
 def test_both_cameras_in_one_topic():

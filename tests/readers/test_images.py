@@ -135,7 +135,7 @@ def test_undecodable_picture_is_a_rejection_in_its_place(tmp_path):
     rejection = found[1][2]
     assert isinstance(rejection, Rejection)
     assert (rejection.stage, rejection.reason) == ("readers", "image cannot be decoded")
-    assert "/l: picture encoding 'yuv422'" in rejection.detail
+    assert "/l: unknown image encoding 'yuv422'" in rejection.detail
     assert rejection.time_ns == r.START_NS + 1
     np.testing.assert_array_equal(found[2][2], GRAY)
 

@@ -60,6 +60,7 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
     assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
     assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]
     assert any(
-        "made with radii of 200 mm (left) and 100 mm (right), 500 mm apart" in n for n in signals.notes
+        "wheel radii of 200 mm (left) and 100 mm (right) and a separation of 500 mm" in n
+        for n in signals.notes
     )
     assert any("jumps 1 times" in note for note in signals.notes)
