@@ -85,7 +85,7 @@ def _solved(extraction: Extraction, method: Method, asked: Asked | None, progres
         if not gaps:
             raise
         because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
-        raise SolveError(f"{error.message}: {because}", f"{cures}; or {error.hint}") from error
+        raise SolveError(f"{error.message}; {because}", f"{cures}; or {error.hint}") from error
 
 
 def suggest(

@@ -30,7 +30,9 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
         for k, number in enumerate(NINE):
             unit, factor = SHOWN[number]
             s, digits = found.std[k] * factor, decimals_of(found.std[k] * factor)
-            std, sigmas = (std_text(s), f"{found.sigmas[k]:+.1f}") if found.known[k] else ("-", "-")
+            std, sigmas = (
+                (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
+            )
             lines.append(
                 f"  {number:<14}{found.change[k] * factor:>+12.{digits}f}{std:>12}{sigmas:>10}  {unit}"
             )

@@ -99,13 +99,13 @@ def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = (
         known = (
             f"{name} {std_text(factor * std.max())} {unit}"
             for name, std, factor, unit in (
-                ("camera rotation", rotation, 180 / np.pi, "deg"),
+                ("camera rotation about a head axis", rotation, 180 / np.pi, "deg"),
                 ("camera position", position, 1e3, "mm"),
                 ("wheels", wheels, 1e3, "mm"),
             )
             if std.any()
         )
-        reason += f" Standard deviations: {', '.join(known)}."
+        reason += f" Largest standard deviations: {', '.join(known)}."
     look = [check for check in checks if check.outcome == "look"]
     next_step = "Use params.yaml on the robot."
     if look:

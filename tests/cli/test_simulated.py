@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -62,6 +63,8 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     assert made.code == 0, made.err
     result = run("calibrate", log, "--output", "out", cwd=tmp_path)
     assert result.code == 0, result.err
+    for clock in ("joints", "wheels"):
+        assert re.search(rf"Cameras to {clock} +-2[45]\.\d+ ± 0\.\d+ ms", result.out), result.out
     turn, move, wheels = errors(load(tmp_path / "out/params.yaml"), load(log.with_name("moving.truth.yaml")))
     assert turn < 0.3
     assert move < 6
