@@ -75,10 +75,10 @@ def test_another_robot_is_refused():
 
 def test_nominal_values_have_no_sigma():
     change = change_from_nominal(robot(), Nominal(wheels=WheelGeometry(0.11, 0.1, 0.5)))
-    rows = change_rows(change)
-    assert rows["radius_right"] == ("-10.000", "")
-    assert rows["t_x"] == ("", "")
-    assert {sigmas for _, sigmas in rows.values()} == {""}
+    rows = change_rows(change, ())
+    assert (rows["radius_right"].value, rows["radius_right"].sigmas) == ("-10.000", "–")
+    assert rows["t_x"].value == "–"
+    assert {row.sigmas for row in rows.values()} == {"–"}
     assert change.chance is None
 
 
