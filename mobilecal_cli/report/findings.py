@@ -62,11 +62,7 @@ def predicted_rows(solution: Solution) -> tuple[Row, ...]:
             ("dead reckoning, driving straight: distance", p.along_m_per_m * 1e3, "mm per m"),
             ("dead reckoning, driving straight: lateral, first meter", p.sideways_m_per_m * 1e3, "mm per m"),
             ("dead reckoning, driving straight: heading", math.degrees(p.heading_rad_per_m), "deg per m"),
-            (
-                "dead reckoning, turning in place: heading",
-                math.degrees(p.heading_rad_per_turn),
-                "deg per turn",
-            ),
+            ("dead reckoning: heading error per full turn", math.degrees(p.heading_rad_per_turn), "deg"),
         )
     )
 

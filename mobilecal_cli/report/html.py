@@ -164,8 +164,8 @@ def _table_one(solution: Solution, extraction: Extraction, rotation: Rotation) -
     linear_R = reference_pose(solution.linear.parameters, cameras)[:3, :3]
     linear = [*np.degrees(se3.log_so3(linear_R)), *nine_numbers(solution.linear.parameters, cameras)[3:]]
     final = [*rotation.vector_deg, *nine_numbers(solution.parameters, cameras)[3:]]
-    labels = [f"rotation vector of the camera in the head frame, {axis}" for axis in "xyz"]
-    labels += [quantity.meaning for quantity in QUANTITIES[3:]]
+    labels = [f"{name}, {axis}" for name in ("rotation vector", "camera position") for axis in "xyz"]
+    labels += [quantity.meaning for quantity in QUANTITIES[6:]]
     return [
         {
             "meaning": meaning,
