@@ -184,7 +184,7 @@ def evaluate(
 ) -> None:
     """Test a calibration on another recording.
 
-    Prints the prediction errors from station to station, and the drift of dead reckoning.
+    Prints the prediction errors from station to station, the drift of dead reckoning, and a verdict.
 
     Example: mobilecal evaluate another.mcap log_calibration/params.yaml
 
@@ -206,14 +206,13 @@ def evaluate(
                 progress=progress,
             )
         if junit is not None:
-            pipeline.write_junit(junit, str(logs[0]), found.checks, force)
+            pipeline.write_junit(junit, str(logs[0]), found.verdict.checks, force)
     if as_json:
-        typer.echo(evaluation_json(found.evaluation, found.extraction, found.checks), nl=False)
+        text = evaluation_json(found.evaluation, found.extraction, found.verdict, found.checks, found.used)
     else:
-        typer.echo(evaluation_text(found.evaluation, found.checks), nl=False)
-    failed = [check for check in found.checks if check.outcome != "good"]
-    if failed:
-        conclude("FAIL", " ".join(check.why for check in failed), failed[0].next_step, quiet=as_json)
+        text = evaluation_text(found.evaluation, found.notes, found.verdict)
+    typer.echo(text, nl=False)
+    conclude(found.verdict.level, found.verdict.reason, found.verdict.next_step, quiet=as_json)
 
 
 @app.command()

@@ -33,6 +33,8 @@ def inspect(
     with progress_bar(quiet) as progress:
         found = pipeline.inspect(logs, config, flags_of(setting), progress)
     typer.echo(inspection_json(found) if as_json else inspection_text(found), nl=False)
+    if found.exit_code:
+        raise typer.Exit(found.exit_code)
 
 
 @app.command()

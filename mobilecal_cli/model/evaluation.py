@@ -1,8 +1,9 @@
-"""Evaluation of a calibration on stations that were not used for it."""
+"""Errors of a calibration on a recording."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,11 +12,11 @@ from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Error of dead reckoning relative to the motion that the cameras measure, over all pairs of stations.
+    """Relative error of dead reckoning against the cameras, over all pairs of stations of a log.
 
     Attributes:
-        m_per_m: rms position error over rms distance; None if the base hardly drove.
-        rad_per_rad: rms heading error over rms rotation; None if the base hardly turned.
+        m_per_m: rms position error over the rms path length; None if the base hardly drove.
+        rad_per_rad: rms heading error over the rms rotation; None if the base hardly turned.
     """
 
     m_per_m: float | None
@@ -24,19 +25,20 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """Evaluation of a calibration on a recording.
+    """Errors of a calibration on a recording.
 
-    The parameters predict the camera motion of each leg (eq. 18); the board measures it.
+    The parameters predict the camera motion over each leg (eq. 18); the board gives the measured motion.
 
     Attributes:
         stations: number of stations with the board in both cameras.
         legs: (L, 3) log, first and second station of each leg.
-        reprojection_px: (L,) rms distance between predicted and detected corners, both cameras.
-        rotation_rad: (L,) angle between predicted and measured rotation of the camera.
-        translation_m: (L,) distance between predicted and measured position of the camera.
-        driven_m, turned_rad: total distance and rotation of the base, with the calibrated wheels.
-        before: drift with the nominal wheels, None without nominal wheels.
+        reprojection_px: (L,) rms distance of transferred to detected corners, both cameras.
+        rotation_rad: (L,) angle between predicted and measured camera rotation.
+        translation_m: (L,) distance between predicted and measured camera position.
+        driven_m, turned_rad: path length and absolute rotation, summed over the legs.
+        before: drift with the wheels to compare with, None if there are none.
         after: drift with the calibrated wheels.
+        clock_offsets_s: estimated clock offset of "joints" and "wheels", s; empty if not estimated.
     """
 
     stations: int
@@ -48,6 +50,7 @@ class Evaluation:
     turned_rad: float
     before: Drift | None
     after: Drift
+    clock_offsets_s: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         legs = freeze(self, np.int64, legs=("L", 3))["L"]

@@ -1,4 +1,4 @@
-"""Result of `inspect`: contents of a recording and its fitness for calibration."""
+"""Summary of a recording."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class TopicView:
 
     Attributes:
         name, type: see `TopicInfo`.
-        messages: number of messages; None if the file does not contain it.
-        rate_hz: from the median interval of the log times; None without them or with one message.
-        longest_gap_s, gap_at_s: longest gap and its start after the start of the recording; None likewise.
-        steps_back: number of messages that follow one with a later log time; None likewise.
+        messages: number of messages; None if the file does not state it.
+        rate_hz: from the median interval of the log times; None if they are unknown, or for one message.
+        longest_gap_s, gap_at_s: the longest gap and its start, from the start of the recording; None likewise.
+        steps_back: number of messages stored after one with a later log time; None likewise.
     """
 
     name: str
@@ -31,22 +31,26 @@ class TopicView:
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """The board in a sample of images spread over the recording.
+    """The board in a few images spread over the recording.
 
     Attributes:
         pictures: number of images searched.
-        seen: number of images with a complete board of the most frequent size.
-        size: (columns, rows) inner corners, None if no size is most frequent.
+        seen: number of images with a whole board of the most frequent size.
+        size: (columns, rows) inner corners, None if no size is the most frequent.
+        square_m: side of a square measured with the stereo pair, m; None if no pair shows the board.
+        stated_m: side of a square as configured, m; None if it is not.
     """
 
     pictures: int
     seen: int
     size: tuple[int, int] | None
+    square_m: float | None = None
+    stated_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class JointRange:
-    """Range of a head joint: lowest and highest reading, and their unit ("deg" or "mm")."""
+    """Lowest and highest reading of a head joint, and their unit ("deg" or "mm")."""
 
     low: float
     high: float
@@ -59,10 +63,10 @@ class MotionView:
 
     Attributes:
         joints: head joint → range.
-        wheels_deg: side → total rotation, forward and backward, deg.
-        driven_m, turned_deg: distance and range of the heading with the nominal wheels; None without them.
-        rests: number of rests of base and head with images; None if the image times are unknown.
-        share: share of the recording that was read, 0 to 1.
+        wheels_deg: side → total rotation forward and back over the recording, degrees.
+        driven_m, turned_deg: path length and heading range, by the nominal wheels; None without these.
+        rests: number of rests of base and head with images; None if the times of the images are unknown.
+        share: share of the recording that was read for this, 1 for all of it.
     """
 
     joints: Mapping[str, JointRange]
@@ -75,28 +79,35 @@ class MotionView:
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """Something that a calibration lacks: the problem, and what to do."""
+    """Something that is missing for a calibration.
+
+    Attributes:
+        what: what is wrong.
+        cure: what to do.
+        exit_code: the exit code of `calibrate` for this, see `errors`.
+    """
 
     what: str
     cure: str
+    exit_code: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """Overview of a recording.
+    """Summary of a recording.
 
     Attributes:
         name: path as given by the user.
         containers: file formats.
         size_bytes: total size.
         start_ns, end_ns: log times of the first and last message, None where unknown.
-        topics: sorted by name.
-        rig: the robot as `calibrate` would use it, None if something is missing.
-        board: None if no images could be searched.
-        motion: None if joints or wheels could not be read.
-        missing: problems that prevent a calibration.
-        weak: problems that leave parameters unobservable or uncertain.
-        notes: irregularities and lost data; whole sentences.
+        topics: in order of name.
+        rig: what `calibrate` would use, None if something is missing for it.
+        board: None if no image can be read.
+        motion: None if joints or wheels cannot be read.
+        missing: what prevents a calibration.
+        weak: what limits a calibration.
+        notes: irregularities and losses, whole sentences.
     """
 
     name: str
@@ -111,3 +122,11 @@ class Inspection:
     missing: tuple[Lack, ...]
     weak: tuple[Lack, ...]
     notes: tuple[str, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code that `calibrate` would end with; 0 if nothing is missing."""
+        codes = [lack.exit_code for lack in self.missing]
+        if not codes:
+            return 0
+        return codes[0] if self.rig is None else min(codes)

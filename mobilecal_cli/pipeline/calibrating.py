@@ -40,7 +40,7 @@ from mobilecal_cli.report import (
     report_json,
     suggestion_sentences,
 )
-from mobilecal_cli.solvers import Asked, evaluate, solve
+from mobilecal_cli.solvers import Asked, clock_offsets, evaluate, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 
@@ -162,7 +162,8 @@ def calibrate(
         draughtsman.begin_with(extraction)
         solution = _solved(extraction, method, asked, progress)
         nominal = extraction.rig.nominal.wheels
-        trial = None if rest is None else evaluate(rest, solution.parameters, nominal)
+        offsets = clock_offsets(solution)
+        trial = None if rest is None else evaluate(rest, solution.parameters, nominal, offsets_s=offsets)
         settings = settings_of(extraction) | ({} if hold_out is None else {"hold_out": hold_out})
         provenance = Provenance(__version__, _created(), method, extraction.logs, settings)
         drawing = draughtsman.begin(solution, extraction)

@@ -1,4 +1,4 @@
-"""`mobilecal evaluate`: a calibration tried on a recording; and the part of a recording that is held out for it."""
+"""`mobilecal evaluate`: a calibration evaluated on a recording; and the split that `--hold-out` makes."""
 
 from __future__ import annotations
 
@@ -10,39 +10,67 @@ from typing import Any
 
 from mobilecal_cli import se3
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError, ObservationError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.export import parameters_from_yaml
-from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, Parameters
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    Evaluation,
+    Extraction,
+    Knowledge,
+    Nominal,
+    Parameters,
+    Solution,
+    WheelGeometry,
+)
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.report import Check, evaluated_figures, gate_checks, gates_of, reference_frame
+from mobilecal_cli.report import (
+    Check,
+    OwnEstimate,
+    Verdict,
+    dependence,
+    evaluated_figures,
+    gate_checks,
+    gates_of,
+    judge_evaluation,
+    reference_frame,
+    reference_pose,
+)
+from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
+from mobilecal_cli.uncertainty import motion_gaps, require_stations
 from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
 
-#: Two legs between held-out stations are the least that say anything.
+#: Two legs between held-out stations are the least that gives an error.
 _LEAST_HELD_OUT = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
-    """What an evaluation gave.
+    """Result of an evaluation.
 
     Attributes:
         evaluation: the figures.
-        extraction: what it was tried on.
-        checks: its gates.
+        extraction: the recording's measurements.
+        verdict: PASS, FAIL or NOT ENOUGH, with every check.
+        checks: the user's gates.
+        used: names of the recordings that the calibration was made from.
+        notes: what to know about the figures, whole sentences.
     """
 
     evaluation: Evaluation
     extraction: Extraction
+    verdict: Verdict
     checks: tuple[Check, ...]
+    used: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def read_params(path: Path) -> CalibratedRobot:
-    """Read a params.yaml.
+    """The calibration in a params.yaml.
 
     Raises:
-        ConfigError: the file cannot be read, or is no params.yaml.
+        ConfigError: the file cannot be read, or is not a params.yaml.
     """
     try:
         text = read_text(path, LARGEST_BYTES)
@@ -64,59 +92,124 @@ def evaluate(
     gates: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Evaluated:
-    """Try a calibration on recordings.
+    """Evaluate a calibration on recordings.
 
     Args:
         logs: recordings of the calibrated robot, or one extraction.npz.
         params: the calibration.
-        before: another params.yaml, whose wheels dead reckoning is compared with; the nominal wheels by default.
+        before: another params.yaml, whose wheels dead reckoning is compared with; by default the nominal wheels.
         config_path: rig.yaml.
         flags: dotted key → value, over the file.
         gates: `NAME=LIMIT`, over those of the file.
-        progress: told how far it is.
+        progress: receives the progress.
 
     Raises:
         MobilecalError: see `errors`.
     """
     robot = read_params(params)
     config = load_rig(config_path, flags)
-    asked = gates_of(gates, config.gates, evaluating=True)
+    limits = gates_of(gates, config.gates, evaluating=True)
     wheels = read_params(before).wheels if before is not None else None
     extraction, _ = load(logs, config, config_path, flags or {}, progress)
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
-            f"the board was found at {len(extraction.observations)} stations: a calibration is tried from one to "
-            "the next",
+            f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",
             "give a recording with more stops in front of the board",
         )
     parameters = parameters_of(robot, extraction, params)
+    progress("solving", 0, None)
+    solution = _solved(extraction, robot)
     progress("evaluating", 0, None)
-    found = evaluate_parameters(extraction, parameters, wheels or extraction.rig.nominal.wheels)
-    return Evaluated(found, extraction, tuple(gate_checks(asked, evaluated_figures(found))))
+    nominal = extraction.rig.nominal.wheels
+    own = _own_estimate(solution, extraction, robot) if isinstance(solution, Solution) else solution
+    found = evaluate_parameters(
+        extraction,
+        parameters,
+        wheels or nominal,
+        offsets_s=clock_offsets(solution) if isinstance(solution, Solution) else {},
+        reference=_reference(own, nominal),
+    )
+    used = used_for(robot, extraction)
+    checks = tuple(gate_checks(limits, evaluated_figures(found)))
+    verdict = judge_evaluation(found, extraction.rig.cameras, robot, own, used, checks)
+    return Evaluated(found, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
+
+
+def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | MobilecalError:
+    """The recording solved by itself as `calibrate` does, or the error that prevents it.
+
+    Missing nominal values come from the calibration: parameters fixed there are not compared with it.
+    """
+    try:
+        require_stations(extraction)
+        try:
+            return solve(extraction)
+        except SolveError:
+            rig = extraction.rig
+            nominal = Nominal(
+                robot.T_parent_child if rig.nominal.T_h_reference is None else rig.nominal.T_h_reference,
+                rig.nominal.wheels or robot.wheels,
+            )
+            return solve(replace(extraction, rig=replace(rig, nominal=nominal)))
+    except MobilecalError as error:
+        return error
+
+
+def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedRobot) -> OwnEstimate:
+    cameras, found = extraction.rig.cameras, solution.uncertainty
+    assert found is not None  # the default method always has one
+    T_c_reference = cameras.T_c_reference
+    knowledge = Knowledge(found.referred(solution.parameters.T_h_c, T_c_reference), found.observable)
+    own = CalibratedRobot(
+        robot.parent_frame,
+        robot.child_frame,
+        reference_pose(solution.parameters, cameras),
+        solution.parameters.wheels,
+        knowledge,
+    )
+    cure = "; ".join(gap.cure for gap in motion_gaps(extraction))
+    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure)
+
+
+def _reference(own: OwnEstimate | MobilecalError, nominal: WheelGeometry | None) -> WheelGeometry | None:
+    """Wheels for path length and rotation that do not come from the calibration under test, if there are any."""
+    if (
+        isinstance(own, OwnEstimate)
+        and own.robot.knowledge is not None
+        and own.robot.knowledge.observable[6:].all()
+    ):
+        return own.robot.wheels
+    return nominal
+
+
+def used_for(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
+    """Names of the recordings that a calibration was made from, found by their content."""
+    made_from = {log.sha256 for log in robot.logs}
+    return tuple(log.path for log in extraction.logs if log.sha256 in made_from)
 
 
 def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) -> Parameters:
-    """A calibration's numbers for the left camera of a recording's robot.
+    """The nine parameters of a calibration for the left camera of a recording's robot.
 
     Raises:
-        ConfigError: it is of other frames.
+        ConfigError: the calibration is for other frames.
     """
     cameras = extraction.rig.cameras
     here = (extraction.rig.chain.head_frame, reference_frame(cameras))
     if (robot.parent_frame, robot.child_frame) != here:
         raise ConfigError(
-            f"{path} says where {robot.child_frame!r} is on {robot.parent_frame!r}; in the recording the camera is "
-            f"{here[1]!r} and the head {here[0]!r}",
-            "set head.head_frame and cameras.reference as the calibration had them",
+            f"{path} gives the pose of {robot.child_frame!r} on {robot.parent_frame!r}; in the recording the camera "
+            f"frame is {here[1]!r} and the head frame is {here[0]!r}",
+            "set head.head_frame and cameras.reference as for the calibration",
         )
     return Parameters(robot.T_parent_child @ se3.inverse(cameras.T_c_reference), robot.wheels)
 
 
 def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extraction]:
-    """A recording without its last stations, and these: the last share of every log's.
+    """A recording without the last share of each log's stations, and these held-out stations.
 
     Raises:
-        ObservationError: too few would be held out.
+        ObservationError: too few stations would be held out.
     """
     last: set[int] = set()
     for log in range(len(extraction.wheels)):
@@ -124,12 +217,12 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
         last |= set(members[len(members) - math.ceil(share * len(members)) :])
     if len(last) < _LEAST_HELD_OUT:
         raise ObservationError(
-            f"--hold-out {share:g} leaves {len(last)} of {len(extraction.observations)} stations to try the "
-            f"calibration on, {_LEAST_HELD_OUT} are the least",
+            f"--hold-out {share:g} holds out {len(last)} of {len(extraction.observations)} stations; at least "
+            f"{_LEAST_HELD_OUT} are needed",
             "hold out a larger share, or record more stops",
         )
-    looked = extraction.counts.get("stations", 0)
+    searched = extraction.counts.get("stations", 0)
     kept = tuple(o for n, o in enumerate(extraction.observations) if n not in last)
     tried = tuple(o for n, o in enumerate(extraction.observations) if n in last)
-    counts = {**extraction.counts, "stations": looked - len(tried)} if looked else extraction.counts
+    counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
     return replace(extraction, observations=kept, counts=counts), replace(extraction, observations=tried)

@@ -1,8 +1,9 @@
-"""`mobilecal inspect`: what a recording holds, at a glance, however long it is."""
+"""`mobilecal inspect`: a summary of a recording of any length."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.discovery import lacking, settle_rig
-from mobilecal_cli.errors import MobilecalError, RecordingError
+from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     Board,
@@ -26,6 +27,7 @@ from mobilecal_cli.model import (
     Rig,
     Side,
     Signals,
+    Station,
     TopicInfo,
     TopicView,
     WheelTrack,
@@ -35,13 +37,15 @@ from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
 from mobilecal_cli.report import MIN_STATIONS
 from mobilecal_cli.stations import plan_stations, wheel_track
-from mobilecal_cli.uncertainty import FEWEST_STATIONS, gaps_between
-from mobilecal_cli.vision import Detection, find_board, identify_size
+from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
+from mobilecal_cli.vision import Detection, Measured, find_board, identify_size, measure
 
-#: So much of a long recording is decompressed for the motion; of a shorter one all of it.
+#: At most so much of a recording is decompressed for the motion.
 MOTION_BYTES = 2**28
-#: Moments, spread over the log, at which a picture of either camera is looked at.
+#: Number of moments, evenly spaced, at which an image of either camera is searched for the board.
 PICTURE_MOMENTS = 6
+#: `calibrate` rejects stations whose squares differ by this share from the stated size.
+_SQUARE_TOLERANCE = 0.1
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
@@ -51,16 +55,16 @@ def inspect(
     flags: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> Inspection:
-    """Look at one recording (in one file or several): what is there, what would be used, what is missing.
+    """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
 
-    Of a long recording only a part is read: the first messages of each topic, the index, joints and wheels of at most
-    256 MB of the file, and a few pictures.
+    Only a part of a long recording is read: the first messages of each topic, the index, joints and wheels of at most
+    256 MB of the file, and a few images.
 
     Args:
         logs: parts of one recording.
         config_path: rig.yaml.
         flags: dotted key → value, over the file.
-        progress: told what is being looked at.
+        progress: receives the progress.
 
     Raises:
         RecordingError: the recording cannot be opened.
@@ -79,8 +83,8 @@ def inspect(
             progress("motion", 0, None)
             motion, weak, seen = _motion(recording, rig, times, missing)
             notes = [*notes, *seen]
-            progress("pictures", 0, None)
-            board = _board(recording, rig, board_of(config), missing)
+            progress("images", 0, None)
+            board = _board(recording, rig, board_of(config), config.board.square_m, missing)
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -103,13 +107,13 @@ def _size_bytes(logs: Sequence[Path]) -> int:
 
 
 def _lack(error: MobilecalError) -> Lack:
-    return Lack(error.message, error.hint)
+    return Lack(error.message, error.hint, error.exit_code)
 
 
 def _settled(
     recording: Recording, config: RigConfig, flags: frozenset[str]
 ) -> tuple[Rig | None, list[Lack], list[str]]:
-    """The rig that a calibration would use, or everything that keeps it from one."""
+    """The rig that `calibrate` would use, or everything that is missing for it, and notes."""
     try:
         prelude: Prelude = read_prelude(recording)
     except RecordingError as error:
@@ -139,7 +143,7 @@ def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> 
 def _motion(
     recording: Recording, rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
 ) -> tuple[MotionView | None, tuple[Lack, ...], tuple[str, ...]]:
-    """How the robot moved, what that cannot show, and what was odd."""
+    """Motion of the robot, what is unobservable from it, and notes."""
     try:
         signals = read_signals(recording, rig.sources, rig.chain.joints, (), Extent(MOTION_BYTES))
         wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
@@ -160,22 +164,22 @@ def _motion(
         driven_m = float(np.linalg.norm(legs.t_m, axis=1).sum())
         turned_deg = float(np.degrees(np.ptp(np.cumsum([0.0, *legs.psi_rad]))))
     share = recording.share(rig.sources.motion, Extent(MOTION_BYTES))
-    rests, weak = _rests(rig, signals, times, share)
+    rests, weak = _rests(rig, signals, times, share, missing)
     notes = signals.notes if share == 1 else ()
     return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), weak, notes
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
-    """The track's times about a second apart, its ends included: over less, noise would count as motion."""
+    """Times of the track about a second apart with both ends: shorter steps would count noise as motion."""
     first, last = int(wheels.time_ns[0]), int(wheels.time_ns[-1])
     count = min(max(2, (last - first) // 10**9 + 1), len(wheels.time_ns))
     return np.linspace(first, last, count).astype(np.int64)
 
 
 def _rests(
-    rig: Rig, signals: Signals, times: Mapping[str, IntArray], share: float
+    rig: Rig, signals: Signals, times: Mapping[str, IntArray], share: float, missing: list[Lack]
 ) -> tuple[int | None, tuple[Lack, ...]]:
-    """How often the robot rests with pictures, and what its stations' motion cannot show."""
+    """Number of rests with images, and what is unobservable; what prevents a calibration goes to `missing`."""
     images = {side: times.get(rig.sources.image[side]) for side in _SIDES}
     if share < 1 or any(stamps is None for stamps in images.values()):
         return None, ()
@@ -185,58 +189,105 @@ def _rests(
             Signals(signals.joints, signals.wheels, stamps, ()), rig.chain.joints, sliding_joints(rig.chain)
         )
     except RecordingError as error:
-        return None, (_lack(error),)
-    weak = []
+        missing.append(_lack(error))
+        return None, ()
+    weak: list[Lack] = []
     if len(plan.stations) < MIN_STATIONS:
-        weak.append(
-            Lack(
-                f"only {len(plan.stations)} moments are worth a look: {FEWEST_STATIONS} with the board make a "
-                f"calibration, {MIN_STATIONS} are the least that passes",
-                "record at least ten rests of two seconds, with the head and the base moved in between",
-            )
+        lack = Lack(
+            f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
+            f"and {MIN_STATIONS} to pass.",
+            "record at least ten rests of two seconds, and move head and base in between",
+            ObservationError.exit_code,
         )
+        (missing if len(plan.stations) < FEWEST_STATIONS else weak).append(lack)
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         readings = np.stack([station.joints for station in plan.stations])
-        weak += [
-            Lack(f"{', '.join(gap.parameters)} cannot be seen: {gap.because}", gap.cure)
-            for gap in gaps_between(rig.chain, readings, [plan.wheels], [at])
-        ]
+        for gap in gaps_between(rig.chain, readings, [plan.wheels], [at]):
+            lack = Lack(
+                f"{', '.join(gap.parameters)}: unobservable: {gap.because}", gap.cure, SolveError.exit_code
+            )
+            (weak if _has_nominal(rig, gap) else missing).append(lack)
     return sum(station.at_rest for station in plan.stations), tuple(weak)
 
 
-def _board(recording: Recording, rig: Rig, board: Board | None, missing: list[Lack]) -> BoardView | None:
-    """In how many of a few pictures the board is."""
+def _has_nominal(rig: Rig, gap: Gap) -> bool:
+    """Whether `calibrate` can fix the unobservable parameters at nominal values."""
+    of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
+    return (rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference) is not None
+
+
+def _board(
+    recording: Recording, rig: Rig, board: Board | None, stated_m: float | None, missing: list[Lack]
+) -> BoardView | None:
+    """The board in a few images: its size, how often it is found, and the measured side of its squares."""
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
         return None
-    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64)
-    pictures: list[GrayImage] = []
-    broken: list[Rejection] = []
-    for picture in pictures_near(recording, rig.sources, moments.tolist()):
-        if isinstance(picture, Rejection):
-            broken.append(picture)
-        else:
-            pictures.append(picture)
-    if not pictures:
+    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
+    found = {
+        side: list(
+            pictures_near(recording, replace(rig.sources, image={side: rig.sources.image[side]}), moments)
+        )
+        for side in _SIDES
+    }
+    images = [image for side in _SIDES for image in found[side] if not isinstance(image, Rejection)]
+    if not images:
+        broken = [image for side in _SIDES for image in found[side] if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
-        missing.append(Lack(f"no picture can be looked at{why}", "record both cameras' images"))
+        missing.append(
+            Lack(f"no image can be read{why}", "record both cameras' images", ObservationError.exit_code)
+        )
         return None
-    size, seen = _found(pictures, board)
+    size, seen = _found(images, board)
     if not seen:
         missing.append(
             Lack(
-                f"a whole checkerboard is in none of {len(pictures)} pictures spread over the log",
-                "keep the whole board in both pictures, in good light, with squares of 7 pixels or more",
+                f"a whole checkerboard is in none of {len(images)} images spread over the recording",
+                "keep the whole board in both images, in good light, with squares of 7 pixels or more",
+                ObservationError.exit_code,
             )
         )
-    return BoardView(len(pictures), seen, size)
+        return BoardView(len(images), seen, size)
+    square_m = None
+    if size is not None:
+        square_m = _square_m(rig, board or Board(*size), found["left"], found["right"])
+    if square_m and stated_m and abs(square_m - stated_m) > _SQUARE_TOLERANCE * stated_m:
+        missing.append(
+            Lack(
+                f"the squares measure {square_m * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
+                f"(limit {100 * _SQUARE_TOLERANCE:g} %)",
+                "correct board.square_m, or calibrate the stereo pair again (camera_info)",
+                ObservationError.exit_code,
+            )
+        )
+    return BoardView(len(images), seen, size, square_m, stated_m)
 
 
-def _found(pictures: Sequence[GrayImage], board: Board | None) -> tuple[tuple[int, int] | None, int]:
-    """The board's columns and rows, and in how many pictures it is."""
+def _square_m(
+    rig: Rig,
+    board: Board,
+    left: Sequence[GrayImage | Rejection],
+    right: Sequence[GrayImage | Rejection],
+) -> float | None:
+    """Median side of a square over the stereo pairs, m; None if no pair shows the board."""
+    if len(left) != len(right):  # the images cannot be paired without their stamps
+        return None
+    sides = []
+    for pair in zip(left, right, strict=True):
+        if not any(isinstance(image, Rejection) for image in pair):
+            detections = [find_board(image, board) for image in pair if not isinstance(image, Rejection)]
+            station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
+            measured = measure(0, station, detections[:1], detections[1:], rig.cameras, board)
+            if isinstance(measured, Measured):
+                sides.append(measured.square_m)
+    return float(np.median(sides)) if sides else None
+
+
+def _found(images: Sequence[GrayImage], board: Board | None) -> tuple[tuple[int, int] | None, int]:
+    """Columns and rows of the board, and the number of images that show it whole."""
     if board is not None and board.markers is not None:
-        seen = sum(isinstance(find_board(picture, board), Detection) for picture in pictures)
+        seen = sum(isinstance(find_board(image, board), Detection) for image in images)
         return (board.columns, board.rows) if seen else None, seen
-    vote = identify_size(pictures)
+    vote = identify_size(images)
     return vote.size, vote.votes[vote.size] if vote.size else 0

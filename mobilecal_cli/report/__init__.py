@@ -5,7 +5,8 @@ from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
 from mobilecal_cli.report.drawn import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
-from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
+from mobilecal_cli.report.evaluation import dependence, evaluation_json, evaluation_text
+from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
 from mobilecal_cli.report.gates import evaluated_figures, figures_of, gate_checks, gates_of
@@ -23,12 +24,14 @@ __all__ = [
     "Check",
     "Drawn",
     "Figures",
+    "OwnEstimate",
     "Verdict",
     "change_checks",
     "change_from_nominal",
     "change_since",
     "comparison_json",
     "comparison_text",
+    "dependence",
     "draw_figures",
     "draw_seen",
     "draw_solved",
@@ -45,6 +48,7 @@ __all__ = [
     "inspection_json",
     "inspection_text",
     "judge",
+    "judge_evaluation",
     "junit_error_xml",
     "junit_xml",
     "put_together",

@@ -1,4 +1,4 @@
-"""What a calibration predicted on stations that it was not made from, as text and as JSON."""
+"""An evaluation of a calibration as text and as JSON."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.model import Evaluation, Extraction, FloatArray
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.gates import drift_figures, rms
+from mobilecal_cli.report.verdict import Verdict
 
 EVALUATION_SCHEMA = 1
+_MARKS = {"good": "ok", "look": "check", "bad": "FAIL", "short": "short"}
 
 
 def evaluation_data(found: Evaluation) -> dict[str, Any]:
@@ -43,30 +46,53 @@ def _spread(values: FloatArray) -> dict[str, float]:
     return {"rms": rms(values), "median": float(np.median(values)), "worst": float(values.max())}
 
 
-def evaluation_json(found: Evaluation, extraction: Extraction, checks: Sequence[Check]) -> str:
-    """An evaluation and its gates for programs."""
-    gates = [
-        {"name": c.name, "measured": c.measured, "limit": c.limit, "kept": c.outcome == "good"}
-        for c in checks
-    ]
-    logs = [{"path": log.path, "sha256": log.sha256} for log in extraction.logs]
+def evaluation_json(
+    found: Evaluation,
+    extraction: Extraction,
+    verdict: Verdict,
+    gates: Sequence[Check],
+    used: Sequence[str] = (),
+) -> str:
+    """An evaluation with its verdict and gates for programs."""
     data = {
         "schema_version": EVALUATION_SCHEMA,
-        "logs": logs,
-        "notes": list(extraction.notes),
+        "logs": [{"path": log.path, "sha256": log.sha256} for log in extraction.logs],
+        "used_for_calibration": list(used),
+        "notes": [*dependence(used, len(extraction.logs)), *extraction.notes],
         **evaluation_data(found),
-        "gates": gates,
+        "clock_offsets_s": dict(found.clock_offsets_s),
+        "verdict": {
+            "level": verdict.level,
+            "reason": verdict.reason,
+            "next_step": verdict.next_step,
+            "checks": [
+                {key: getattr(check, key) for key in ("name", "measured", "limit", "outcome")}
+                for check in verdict.checks
+            ],
+        },
+        "gates": [
+            {"name": c.name, "measured": c.measured, "limit": c.limit, "kept": c.outcome == "good"}
+            for c in gates
+        ],
     }
     return json.dumps(data, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
+def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
+    """A note if the calibration was made from some of the evaluated recordings."""
+    if not used:
+        return ()
+    which = "This recording was" if logs == 1 else f"{', '.join(used)} {'was' if len(used) == 1 else 'were'}"
+    return (f"{which} used for this calibration: the errors below are not independent.",)
+
+
 def evaluation_rows(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Lines of a table: what is compared, then rms, median and worst with their unit."""
+    """Table rows: name of the error, then its rms, median, worst value and unit."""
     rows = []
     for meaning, values, digits, unit in (
-        ("corners carried from stop to stop", found.reprojection_px, 2, "px"),
-        ("camera's rotation", np.degrees(found.rotation_rad), 3, "deg"),
-        ("camera's place", found.translation_m * 1e3, 2, "mm"),
+        ("station-to-station corner error", found.reprojection_px, 2, "px"),
+        ("camera rotation error", np.degrees(found.rotation_rad), 3, "deg"),
+        ("camera position error", found.translation_m * 1e3, 2, "mm"),
     ):
         spread = _spread(values)
         rows.append((meaning, (*(f"{spread[key]:.{digits}f}" for key in ("rms", "median", "worst")), unit)))
@@ -74,13 +100,13 @@ def evaluation_rows(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...
 
 
 def drift_rows(found: Evaluation) -> tuple[tuple[str, tuple[str, str, str]], ...]:
-    """Lines of a table: what drifts, before, after and the unit."""
+    """Table rows: name of the drift, then before, after and unit."""
     before = {} if found.before is None else drift_figures(found.before)
     after = drift_figures(found.after)
     return tuple(
         (meaning, (_number(before.get(key)), _number(after[key]), unit))
         for meaning, key, unit in (
-            ("dead reckoning: place", "mm_per_m", "mm per m"),
+            ("dead reckoning: position", "mm_per_m", "mm per m"),
             ("dead reckoning: heading", "deg_per_turn", "deg per turn"),
         )
     )
@@ -90,13 +116,19 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def evaluation_text(found: Evaluation, checks: Sequence[Check]) -> str:
-    """An evaluation for people."""
-    lines = [
+def evaluation_text(found: Evaluation, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
+    """An evaluation for the terminal; a verdict other than PASS is left to the error message."""
+    lines = [f"note: {visible(note)}" for note in notes]
+    lines += [
         f"{found.stations} stations, {len(found.legs)} legs; driven {found.driven_m:.2f} m, turned "
         f"{math.degrees(found.turned_rad):.0f} deg",
+    ]
+    if found.clock_offsets_s:
+        offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in found.clock_offsets_s.items())
+        lines += [f"clock offsets: {offsets}"]
+    lines += [
         "",
-        f"  {'Predicted from stop to stop':<36}{'rms':>9}{'median':>9}{'worst':>9}",
+        f"  {'Prediction from station to station':<36}{'rms':>9}{'median':>9}{'worst':>9}",
         *(
             f"  {meaning:<36}{a:>9}{b:>9}{c:>9}  {unit}"
             for meaning, (a, b, c, unit) in evaluation_rows(found)
@@ -105,12 +137,15 @@ def evaluation_text(found: Evaluation, checks: Sequence[Check]) -> str:
         f"  {'Drift':<36}{'before':>9}{'after':>9}",
         *(f"  {meaning:<36}{a:>9}{b:>9}  {unit}" for meaning, (a, b, unit) in drift_rows(found)),
     ]
-    if checks:
+    if verdict is not None:
         lines += [
             "",
+            f"  {'Calibration against this recording':<50}{'':<21}limit",
             *(
-                f"  {'kept' if c.outcome == 'good' else 'NOT KEPT'}: {c.name}: {c.measured} ({c.limit})"
-                for c in checks
+                f"  {_MARKS[check.outcome]:<6}{check.name:<44}{check.measured:<21}{check.limit}"
+                for check in verdict.checks
             ),
         ]
+        if verdict.level == "PASS":
+            lines += ["", f"PASS: {verdict.reason}", verdict.next_step]
     return "\n".join(lines) + "\n"

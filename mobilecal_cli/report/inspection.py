@@ -1,4 +1,4 @@
-"""What a look at a recording told, as text and as JSON."""
+"""The summary of a recording as text and as JSON."""
 
 from __future__ import annotations
 
@@ -10,16 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.model import Camera, Inspection, Lack, MotionView, Rig, StereoRig
+from mobilecal_cli.model import BoardView, Camera, Inspection, Lack, MotionView, Rig, StereoRig
 from mobilecal_cli.model.text import visible
 
 _WIDTH = 96
-#: What settled a role, in the words of `Rig.settled_by`, for people.
-_WHY = {"log": "by name and type in the log", "flag": "by a flag", "file": "by the configuration"}
+#: Source of a setting in `Rig.settled_by` → its text.
+_WHY = {
+    "log": "from names and types in the recording",
+    "flag": "from an option",
+    "file": "from the configuration",
+}
 
 
 def inspection_json(found: Inspection) -> str:
-    """All of it for programs; the keys are in docs/reference/cli.md."""
+    """The summary for programs; docs/reference/cli.md lists the keys."""
     rig = found.rig
     data: dict[str, Any] = {
         "recording": {
@@ -52,13 +56,20 @@ def inspection_json(found: Inspection) -> str:
             "seen": found.board.seen,
             "columns": found.board.size[0] if found.board.size else None,
             "rows": found.board.size[1] if found.board.size else None,
+            "square_m": found.board.square_m,
+            "square_stated_m": found.board.stated_m,
         },
         "motion": None if found.motion is None else _motion(found.motion),
-        "missing": [{"what": lack.what, "cure": lack.cure} for lack in found.missing],
-        "weak": [{"what": lack.what, "cure": lack.cure} for lack in found.weak],
+        "missing": [_lack(lack) for lack in found.missing],
+        "weak": [_lack(lack) for lack in found.weak],
+        "exit_code": found.exit_code,
         "notes": list(found.notes),
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _lack(lack: Lack) -> dict[str, Any]:
+    return {"what": lack.what, "cure": lack.cure, "exit_code": lack.exit_code}
 
 
 def _duration_s(found: Inspection) -> float | None:
@@ -112,18 +123,18 @@ def _motion(motion: MotionView) -> dict[str, Any]:
 
 
 def inspection_text(found: Inspection) -> str:
-    """The same for people: plain lines, nothing from the log can steer the terminal."""
+    """The summary for the terminal; control characters from the recording are escaped."""
     lines = [visible(found.name), f"  {_file_facts(found)}", "", *_topics(found)]
     if found.rig is not None:
-        lines += ["", "What would be used", *_roles(found.rig)]
+        lines += ["", "Used for a calibration", *_roles(found.rig)]
     if found.motion is not None:
         lines += ["", "Motion", *_motion_lines(found.motion)]
     if found.board is not None:
-        lines += ["", "Board", f"  {_board(found)}"]
+        lines += ["", "Board", *_board(found.board)]
     lines += _lacks("Missing for a calibration", found.missing)
-    lines += _lacks("What it cannot show", found.weak)
+    lines += _lacks("Limits of a calibration", found.weak)
     if found.notes:
-        lines += ["", "Odd", *(line for note in found.notes for line in _wrapped(note))]
+        lines += ["", "Notes", *(line for note in found.notes for line in _wrapped(note))]
     lines += ["", _conclusion(found)]
     return "\n".join(lines) + "\n"
 
@@ -149,7 +160,7 @@ def _topics(found: Inspection) -> list[str]:
             if topic.longest_gap_s is None
             else f"{topic.longest_gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s"
         )
-        back = f"{topic.steps_back} not in order of time" if topic.steps_back else ""
+        back = f"{topic.steps_back} out of order" if topic.steps_back else ""
         rows.append(
             (
                 visible(topic.name),
@@ -183,24 +194,29 @@ def _motion_lines(motion: MotionView) -> Iterable[str]:
     for name, span in motion.joints.items():
         yield f"  {visible(name)}: {span.low:.1f} to {span.high:.1f} {span.unit}"
     turned = ", ".join(f"{side} {value:.0f} deg" for side, value in sorted(motion.wheels_deg.items()))
-    yield f"  wheels turned: {turned}"
+    yield f"  wheel rotation: {turned}"
     if motion.driven_m is not None and motion.turned_deg is not None:
         yield (
-            f"  driven {motion.driven_m:.2f} m, heading spans {motion.turned_deg:.0f} deg, by the nominal wheels"
+            f"  driven {motion.driven_m:.2f} m, heading range {motion.turned_deg:.0f} deg (nominal wheels)"
         )
     if motion.rests is not None:
-        yield f"  rests with pictures: {motion.rests}"
+        yield f"  rests with images: {motion.rests}"
     if motion.share < 1:
-        yield f"  (of {motion.share:.0%} of the recording, spread over it: the rest was not read)"
+        yield f"  (from {motion.share:.0%} of the recording, evenly spaced; the rest was not read)"
 
 
-def _board(found: Inspection) -> str:
-    board = found.board
-    assert board is not None
+def _board(board: BoardView) -> Iterable[str]:
     if board.size is None:
-        return f"in none of {board.pictures} pictures spread over the log"
+        yield f"  found in none of {board.pictures} images spread over the recording"
+        return
     columns, rows = board.size
-    return f"{columns} x {rows} inner corners, whole in {board.seen} of {board.pictures} pictures spread over the log"
+    yield (
+        f"  {columns} x {rows} inner corners, whole in {board.seen} of {board.pictures} images "
+        "spread over the recording"
+    )
+    if board.square_m is not None:
+        stated = "" if board.stated_m is None else f", {board.stated_m * 1e3:.2f} mm stated"
+        yield f"  square: {board.square_m * 1e3:.2f} mm measured with the stereo pair{stated}"
 
 
 def _lacks(title: str, lacks: Iterable[Lack]) -> list[str]:
@@ -209,14 +225,14 @@ def _lacks(title: str, lacks: Iterable[Lack]) -> list[str]:
         lines += _wrapped(lack.what)
         if lack.cure:
             lines += textwrap.wrap(
-                visible(f"cure: {lack.cure}"), _WIDTH, initial_indent="    ", subsequent_indent="      "
+                visible(f"hint: {lack.cure}"), _WIDTH, initial_indent="    ", subsequent_indent="      "
             )
     return ["", title, *lines] if lines else []
 
 
 def _conclusion(found: Inspection) -> str:
     if found.missing:
-        return "This recording cannot be calibrated as it is."
+        return f"This recording cannot be calibrated as it is (exit code {found.exit_code})."
     if found.weak:
-        return "A calibration of this recording will not show everything."
-    return "Nothing is missing for a calibration."
+        return "This recording can be calibrated, with limits."
+    return "This recording can be calibrated."

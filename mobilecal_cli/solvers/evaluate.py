@@ -1,50 +1,95 @@
-"""A calibration tried on a recording: what it predicts from station to station, against what the board shows."""
+"""A calibration evaluated on a recording: predicted motion from station to station, and dead reckoning."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, IntArray, Parameters, WheelGeometry
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood.problem import problem_of
+from mobilecal_cli.model import (
+    Drift,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Parameters,
+    Solution,
+    WheelGeometry,
+)
 from mobilecal_cli.solvers.carry import camera_motion
 from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.residuals import dead_reckoned, residuals_of
 
-#: With less of a way or a rotation between stations, their error over it says nothing of the wheels.
+#: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
 _LEAST_M, _LEAST_RAD = 0.2, 0.35
-#: Pairs of stations grow with the square of their number: of long logs so many stations make them.
+#: The number of station pairs grows quadratically: longer recordings use this many stations, evenly spaced.
 _MOST_STATIONS = 400
+_CLOCKS = ("joints", "wheels")
 
 
-def evaluate(extraction: Extraction, parameters: Parameters, before: WheelGeometry | None) -> Evaluation:
-    """Predict the camera's motion over each leg by eq. 18, and the base's over every pair of stations.
+def clock_offsets(solution: Solution) -> dict[str, float]:
+    """Estimated clock offset of "joints" and "wheels" against the images, s; empty if not estimated."""
+    names = [name for name in _CLOCKS if f"time_{name}" in solution.extras]
+    return {name: solution.extras[f"time_{name}"][0] for name in names}
+
+
+def evaluate(
+    extraction: Extraction,
+    parameters: Parameters,
+    before: WheelGeometry | None,
+    *,
+    offsets_s: Mapping[str, float] | None = None,
+    reference: WheelGeometry | None = None,
+) -> Evaluation:
+    """Errors of the camera motion predicted over each leg (eq. 18), and of dead reckoning over all station pairs.
 
     Args:
-        extraction: the recording, at least two observations of one log.
-        parameters: the calibration, which the extraction does not change.
-        before: wheels that dead reckoning is compared with.
+        extraction: the recording, with at least two observations of one log.
+        parameters: the calibration under test.
+        before: wheels to compare dead reckoning with.
+        offsets_s: clock offsets of the recording, see `clock_offsets`.
+        reference: wheels that give path length and rotation, which drift is divided by: an estimate independent of
+            the calibration under test; its own wheels by default.
     """
-    loops = closed_loops(extraction)
+    offsets = dict(offsets_s or {})
+    loops = _at_offsets(extraction, offsets)
     i, j = loops.legs.T
     o = extraction.observations
     seen = loops.T_c_k[i] @ se3.inverse(loops.T_c_k[j])
     apart = se3.inverse(seen) @ camera_motion(loops, parameters)
-    way, turned = _way(loops, parameters.wheels)
+    reference = reference or parameters.wheels
+    path, turned = _covered(loops, reference)
     return Evaluation(
         stations=len(o),
         legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in loops.legs.tolist()]),
         reprojection_px=residuals_of(extraction, loops, parameters).leg_reprojection_px,
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
-        driven_m=float(way.sum()),
+        driven_m=float(path.sum()),
         turned_rad=float(turned.sum()),
-        before=_drift(loops, parameters, before) if before is not None else None,
-        after=_drift(loops, parameters, parameters.wheels),
+        before=_drift(loops, parameters, before, reference) if before is not None else None,
+        after=_drift(loops, parameters, parameters.wheels, reference),
+        clock_offsets_s=offsets,
     )
 
 
-def _way(loops: Loops, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
-    """(L,) length of the way and (L,) rotation, both without sign, m and rad, along each leg."""
+def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> Loops:
+    """The closed loops with joints and wheels read at the corrected time stamps."""
+    loops = closed_loops(extraction)
+    if not offsets_s:
+        return loops
+    problem = problem_of(extraction)
+    joints = problem.joints + problem.joint_shift(offsets_s.get("joints", 0.0))
+    steps = problem.steps(offsets_s.get("wheels", 0.0))
+    return replace(loops, T_v_h=head_pose(problem.chain, joints), steps=steps)
+
+
+def _covered(loops: Loops, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
+    """(L,) path length, m, and (L,) absolute rotation, rad, of each leg."""
     steps = loops.steps
     path_m = (wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
     turn_rad = (
@@ -53,34 +98,34 @@ def _way(loops: Loops, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
     return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
 
 
-def _drift(loops: Loops, parameters: Parameters, wheels: WheelGeometry) -> Drift:
-    """Dead reckoning by some wheels against the base's places that the board shows.
+def _drift(loops: Loops, parameters: Parameters, wheels: WheelGeometry, reference: WheelGeometry) -> Drift:
+    """Error of dead reckoning with some wheels against the base poses that the board gives.
 
-    Way and rotation are those of the calibrated wheels, so that two drifts can be compared.
+    Path and rotation do not depend on these wheels but on the reference, so that drifts can be compared.
     """
     reckoned = dead_reckoned(loops, Parameters(parameters.T_h_c, wheels))
     T_k_v = se3.inverse(loops.T_v_h @ parameters.T_h_c @ loops.T_c_k)
-    way, turned = _way(loops, parameters.wheels)
-    place_m, heading_rad, way_m, turned_rad = [], [], [], []
+    path, turned = _covered(loops, reference)
+    place_m, heading_rad, path_m, turned_rad = [], [], [], []
     for legs in _logs(loops):
         stations = np.concatenate([loops.legs[legs, 0], loops.legs[legs[-1:], 1]])
-        covered = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (way, turned)]
+        covered = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
         kept = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_STATIONS)).astype(int))
         first, second = (kept[index] for index in np.triu_indices(len(kept), 1))
         a, b = stations[first], stations[second]
         T_seen, T_reckoned = se3.inverse(T_k_v[a]) @ T_k_v[b], se3.inverse(reckoned[a]) @ reckoned[b]
         place_m.append(np.linalg.norm((T_reckoned - T_seen)[:, :2, 3], axis=-1))
         heading_rad.append(np.abs(_heading(se3.inverse(T_seen) @ T_reckoned)))
-        way_m.append(covered[0][second] - covered[0][first])
+        path_m.append(covered[0][second] - covered[0][first])
         turned_rad.append(covered[1][second] - covered[1][first])
     return Drift(
-        _over(np.concatenate(place_m), np.concatenate(way_m), _LEAST_M),
+        _over(np.concatenate(place_m), np.concatenate(path_m), _LEAST_M),
         _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),
     )
 
 
 def _logs(loops: Loops) -> list[IntArray]:
-    """The legs of each log."""
+    """Indices of the legs of each log."""
     return [np.flatnonzero(loops.chain == first) for first in np.unique(loops.chain)]
 
 

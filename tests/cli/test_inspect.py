@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 
 from mobilecal_cli import pipeline
 from mobilecal_cli.report import inspection_json, inspection_text
-from tests.cli.edited import run
+from tests.cli.edited import edited, run
 from tests.readers import recordings as r
 
 
@@ -27,7 +29,7 @@ def test_sample_log(sample_logs, name):
     assert found.motion.share == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
-    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF on /robot_description"
+    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF in the log's /robot_description"
 
 
 def test_motion_that_does_not_show_everything(sample_logs):
@@ -44,15 +46,18 @@ def test_motion_that_does_not_show_everything(sample_logs):
 def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     log = sample_logs / "tick_robot.mcap"
     text = run("inspect", log, cwd=tmp_path)
-    assert text.code == 0, text.err
+    assert text.code == 3, text.err
     assert "wheels.left: no joint is named as a wheel; /wheel_ticks/left" in text.out
-    assert text.out.endswith("This recording cannot be calibrated as it is.\n")
+    assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
     config = sample_logs / "tick_robot.rig.yaml"
     made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
     assert made.code == 0, made.err
     data = json.loads(made.out)
     assert data["missing"] == []
-    assert data["board"] == {"pictures": 12, "seen": 12, "columns": 9, "rows": 6}
+    assert data["exit_code"] == 0
+    square_m = data["board"].pop("square_m")
+    assert square_m == pytest.approx(0.07, rel=0.002)
+    assert data["board"] == {"pictures": 12, "seen": 12, "columns": 9, "rows": 6, "square_stated_m": None}
     assert data["head"]["tilt"] == "tilt_joint"
     assert data["motion"]["share_read"] == 1
     assert list(tmp_path.iterdir()) == []
@@ -68,11 +73,11 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
-    assert any("the head chain is unknown" in text for text in said)
+    assert any("nothing says how the head is mounted" in text for text in said)
     assert all(lack.cure for lack in found.missing)
 
 
-def test_a_long_recording_is_looked_at_in_part(sample_logs, monkeypatch):
+def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
     monkeypatch.setattr("mobilecal_cli.pipeline.inspecting.MOTION_BYTES", 2**20)
     found = pipeline.inspect([sample_logs / "paper_robot.mcap"])
     assert 0 < found.motion.share < 1
@@ -87,12 +92,50 @@ def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
     cut.write_bytes(whole[: len(whole) * 6 // 10])
     found = pipeline.inspect([cut])
     assert 0 < found.motion.rests < 8
-    assert f"only {found.motion.rests} moments are worth a look" in found.weak[0].what
+    assert "possible stations; a calibration needs 4, and 8 to pass" in found.weak[0].what
+    assert found.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("head_fixed.mcap", 5), ("tick_robot.mcap", 3), ("nothing.mcap", 3), ("board.mcap", 4)]
+)
+def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code):
+    """`inspect` prints all it found, and ends as `calibrate` does."""
+    log = sample_logs / name
+    if name == "nothing.mcap":
+        log = r.write_mcap(tmp_path / name, [])
+    if name == "board.mcap":
+        log = edited(sample_logs / "paper_robot.mcap", tmp_path / name, black_images)
+    done = run("inspect", log, "--json", "--quiet", cwd=tmp_path)
+    assert done.code == code, done.err
+    data = json.loads(done.out)
+    assert data["exit_code"] == code
+    assert {lack["exit_code"] for lack in data["missing"]} == {code}
+    assert run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path).code == code
+
+
+def black_images(topic, message):
+    """A recording of a dark room."""
+    if topic.endswith("compressed"):
+        black = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].ravel()
+        return replace(message, format="png", data=black)
+    return message
+
+
+def test_the_square_beside_the_stated_one(sample_logs):
+    log = [sample_logs / "paper_robot.mcap"]
+    found = pipeline.inspect(log, flags={"board.square_m": 0.0801})
+    assert found.board.square_m == pytest.approx(0.08, rel=0.002)
+    assert ", 80.10 mm stated" in inspection_text(found)
+    assert found.exit_code == 0
+    wrong = pipeline.inspect(log, flags={"board.square_m": 0.1})
+    assert wrong.exit_code == 4
+    assert "squares measure 80.0 mm, 100.0 mm are stated" in wrong.missing[0].what
 
 
 def test_empty_recording(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
-    assert "contains no messages" in found.missing[0].what
+    assert "holds no messages" in found.missing[0].what
     assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
 
 

@@ -60,17 +60,93 @@ def test_evaluate_with_gates(made):
     npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
     kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
     assert kept.returncode == 0, kept.stderr
-    assert "kept: gate drift_deg_per_turn" in kept.stdout
+    assert "ok    gate drift_deg_per_turn" in kept.stdout
+    assert "PASS: The calibration agrees with this recording" in kept.stdout
     junit = folder / "evaluate.xml"
     broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
     assert broken.returncode == 6
-    assert "NOT KEPT: gate rotation_rms_deg" in broken.stdout
+    assert "FAIL  gate rotation_rms_deg" in broken.stdout
     assert "FAIL: Gate failed: rotation_rms_deg = " in broken.stdout
     assert broken.stderr == ""
     assert ET.parse(junit).getroot().get("failures") == "1"
     again = run("evaluate", npz, params, "--junit", junit)
     assert again.returncode == 7
     assert ET.parse(junit).getroot().get("failures") == "1"
+
+
+def changed_params(source, target, key, value):
+    """A copy of a params.yaml with another number."""
+    text = source.read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if line.startswith(f"  {key}:"))
+    target.write_text(text.replace(line, f"  {key}: {value}"), encoding="utf-8")
+    return target
+
+
+def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
+    """Found by content: the recording has another name here than the calibration states."""
+    folder, _ = made
+    copy = folder / "renamed.bag.mcap"
+    shutil.copyfile(sample_logs / "paper_robot.mcap", copy)
+    note = "This recording was used for this calibration: the errors below are not independent."
+    found = run("evaluate", copy, folder / "out" / "params.yaml", "--json", "--quiet")
+    assert found.returncode == 0, found.stderr
+    data = json.loads(found.stdout)
+    assert data["used_for_calibration"] == [str(copy)]
+    assert data["notes"][0] == note
+    other = run("evaluate", sample_logs / "head_fixed.mcap", folder / "out" / "params.yaml", "--json", "-q")
+    data = json.loads(other.stdout)
+    assert data["used_for_calibration"] == []
+    assert note not in data["notes"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "level"),
+    [
+        ("radius_right_m", 0.2244, "FAIL"),
+        ("radius_left_m", 220.0, "FAIL"),
+        ("radius_left_m", 0.2201, "PASS"),
+    ],
+)
+def test_evaluate_gives_a_verdict_without_gates(made, tmp_path, key, value, level):
+    folder, _ = made
+    params = changed_params(folder / "out" / "params.yaml", tmp_path / "params.yaml", key, value)
+    found = run("evaluate", folder / "out" / "extraction.npz", params, "--json")
+    assert found.returncode == (0 if level == "PASS" else 6), found.stderr
+    verdict = json.loads(found.stdout)["verdict"]
+    assert verdict["level"] == level
+    assert verdict["reason"]
+    assert verdict["next_step"]
+    if level == "FAIL":
+        assert found.stderr.startswith(f"error: FAIL: {verdict['reason']}\nhint: ")
+
+
+def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_logs):
+    folder, _ = made
+    found = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--quiet")
+    assert found.returncode == 6
+    assert "error: NOT ENOUGH: The wheel separation is unobservable in this recording." in found.stderr
+    assert "hint: Turn the base" in found.stderr
+
+
+@pytest.mark.long
+def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
+    """The same drive with and without the delay: errors are alike, and the delay is stated."""
+    found = {}
+    moving = ("--motion", "moving", "--stations", "8", "--quiet")
+    made = run("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
+    assert made.returncode == 0, made.stderr
+    made = run("calibrate", tmp_path / "made.mcap", "-o", tmp_path / "made", "--quiet")
+    assert made.returncode in (0, 6), made.stderr
+    for late in (0.0, 0.03):
+        log = tmp_path / f"late_{late}.mcap"
+        done = run("simulate", log, "--seed", "7", "--camera-late", late, *moving)
+        assert done.returncode == 0, done.stderr
+        done = run("evaluate", log, tmp_path / "made" / "params.yaml", "--json", "--quiet")
+        found[late] = json.loads(done.stdout)
+    for key in ("reprojection_px", "rotation_deg", "translation_mm"):
+        assert found[0.03][key]["rms"] < 1.2 * found[0.0][key]["rms"]
+    for offset_s in found[0.03]["clock_offsets_s"].values():
+        assert offset_s == pytest.approx(-0.03, abs=3e-3)
 
 
 def test_evaluate_another_robot(made, tmp_path):
@@ -102,7 +178,7 @@ def test_compare(made, tmp_path):
         "compare", first, first, "--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01"
     )
     assert same.returncode == 0, same.stderr
-    assert "share a recording" in same.stdout
+    assert "they share a recording" in same.stdout
     moved = tmp_path / "moved.yaml"
     text = first.read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("  separation_m:"))
@@ -123,7 +199,7 @@ def test_a_history_is_drawn(made, tmp_path):
         shutil.copyfile(folder / "out" / "params.yaml", files[-1])
     done = run("compare", *files, "--plot", tmp_path / "drift.svg")
     assert done.returncode == 0, done.stderr
-    assert "All 3 calibrations" in done.stdout
+    assert "Over all 3 calibrations" in done.stdout
     ET.parse(tmp_path / "drift.svg")
     assert run("compare", *files, "--plot", tmp_path / "drift.svg").returncode == 7
     assert run("compare", files[0]).returncode == 2

@@ -14,7 +14,7 @@ from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import evaluate
+from mobilecal_cli.solvers import clock_offsets, evaluate, solve
 
 ROBOT = ROBOTS["paper"]()
 TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)
@@ -62,7 +62,7 @@ def test_drift_of_large_wheels_on_a_straight_way(exact):
     assert found.before.rad_per_rad is None  # it hardly turned
 
 
-def test_drift_of_a_narrow_base_on_the_spot(exact):
+def test_drift_of_a_narrow_base_turning_in_place(exact):
     """By hand: psi = 2 r phi / b; a base of 500 mm taken for 400 mm turns by a quarter more."""
     turns = np.array([0.0, 0.5, 1.2])
     phi = turns * 0.5 / (2 * 0.1)
@@ -106,3 +106,28 @@ def test_logs_stand_alone():
     assert found.driven_m == pytest.approx(sum(each.driven_m for each in apart))
     assert found.reprojection_px == pytest.approx(np.concatenate([each.reprojection_px for each in apart]))
     assert found.before == found.after
+
+
+def test_path_and_rotation_do_not_come_from_the_wheels_under_test(exact):
+    """By hand: a calibration in mm would divide its drift by a path of kilometers."""
+    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
+    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    wrong = Parameters(TRUTH.T_h_c, WheelGeometry(100.0, 100.0, 500.0))
+    found = evaluate(extraction, wrong, None, reference=WheelGeometry(0.1, 0.1, 0.5))
+    assert found.driven_m == pytest.approx(1.0)
+    assert found.after.m_per_m == pytest.approx(999.0)
+
+
+def test_clock_offsets_of_a_moving_recording():
+    """With the offsets that a solution of the recording gives, a late camera clock costs nothing."""
+    noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
+    route = plan_route(ROBOT, "moving", seed=3)
+    right, late = (ideal_extraction(ROBOT, route, noise, 3, camera_late_s=s) for s in (0.0, 0.03))
+    as_stamped = evaluate(late, TRUTH, None)
+    offsets = clock_offsets(solve(late))
+    assert offsets == pytest.approx({"joints": -0.03, "wheels": -0.03}, abs=2e-3)
+    found, without = evaluate(late, TRUTH, None, offsets_s=offsets), evaluate(right, TRUTH, None)
+    for name in ("reprojection_px", "rotation_rad", "translation_m"):
+        rms = [np.sqrt(np.mean(getattr(e, name) ** 2)) for e in (found, without, as_stamped)]
+        assert rms[0] < 1.15 * rms[1]
+        assert rms[2] > 1.5 * rms[1]

@@ -1,0 +1,93 @@
+"""The verdict on a calibration: right ones pass, wrong ones fail, and a poor recording decides nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.export import extraction_to_npz, params_yaml
+from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
+from mobilecal_cli.pipeline import evaluate
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+
+ROBOT = ROBOTS["paper"]()
+NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)
+
+
+def extraction(seed):
+    ideal = ideal_extraction(ROBOT, plan_route(ROBOT, seed=seed), NOISE, seed=seed)
+    return replace(ideal, logs=(LogSource(f"{seed}.mcap", f"{seed:064}"),))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    return {seed: (solve(made), made) for seed, made in ((seed, extraction(seed)) for seed in range(3))}
+
+
+def verdict(folder, solution, made, evaluated):
+    provenance = Provenance("1", "2026-01-01T00:00:00Z", "ml", made.logs, {})
+    (folder / "params.yaml").write_text(params_yaml(solution, made, provenance), encoding="utf-8")
+    (folder / "other.npz").write_bytes(extraction_to_npz(evaluated))
+    return evaluate([folder / "other.npz"], folder / "params.yaml").verdict
+
+
+def with_wheels(solution, right=1.0, left=1.0, separation=1.0):
+    was = solution.parameters.wheels
+    wheels = WheelGeometry(
+        was.radius_right_m * right, was.radius_left_m * left, was.separation_m * separation
+    )
+    return replace(solution, parameters=replace(solution.parameters, wheels=wheels))
+
+
+def with_turned_camera(solution, axis):
+    turn = se3.transform(se3.rotation_about(np.array(axis, dtype=float), np.radians(1.0)), np.zeros(3))
+    return replace(solution, parameters=replace(solution.parameters, T_h_c=solution.parameters.T_h_c @ turn))
+
+
+@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 2), (2, 0)])
+def test_another_recording_of_the_same_robot_passes(calibrated, tmp_path, one, other):
+    found = verdict(tmp_path, *calibrated[one], calibrated[other][1])
+    assert found.level == "PASS", found.reason
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda s: with_wheels(s, right=1.02), "right wheel radius|corner error"),
+        (lambda s: with_wheels(s, left=0.98), "left wheel radius|corner error"),
+        (lambda s: with_wheels(s, right=1.02, left=1.02), "wheel radius|corner error"),
+        (lambda s: with_wheels(s, separation=1.04), "wheel separation|corner error"),
+        (lambda s: with_wheels(s, right=1000, left=1000, separation=1000), "in meters|corner error"),
+        (lambda s: with_wheels(s, right=1000, left=1000), "corner error"),
+        (lambda s: with_turned_camera(s, [1, 0, 0]), "camera rotation|corner error"),
+        (lambda s: with_turned_camera(s, [0, 1, 0]), "camera rotation|corner error"),
+        (lambda s: with_turned_camera(s, [0, 0, 1]), "camera rotation|corner error"),
+    ],
+)
+def test_a_wrong_calibration_fails(calibrated, tmp_path, change, says):
+    solution, made = calibrated[0]
+    found = verdict(tmp_path, change(solution), made, calibrated[1][1])
+    assert found.level == "FAIL"
+    assert any(name in found.reason for name in says.split("|")), found.reason
+
+
+def test_a_short_recording_is_not_enough(calibrated, tmp_path):
+    made = calibrated[1][1]
+    short = replace(made, observations=made.observations[:3])
+    found = verdict(tmp_path, *calibrated[0], short)
+    assert found.level == "NOT ENOUGH"
+    assert "3 stations" in found.reason
+    assert found.next_step == "Record at least ten stations."
+
+
+def test_a_noisy_recording_is_not_enough(calibrated, tmp_path):
+    """The recording contradicts itself: the calibration is not to blame."""
+    noisy = ideal_extraction(ROBOT, plan_route(ROBOT, seed=1), replace(NOISE, wheel_rad_per_sqrt_rad=0.05), 1)
+    noisy = replace(noisy, logs=(LogSource("1.mcap", "1"),))
+    assert verdict(tmp_path, *calibrated[0], noisy).level == "NOT ENOUGH"
