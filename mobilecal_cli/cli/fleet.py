@@ -54,13 +54,14 @@ def batch(
         )
     if not quiet:
         typer.echo(fleet_text(rows), nl=False)
-    failed = [row.name for row in rows if row.verdict != "PASS"]
+    robots = [row for row in rows if row.verdict != "SKIPPED"]
+    failed = [row.name for row in robots if row.verdict != "PASS"]
     names = ", ".join(failed[:10]) + (", ..." if len(failed) > 10 else "")
     conclude(
         "FAIL" if failed else "PASS",
-        f"{len(failed)} of {len(rows)} robots did not pass: {names}."
+        f"{len(failed)} of {len(robots)} robots did not pass: {names}."
         if failed
-        else f"{len(rows)} of {len(rows)} robots passed.",
+        else f"{len(robots)} of {len(robots)} robots passed.",
         f"See {output / 'summary.html'}.",
         written=f"{output / 'summary.csv'}, {output / 'summary.html'}",
         quiet=quiet,

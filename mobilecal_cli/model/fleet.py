@@ -31,17 +31,18 @@ class FleetJob:
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """Result of one robot.
+    """Result of one robot, or a directory entry that was skipped.
 
     Attributes:
-        name: name of the robot.
-        verdict: "PASS", "FAIL", "NOT ENOUGH", or "ERROR" without a result.
+        name: name of the robot, or of the entry.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", "ERROR" without a result, or "SKIPPED" for an entry.
         exit_code: exit code of `mobilecal calibrate`.
         reason: one sentence.
         stations: number of stations used.
         rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
         lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
         std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
+        skipped: why the robot was not calibrated in this run; empty if it was.
     """
 
     name: str
@@ -52,3 +53,4 @@ class FleetRow:
     rotvec_rad: tuple[float, ...] = ()
     lengths_m: tuple[float, ...] = ()
     std: tuple[float | None, ...] = ()
+    skipped: str = ""

@@ -1,4 +1,4 @@
-"""`mobilecal batch`: many robots, in processes of this machine or on a Dask cluster."""
+"""`mobilecal batch`: many robots, in local processes or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,12 @@ from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 RECORDS = ".mobilecal_batch"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
-#: A job whose process dies is tried so often.
+#: Number of attempts at a job whose process dies.
 _ATTEMPTS = 3
-_CRASHED = "the process that calibrated it died (out of memory, or killed)"
+_CRASHED = "the worker process died (out of memory, or killed)"
+#: Reasons for skipping, in the order of the summary.
+DONE, NO_RECORDING, UNREADABLE = "already done", "no recording", "unreadable"
+_CONTAINERS = frozenset({".mcap", ".bag", ".db3", ".npz"})
 
 Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
 
@@ -52,22 +56,22 @@ class _Manifest(BaseModel):
 def fleet_jobs(
     source: Path, output: Path, config: Path | None, flags: Mapping[str, Any], gates: Sequence[str]
 ) -> tuple[FleetJob, ...]:
-    """The robots that a directory or a manifest names, in order of name.
+    """The robots in a directory or a manifest, in order of name.
 
-    In a directory every recording is a robot of its own; `NAME.rig.yaml` beside it is its configuration.
+    Each recording in a directory is one robot; `NAME.rig.yaml` next to it is its configuration.
 
     Raises:
-        ConfigError: nothing is there, the manifest is none, or a name cannot be a directory's or is there twice.
+        ConfigError: no recording, an invalid manifest, or a name that is invalid or not unique.
     """
     robots = _of_directory(source) if source.is_dir() else _of_manifest(source)
     names = [robot.name for robot in robots]
     for name in names:
         if not _NAME.fullmatch(name) or name.startswith("."):
             raise ConfigError(
-                f"{source}: {name!r} cannot be a robot's name", "use letters, digits, . _ + and -"
+                f"{source}: {name!r} is not a valid robot name", "use letters, digits, . _ + and -"
             )
         if names.count(name) > 1:
-            raise ConfigError(f"{source}: two robots are called {name!r}", "give each a name of its own")
+            raise ConfigError(f"{source}: two robots are named {name!r}", "give each robot a unique name")
     return tuple(
         FleetJob(
             robot.name,
@@ -90,8 +94,28 @@ def _of_directory(folder: Path) -> list[_Robot]:
             own = folder / f"{name}.rig.yaml"
             robots.append(_Robot(name=name, logs=(path,), config=own if own.is_file() else None))
     if not robots:
-        raise ConfigError(f"{folder}: no recording in it", "name a directory of recordings, or a manifest")
+        raise ConfigError(f"{folder}: no recording found", "give a directory of recordings, or a manifest")
     return robots
+
+
+def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
+    """The entries of a directory that are not calibrated, with the reason; none for a manifest."""
+    if not source.is_dir():
+        return ()
+    rows = []
+    for path in sorted(source.iterdir()):
+        known = (
+            path.name.startswith(".")
+            or path.name.endswith(".rig.yaml")
+            or path.absolute() == output.absolute()
+        )
+        holds = (path / "metadata.yaml").is_file() if path.is_dir() else recognised(path)
+        if not known and not holds:
+            readable = path.is_dir() or path.suffix not in _CONTAINERS
+            text = "is not a recording" if readable else "is damaged, or has the wrong file name extension"
+            reason = NO_RECORDING if readable else UNREADABLE
+            rows.append(FleetRow(path.name, "SKIPPED", 0, f"{path.name} {text}", skipped=reason))
+    return tuple(rows)
 
 
 def _of_manifest(path: Path) -> list[_Robot]:
@@ -105,7 +129,7 @@ def _of_manifest(path: Path) -> list[_Robot]:
         where = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{path}: {where}: {first['msg']}", hint) from error
     except ValueError as error:
-        raise ConfigError(f"{path}: not a manifest: {' '.join(str(error).split())}", hint) from error
+        raise ConfigError(f"{path}: not a valid manifest: {' '.join(str(error).split())}", hint) from error
     folder = path.parent
     return [
         robot.model_copy(
@@ -119,16 +143,16 @@ def _of_manifest(path: Path) -> list[_Robot]:
 
 
 def run_job(job: FleetJob) -> FleetRow:
-    """Calibrate one robot, or take what was made of the same recordings and settings before.
+    """Calibrate one robot, or return the earlier result for the same recordings and settings.
 
-    The record of a job is written when all else is, so that a job that was cut short is done again and one that is
-    done is not, whichever process or machine is asked for it.
+    The record of a job is written last, so that any process or machine repeats an interrupted job and skips a
+    finished one.
 
     Raises:
         OutputError: the record cannot be written.
     """
     record = job.output / RECORDS / f"{job.name}.json"
-    key = ""  # of a job that cannot be told from another: it is done again
+    key = ""  # without a fingerprint the job is repeated
     try:
         key = fingerprint(job)
         done = _recorded(record, key, job)
@@ -146,18 +170,18 @@ def run_job(job: FleetJob) -> FleetRow:
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
     except Exception as error:  # a bug must not stop the other robots
-        row = FleetRow(job.name, "ERROR", 1, f"a bug of mobilecal: {type(error).__name__}: {error}")
+        row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
     record.parent.mkdir(parents=True, exist_ok=True)
     write_file(record, json.dumps({"key": key, "row": to_plain(row)}, indent=1).encode() + b"\n", force=True)
     return row
 
 
 def fingerprint(job: FleetJob) -> str:
-    """SHA-256 over everything that a job's result depends on.
+    """SHA-256 of everything that the result of a job depends on.
 
     Raises:
         RecordingError: a recording cannot be read.
-        ConfigError: the configuration cannot.
+        ConfigError: the configuration cannot be read.
     """
     settings = "" if job.config is None else _text(job.config)
     parts = [__version__, settings, json.dumps(dict(job.flags), sort_keys=True, default=str), *job.gates]
@@ -173,14 +197,14 @@ def _text(path: Path) -> str:
 
 
 def _recorded(record: Path, key: str, job: FleetJob) -> FleetRow | None:
-    """The row of an earlier run, if it was of the same job and its outputs are still there."""
+    """The row of an earlier run of the same job, if its outputs still exist."""
     try:
         data = json.loads(read_text(record, LARGEST_BYTES))
         row, same = from_plain(FleetRow, data["row"]), data["key"] == key
     except (OSError, ValueError, KeyError, TypeError):
         return None
     there = row.verdict == "ERROR" or (job.output / job.name / "report.json").is_file()
-    return row if same and there else None
+    return replace(row, skipped=DONE) if same and there else None
 
 
 def _row(job: FleetJob, done: Calibration) -> FleetRow:
@@ -200,14 +224,14 @@ def _row(job: FleetJob, done: Calibration) -> FleetRow:
 
 
 def run_locally(workers: int) -> Run:
-    """Processes of this machine. One that dies takes no other robot along."""
+    """Runs jobs in local processes; if one dies, the other robots are still calibrated."""
 
     def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
         waiting = {job.name: job for job in jobs}
         for row in _in_a_pool(list(waiting.values()), workers):
             del waiting[row.name]
             done(row)
-        for name, job in waiting.items():  # a process died; who with it is not known, so each gets its own
+        for name, job in waiting.items():  # a process died: each remaining job gets its own process
             row = FleetRow(name, "ERROR", 1, _CRASHED)
             for _ in range(_ATTEMPTS - 1):
                 rows = list(_in_a_pool([job], 1))
@@ -220,7 +244,7 @@ def run_locally(workers: int) -> Run:
 
 
 def _in_a_pool(jobs: Sequence[FleetJob], workers: int) -> Iterator[FleetRow]:
-    """Rows as they come; those of a pool that breaks are missing."""
+    """Rows in the order of completion; a pool that breaks yields only part of them."""
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), stand_by) as pool:
         futures = [pool.submit(run_job, job) for job in jobs]
         for future in as_completed(futures):
@@ -238,16 +262,18 @@ def batch(
     run: Run | None = None,
     progress: Progress = silent,
 ) -> tuple[FleetRow, ...]:
-    """Calibrate many robots, each into a directory of its own, and write summary.csv and summary.html.
+    """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
+
+    Robots that an earlier run finished are skipped; `FleetRow.skipped` has the reason.
 
     Args:
         source: a directory of recordings, or a manifest.
-        output: directory; made where it is not there. What is in it from an earlier run is not done again.
-        config_path: rig.yaml of the robots that have none of their own.
+        output: directory; created if it does not exist.
+        config_path: rig.yaml of the robots without their own.
         flags: dotted key → value, over the files.
-        gates: `NAME=LIMIT` for every robot.
-        run: what does the jobs; as many processes as there are cores by default.
-        progress: told how many are done.
+        gates: `NAME=LIMIT` for each robot.
+        run: runs the jobs; by default one process per core.
+        progress: receives the number of finished robots.
 
     Raises:
         ConfigError: see `fleet_jobs`.
@@ -257,7 +283,9 @@ def batch(
     try:
         (output / RECORDS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{output}: cannot be made: {error.strerror}", "choose another --output") from error
+        raise OutputError(
+            f"{output}: cannot be created: {error.strerror}", "choose another --output"
+        ) from error
     rows: dict[str, FleetRow] = {}
 
     def done(row: FleetRow) -> None:
@@ -266,7 +294,7 @@ def batch(
 
     progress("robots", 0, len(jobs))
     (run or run_locally(os.cpu_count() or 1))(jobs, done)
-    ordered = tuple(rows[job.name] for job in jobs)
+    ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
     _write_summaries(output, ordered)
     return ordered
 

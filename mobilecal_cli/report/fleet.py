@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 #: A robot is an outlier beyond both: this many times the spread of the fleet (1.4826 times the median absolute
 #: deviation), and this many of its own standard deviations.
 OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
+_NAMED = 5  # number of skipped names that are listed
 _FEWEST = 5  # among fewer robots there are no outliers
 _FIELDS = ("r_x_deg", "r_y_deg", "r_z_deg", "t_x_mm", "t_y_mm", "t_z_mm", "radius_right_mm", "radius_left_mm",
            "separation_mm")  # fmt: skip
@@ -80,12 +81,13 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
             *_FIELDS,
             *(f"std_{f}" for f in _FIELDS),
             "stands_out",
+            "skipped",
             "reason",
         ]
     )
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
-        words = (" ".join(out.get(row.name, ())), _harmless(row.reason))
+        words = (" ".join(out.get(row.name, ())), row.skipped, _harmless(row.reason))
         table.writerow([row.name, row.verdict, row.exit_code, row.stations, *cells, *words])
     return stream.getvalue()
 
@@ -102,6 +104,8 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
     out = standing_out(rows)
     lines: list[dict[str, Any]] = []
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
+        if row.verdict == "SKIPPED":
+            continue
         cells = [
             {
                 "text": value_text(value, sigma, 2) if np.isfinite(value) else "",
@@ -121,7 +125,8 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
         sigma_limit=OUT_OF_SIGMA,
         counts=counts,
         heads=[(name, SHOWN[name][0]) for name in NINE],
-        total=len(rows),
+        total=len(lines),
+        skipped=skipped_text(rows),
         out=len(out),
     )
 
@@ -137,6 +142,24 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
     width = max(len(row.name) for row in rows)
     lines = []
     for row in rows:
+        if row.verdict == "SKIPPED":
+            continue
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {row.name:<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
-    return "\n".join(lines) + "\n"
+    skipped = skipped_text(rows)
+    return "\n".join([*lines, *([skipped] if skipped else [])]) + "\n"
+
+
+def skipped_text(rows: Sequence[FleetRow]) -> str:
+    """Number of skipped robots and directory entries by reason; "" if there are none."""
+    names: dict[str, list[str]] = {}
+    for row in rows:
+        if row.skipped:
+            names.setdefault(row.skipped, []).append(row.name)
+    parts = [f"{reason}: {len(found)} ({_some(found)})" for reason, found in names.items()]
+    return f"Skipped, {'; '.join(parts)}." if parts else ""
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f", and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(visible(name) for name in names[:_NAMED]) + more
