@@ -1,4 +1,4 @@
-"""The formats that a calibration can be written in; named here, so that the command line knows them without work."""
+"""The export formats, in a module that imports nothing heavy, for the command line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Target(StrEnum):
-    """What a calibration can be written as."""
+    """A format of `mobilecal export`."""
 
     urdf = "urdf"
     xacro = "xacro"

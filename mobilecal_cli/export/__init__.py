@@ -1,10 +1,11 @@
-"""Values to the files that other programs read: params.yaml, extraction.npz, and a directory of them."""
+"""Writers and readers of params.yaml, extraction.npz and other formats, and of output directories."""
 
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.formats import (
     camchain_yaml,
     camera_info_yaml,
     diff_drive_yaml,
+    frame_note,
     plain_json,
     static_transform_launch,
     static_transform_yaml,
@@ -25,6 +26,7 @@ __all__ = [
     "diff_drive_yaml",
     "extraction_from_npz",
     "extraction_to_npz",
+    "frame_note",
     "from_plain",
     "parameters_from_yaml",
     "params_yaml",

@@ -1,4 +1,4 @@
-"""extraction.npz: everything that the numbers need, without pictures and without pickle."""
+"""extraction.npz: all measurements needed to solve, without images and without pickle."""
 
 from __future__ import annotations
 
@@ -60,18 +60,18 @@ _EPOCH = (
     0,
     0,
     0,
-)  # the earliest time that a zip file can state; a real one would change the bytes
-_HINT = "give an extraction.npz that this version of mobilecal wrote, or calibrate from the recording"
+)  # the earliest time in a zip file; the current time would change the bytes
+_HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
 def extraction_to_npz(extraction: Extraction) -> bytes:
-    """The extraction as a compressed .npz; the same bytes for the same values.
+    """The extraction as a compressed .npz, with the same bytes for the same values.
 
-    Arrays of one shape per observation are stacked over the N observations, so numpy alone reads them:
-    ``observations.points_c`` is (N, M, 3). The rest is JSON in the uint8 array ``header``.
+    Arrays are stacked over the N observations, so that numpy alone can read them: ``observations.points_c`` is
+    (N, M, 3). All else is JSON in the uint8 array ``header``.
 
     Raises:
-        ValueError: the observations differ in their number of corners or joints.
+        ValueError: the observations have different numbers of corners or joints.
     """
     seen = extraction.observations
     header = {
@@ -110,13 +110,13 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
 
 
 def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
-    """`numpy.savez` states the time of writing; this does not."""
+    """The arrays as .npz; unlike `numpy.savez`, without the time of writing."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():
             member = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
             member.compress_type = zipfile.ZIP_DEFLATED
-            member.create_system = 3  # Unix, wherever it is written
+            member.create_system = 3  # Unix, on every platform
             content = io.BytesIO()
             np.lib.format.write_array(content, np.ascontiguousarray(array), (1, 0), allow_pickle=False)
             archive.writestr(member, content.getvalue())
@@ -124,13 +124,13 @@ def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
 
 
 def extraction_from_npz(source: bytes | Path) -> Extraction:
-    """Read what `extraction_to_npz` wrote.
+    """The extraction in an .npz from `extraction_to_npz`.
 
     Args:
         source: the file, or its bytes.
 
     Raises:
-        RecordingError: the file cannot be read, is damaged, is something else, or has another schema version.
+        RecordingError: the file cannot be read, is damaged, is not an extraction, or has another schema version.
     """
     name = "the extraction" if isinstance(source, bytes) else str(source)
     try:
@@ -142,14 +142,14 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
     try:
         arrays = _arrays(data)
         header = _header(arrays)
-    except Exception as error:  # a damaged zip or array raises almost anything
+    except Exception as error:  # a damaged zip or array may raise any exception
         raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
     if header.get("format") != _FORMAT:
         raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
     if header.get("schema_version") != SCHEMA_VERSION:
         found = header.get("schema_version")
         raise RecordingError(
-            f"{name}: schema version {found!r}, and this mobilecal reads {SCHEMA_VERSION}", _HINT
+            f"{name}: schema version {found!r}; this version of mobilecal reads {SCHEMA_VERSION}", _HINT
         )
     try:
         return _extraction(header, arrays)
@@ -165,23 +165,23 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         stated = sum(member.file_size for member in archive.infolist())
         if stated > LARGEST_BYTES:
-            raise ValueError(f"{len(data)} bytes claim to hold {stated}, at most {LARGEST_BYTES} are read")
+            raise ValueError(f"{len(data)} bytes unpack to {stated} bytes (limit {LARGEST_BYTES})")
         return {name.removesuffix(".npy"): _array(name, archive.read(name)) for name in archive.namelist()}
 
 
 def _array(name: str, data: bytes) -> NDArray[Any]:
-    """One member, its head compared with its length before memory is asked for."""
+    """One array; its header is checked against its length before memory is allocated."""
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):
-        raise ValueError(f"{name}: an array of an unknown version")
+        raise ValueError(f"{name}: unknown array version")
     shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     if math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
-        raise ValueError(f"{name}: {len(data)} bytes do not hold {shape} of {dtype}")
+        raise ValueError(f"{name}: {len(data)} bytes do not match shape {shape} of {dtype}")
     stream.seek(0)
     array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-    # Metres, radians, pixels: nothing that was seen is so far away, and its square would overflow.
+    # No valid value in meters, radians or pixels is so large, and its square would overflow.
     if array.dtype.kind == "f" and not np.all(np.abs(array) < _LARGEST):
-        raise ValueError(f"{name}: numbers that are not finite, or beyond {_LARGEST:g}")
+        raise ValueError(f"{name}: values that are not finite, or above {_LARGEST:g}")
     return array
 
 

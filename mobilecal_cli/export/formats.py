@@ -1,4 +1,4 @@
-"""A calibration in other programs' formats. Each names its frames and units in a comment."""
+"""A calibration in the formats of other programs. Each states its frames and units in a comment."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.xml_text import attribute
+from mobilecal_cli.export.xml_text import attribute, comment
 from mobilecal_cli.export.yaml_text import decimal, decimals, quoted
 from mobilecal_cli.model import NINE, CalibratedRobot, Camera, Side, StereoRig, WheelGeometry
+from mobilecal_cli.model.text import visible
 
 _CONVENTION = (
     "x_parent = R x_child + translation; optical frames: x right, y down, z forward. "
@@ -22,13 +23,24 @@ _CONVENTION = (
 _KALIBR_MODELS = {"none": "none", "plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
+def frame_note(robot: CalibratedRobot) -> str:
+    """Which optical frame the camera frame of a calibration is."""
+    if not robot.rectified:
+        return f"{robot.child_frame} is the optical frame of the raw images."
+    return (
+        f"{robot.child_frame} is the rectified optical frame: the calibration was made from rectified images. "
+        "For raw images, use head_eye_raw of params.yaml."
+    )
+
+
 def plain_json(robot: CalibratedRobot) -> str:
-    """Everything that params.yaml knows of the nine numbers, for programs without a YAML reader."""
+    """The nine parameters with their covariance as JSON."""
     T, known = robot.T_parent_child, robot.knowledge
     data: dict[str, Any] = {
         "convention": _CONVENTION,
         "parent_frame": robot.parent_frame,
         "child_frame": robot.child_frame,
+        "child_frame_images": "rectified" if robot.rectified else "raw",
         "T_parent_child": T.tolist(),
         "translation_m": T[:3, 3].tolist(),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
@@ -57,7 +69,7 @@ def static_transform_launch(robot: CalibratedRobot) -> str:
     return "\n".join(
         [
             "<launch>",
-            f"  <!-- {_CONVENTION} -->",
+            f"  <!-- {comment(f'{_CONVENTION} {frame_note(robot)}')} -->",
             '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
             f"        args={attribute(f'{words} {frames}')}/>",
             "</launch>",
@@ -73,6 +85,7 @@ def static_transform_yaml(robot: CalibratedRobot) -> str:
         [
             f"# {_CONVENTION}",
             "# The parent is frame_id, the head; the child is child_frame_id, the camera.",
+            f"# {visible(frame_note(robot))}",
             "header:",
             f"  frame_id: {quoted(robot.parent_frame)}",
             f"child_frame_id: {quoted(robot.child_frame)}",
@@ -94,14 +107,15 @@ def xacro_properties(robot: CalibratedRobot) -> str:
         "wheel_radius_right": decimal(wheels.radius_right_m),
         "wheel_separation": decimal(wheels.separation_m),
     }
-    comment = (
-        f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {_CONVENTION}"
-    ).replace("--", "- -")
+    note = comment(
+        f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {_CONVENTION} "
+        f"{frame_note(robot)}"
+    )
     return "\n".join(
         [
             '<?xml version="1.0"?>',
             '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
-            f"  <!-- {comment} -->",
+            f"  <!-- {note} -->",
             *(
                 f'  <xacro:property name="mobilecal_{name}" value={attribute(value)}/>'
                 for name, value in values.items()
@@ -115,17 +129,17 @@ def xacro_properties(robot: CalibratedRobot) -> str:
 def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal: WheelGeometry | None) -> str:
     """Parameters of ros2_control's diff_drive_controller.
 
-    It knows one wheel radius and one separation, each with multipliers. Against nominal sizes the multipliers say
-    what the calibration changed; without them the radius is the mean of both, and the separation's multiplier 1.
+    The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
+    nominal sizes; without these, the radius is the mean of both and the multiplier of the separation is 1.
 
     Args:
         robot: the calibration.
-        joints: names of the wheels' joints, as far as they are known.
-        nominal: sizes that the multipliers count from; their radii have to be equal for one number to hold them.
+        joints: names of the wheel joints, as far as they are known.
+        nominal: sizes that the multipliers refer to; the mean of their radii is used.
     """
     wheels = robot.wheels
     radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
-    base = "the mean of both radii and the separation itself"
+    base = "the mean of both radii and the calibrated separation"
     if nominal is not None:
         radius_m = (nominal.radius_left_m + nominal.radius_right_m) / 2
         separation_m, base = nominal.separation_m, "the nominal sizes"
@@ -134,7 +148,7 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     ]
     return "\n".join(
         [
-            f"# Lengths in m. The multipliers count from {base}; calibrated:",
+            f"# Lengths in m. The multipliers refer to {base}. Calibrated:",
             f"# left radius {decimal(wheels.radius_left_m)}, right radius {decimal(wheels.radius_right_m)}, "
             f"separation {decimal(wheels.separation_m)}.",
             "diff_drive_controller:",
@@ -151,12 +165,16 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
 
 
 def camchain_yaml(cameras: StereoRig, topics: Mapping[Side, str]) -> str:
-    """The stereo pair as Kalibr writes it: cam0 is the left camera, T_cn_cnm1 takes its coordinates to the right one's.
+    """The stereo pair in the format of Kalibr: cam0 is the left camera, T_cn_cnm1 maps its coordinates to the right.
 
     Raises:
-        ConfigError: a distortion that Kalibr has no model for.
+        ConfigError: Kalibr has no model for the distortion.
     """
-    lines = ["# Kalibr: x_cam1 = T_cn_cnm1 x_cam0, m; intrinsics fu, fv, pu, pv, px."]
+    kind = "rectified" if cameras.rectified else "raw"
+    lines = [
+        "# Kalibr: x_cam1 = T_cn_cnm1 x_cam0, m; intrinsics fu, fv, pu, pv, px.",
+        f"# Frames and intrinsics are those of the {kind} images.",
+    ]
     sides: tuple[tuple[str, Side, Camera], ...] = (
         ("cam0", "left", cameras.left),
         ("cam1", "right", cameras.right),
@@ -183,7 +201,7 @@ def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:
     D = camera.D.tolist()
     if camera.distortion == "plumb_bob" and any(D[4:]):
         raise ConfigError(
-            f"camera {camera.frame_id!r}: Kalibr's radtan has no third radial coefficient, this camera's is {D[4]:g}",
+            f"camera {camera.frame_id!r}: Kalibr's radtan model has no third radial coefficient; here it is {D[4]:g}",
             "use --to camera_info or json",
         )
     if camera.distortion == "rational_polynomial":
@@ -195,7 +213,7 @@ def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:
 
 
 def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:
-    """One camera as camera_calibration_parsers reads it.
+    """One camera in the format of camera_calibration_parsers.
 
     Args:
         camera: K and D.
@@ -212,7 +230,7 @@ def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any,
 
     return "\n".join(
         [
-            "# Rectified coordinates are R times raw ones; pixels are P times rectified ones. px.",
+            "# Frame: the optical frame of the raw images. x_rectified = R x_raw; pixels = P x_rectified, px.",
             f"image_width: {camera.width}",
             f"image_height: {camera.height}",
             f"camera_name: {quoted(camera.frame_id)}",

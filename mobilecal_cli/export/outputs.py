@@ -1,4 +1,4 @@
-"""A directory of outputs, written whole or not at all."""
+"""Output directories, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 
-# What an output directory of ours may hold: with --force, nothing else is ever deleted.
+# Files of an output directory: --force never deletes anything else.
 OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 _MARKS = ("params.yaml", "report.json")
 
 
 def check_output(directory: Path, force: bool) -> None:
-    """Find out before the long work whether `write_outputs` could do its own.
+    """Check before the calibration whether `write_outputs` can write.
 
     Args:
-        directory: what is to be made.
-        force: an output directory of ours that is there already may be replaced.
+        directory: the directory to create.
+        force: whether an existing output directory of mobilecal may be replaced.
 
     Raises:
-        OutputError: the directory exists (and is not ours to replace), or none can be made there.
+        OutputError: the directory exists and may not be replaced, or cannot be created.
     """
     target = _absolute(directory)
     if target.is_symlink():
-        raise OutputError(f"{directory}: is a symbolic link", "name the directory itself with --output")
+        raise OutputError(f"{directory}: is a symbolic link", "give the directory itself with --output")
     if target.exists():
         _check_existing(directory, target, force)
     parent = target.parent
     if not parent.is_dir():
         raise OutputError(
-            f"{directory}: {parent} is not a directory", "make it first, or choose another --output"
+            f"{directory}: {parent} is not a directory", "create it, or choose another --output"
         )
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(f"{directory}: no permission to write in {parent}", "choose another --output")
 
 
 def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
-    """Write the files into a new directory, or leave everything as it was.
+    """Write the files into a new directory, or change nothing.
 
-    They go into a temporary directory beside it, which is put in place once all is on the disk. An old output
-    directory changes places with it in that one step, or, where the file system cannot do that, steps aside only
-    then and comes back should the step fail. Killed before, the process leaves a directory `.<name>.*.partial`.
+    The files are written to a temporary directory next to it, which is renamed once all are on the disk. An old
+    output directory is exchanged in the same step; if the file system cannot do that, it is renamed first, and
+    renamed back if the step fails. A process that is killed before leaves a directory `.<name>.*.partial`.
 
     Args:
-        directory: what is made.
+        directory: the directory to create.
         files: name → contents.
-        force: replace an output directory of ours.
+        force: replace an existing output directory of mobilecal.
 
     Raises:
         OutputError: see `check_output`; or writing failed.
     """
     foreign = sorted(files.keys() - OUTPUT_NAMES)
     if foreign:
-        raise ValueError(f"not known as outputs: {foreign}")
+        raise ValueError(f"unknown output files: {foreign}")
     check_output(directory, force)
     target = _absolute(directory)
     partial = _free_name(target, "partial")
@@ -75,11 +75,11 @@ def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> N
             "check free space and permissions, or choose another --output",
         ) from error
     finally:
-        shutil.rmtree(partial, ignore_errors=True)  # gone already when all went well
+        shutil.rmtree(partial, ignore_errors=True)  # does not exist after success
 
 
 def _absolute(directory: Path) -> Path:
-    # Not resolve(): a symbolic link must stay one, to be refused.
+    # Not resolve(): a symbolic link has to stay one, because it is refused.
     return Path(os.path.abspath(directory))  # noqa: PTH100
 
 
@@ -88,7 +88,7 @@ def _check_existing(directory: Path, target: Path, force: bool) -> None:
         raise OutputError(f"{directory}: exists and is not a directory", "choose another --output")
     if not force:
         raise OutputError(
-            f"{directory}: exists already", "add --force to replace it, or choose another --output"
+            f"{directory}: already exists", "add --force to replace it, or choose another --output"
         )
     try:
         entries = sorted(target.iterdir())
@@ -101,7 +101,7 @@ def _check_existing(directory: Path, target: Path, force: bool) -> None:
     if foreign or (held and not any(mark in held for mark in _MARKS)):
         example = (foreign or held)[0]
         raise OutputError(
-            f"{directory}: does not look like an output of mobilecal: it holds {example!r}",
+            f"{directory}: not an output directory of mobilecal: it contains {example!r}",
             "choose another --output, or move the directory away",
         )
     if not os.access(target, os.W_OK | os.X_OK):
@@ -120,7 +120,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _sync(directory: Path) -> None:
-    """Have the directory's entries on the disk; some file systems cannot, and then it is not needed."""
+    """Flush the directory to the disk, if the file system supports it."""
     with suppress(OSError):
         descriptor = os.open(directory, os.O_RDONLY)
         try:
@@ -137,7 +137,7 @@ def _put_in_place(partial: Path, target: Path) -> None:
     old = _free_name(target, "old")
     if _exchange(partial, target):
         partial.rename(old)
-    else:  # there is a moment with neither the old nor the new one in place
+    else:  # for a moment, neither directory is in place
         target.rename(old)
         try:
             partial.rename(target)
@@ -149,13 +149,13 @@ def _put_in_place(partial: Path, target: Path) -> None:
         shutil.rmtree(old)
     except OSError as error:
         raise OutputError(
-            f"{target}: written, but the directory that it replaced cannot be removed: {error.strerror}",
-            f"remove {old} by hand",
+            f"{target}: written, but the replaced directory cannot be removed: {error.strerror}",
+            f"remove {old}",
         ) from error
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Let two paths change places in one step; False where the system or the file system cannot."""
+    """Exchange two paths in one step; False if the system or the file system does not support it."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):

@@ -245,6 +245,7 @@ class _Provenance(_Section):
 class _File(_Section):
     schema_version: int
     head_eye: _HeadEye
+    head_eye_raw: _HeadEye | None = None
     wheels: _Wheels
     uncertainty: _Uncertainty | None = None
     provenance: _Provenance = _Provenance()
@@ -298,6 +299,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
         wheel_joints={side: joint for side, joint in joints.items() if joint},
         nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
+        rectified=checked.head_eye_raw is not None,
     )
 
 

@@ -1,6 +1,6 @@
-"""Frozen dataclasses to plain values (what JSON knows) and back, led by their type annotations.
+"""Conversion of frozen dataclasses to plain JSON values and back, by their type annotations.
 
-A field that is added to a value is carried without a change here.
+New fields need no change here.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ T = TypeVar("T")
 _SCALARS = (str, int, float, bool)
 
 
-def to_plain(value: object) -> Any:  # noqa: ANN401  (JSON is what it is)
-    """A value as dicts, lists, strings and numbers; arrays become nested lists, exactly."""
+def to_plain(value: object) -> Any:  # noqa: ANN401  (any JSON value)
+    """A value as dicts, lists, strings and numbers; arrays become nested lists without loss."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, np.ndarray):
@@ -38,7 +38,7 @@ def from_plain(kind: type[T], data: object) -> T:
     """The value of a dataclass type from its plain form.
 
     Raises:
-        ValueError: the plain form does not fit the type: a key too many or too few, or another kind.
+        ValueError: the plain form does not match the type: an extra or missing key, or another type.
     """
     return typing.cast(T, _decode(kind, data, kind.__name__))
 
@@ -51,11 +51,11 @@ def _decode(kind: Any, data: Any, where: str) -> Any:  # noqa: ANN401
         return np.array(_expect(data, list, where), dtype=typing.get_args(arguments[1])[0])
     if origin is Literal:
         if data not in arguments:
-            raise ValueError(f"{where}: {data!r} is none of {arguments}")
+            raise ValueError(f"{where}: {data!r} is not one of {arguments}")
         return data
     if origin in (Union, types.UnionType):
         return _decode_union(arguments, data, where)
-    if origin is tuple:  # tuple[X, ...], the only kind that the values use
+    if origin is tuple:  # tuple[X, ...] is the only form in use
         items = enumerate(_expect(data, list, where))
         return tuple(_decode(arguments[0], item, f"{where}[{i}]") for i, item in items)
     if origin is Mapping:
@@ -64,7 +64,7 @@ def _decode(kind: Any, data: Any, where: str) -> Any:  # noqa: ANN401
     if kind is float and type(data) is int:
         return float(data)
     if type(data) is not kind:
-        raise ValueError(f"{where}: a {type(data).__name__}, not {kind}")
+        raise ValueError(f"{where}: {type(data).__name__} instead of {kind}")
     return data
 
 
@@ -73,7 +73,7 @@ def _decode_dataclass(kind: type, data: object, where: str) -> object:
     names = {f.name for f in dataclasses.fields(kind)}
     given = _expect(data, dict, where)
     if given.keys() != names:
-        raise ValueError(f"{where}: keys {sorted(given.keys() ^ names)} too many or missing")
+        raise ValueError(f"{where}: extra or missing keys: {sorted(given.keys() ^ names)}")
     return kind(**{name: _decode(hints[name], given[name], f"{where}.{name}") for name in given})
 
 
@@ -81,19 +81,19 @@ def _decode_union(kinds: tuple[Any, ...], data: Any, where: str) -> Any:  # noqa
     if data is None and type(None) in kinds:
         return None
     others = [kind for kind in kinds if kind is not type(None)]
-    if len(others) > 1 and isinstance(data, dict):  # of several dataclasses, the one with these fields
+    if len(others) > 1 and isinstance(data, dict):  # the dataclass with these fields
         fits = [
             kind
             for kind in others
             if dataclasses.is_dataclass(kind) and {f.name for f in dataclasses.fields(kind)} == data.keys()
         ]
         if len(fits) != 1:
-            raise ValueError(f"{where}: keys {sorted(data)} fit none of {others}")
+            raise ValueError(f"{where}: keys {sorted(data)} match none of {others}")
         return _decode(fits[0], data, where)
     return _decode(others[0], data, where)
 
 
 def _expect(data: Any, kind: type, where: str) -> Any:  # noqa: ANN401
     if not isinstance(data, kind):
-        raise ValueError(f"{where}: a {type(data).__name__}, not {kind.__name__}")  # noqa: TRY004
+        raise ValueError(f"{where}: {type(data).__name__} instead of {kind.__name__}")  # noqa: TRY004
     return data

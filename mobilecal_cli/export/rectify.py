@@ -1,4 +1,4 @@
-"""R and P of a stereo pair's camera_info."""
+"""R and P of the camera_info of a stereo pair."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mobilecal_cli.model import FloatArray, Side, StereoRig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RectifiedPair:
-    """How the pictures of both cameras become those of a parallel pair.
+    """Rectification of a stereo pair.
 
     Attributes:
         R: side → (3, 3) raw to rectified coordinates.
@@ -26,7 +26,7 @@ class RectifiedPair:
 
 
 def rectified_pair(cameras: StereoRig) -> RectifiedPair:
-    """Rectify raw cameras by Bouguet's method, as OpenCV has it, without showing what neither picture holds."""
+    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels)."""
     T_r_c = se3.inverse(cameras.T_c_r)
     R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
     left, right = cameras.left, cameras.right

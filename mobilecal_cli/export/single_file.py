@@ -1,4 +1,4 @@
-"""One file, written whole or not at all."""
+"""Single files, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from mobilecal_cli.errors import OutputError
 
 
 def check_file(path: Path, force: bool) -> None:
-    """Find out whether a file may be written.
+    """Check whether a file may be written.
 
     Raises:
-        OutputError: the file exists and `force` is not set, or is no plain file.
+        OutputError: the file exists and `force` is not set, or is not a regular file.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise OutputError(f"{path}: exists and is not a plain file", "choose another --output")
+        raise OutputError(f"{path}: exists and is not a regular file", "choose another --output")
     if path.exists() and not force:
-        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another --output")
+        raise OutputError(f"{path}: already exists", "add --force to replace it, or choose another --output")
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write a file under a temporary name beside it, then put it in place.
+    """Write a file under a temporary name next to it, then rename it.
 
     Raises:
-        OutputError: the file exists and `force` is not set, is no plain file, or cannot be written.
+        OutputError: the file exists and `force` is not set, is not a regular file, or cannot be written.
     """
     check_file(path, force)
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")

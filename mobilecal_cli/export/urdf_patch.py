@@ -1,4 +1,4 @@
-"""A calibration put into a URDF: a few numbers change, every other byte stays."""
+"""A URDF with the calibration: a few numbers change, all other bytes stay."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.xml_text import attribute
+from mobilecal_cli.export.formats import frame_note
+from mobilecal_cli.export.xml_text import attribute, comment
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import CalibratedRobot, FloatArray, Side
 
 _SIDES: tuple[Side, Side] = ("left", "right")
+#: A frame is at ground level if the wheel centers are one radius above it, to this much, m.
+_GROUND_M = 1e-3
 _WHEELS = [
     ["robot", "link", kind, "geometry", shape]
     for kind in ("visual", "collision")
@@ -25,7 +28,7 @@ _WHEELS = [
 
 @dataclass(frozen=True, slots=True)
 class _Tag:
-    """A start tag: its attributes may be changed, or an element put behind it."""
+    """Byte range of a start tag, whose attributes may change or which gets a child element."""
 
     start: int
     end: int
@@ -33,12 +36,12 @@ class _Tag:
 
 @dataclass(slots=True)
 class _Places:
-    """Where in the file the numbers stand.
+    """Byte ranges of the numbers in the file.
 
     Attributes:
-        joints: joint name → its own tag and its <origin>'s, where it has one.
+        joints: joint name → its own tag and that of its <origin>, if it has one.
         wheels: link name → tags of its cylinders and spheres.
-        end: where the robot's end tag begins, bytes.
+        end: start of the robot's end tag, bytes.
     """
 
     joints: dict[str, tuple[_Tag, _Tag | None]] = field(default_factory=dict)
@@ -48,11 +51,11 @@ class _Places:
 
 @dataclass(frozen=True, slots=True)
 class PatchedUrdf:
-    """The new file.
+    """The patched file.
 
     Attributes:
         content: its bytes.
-        changes: what was changed, whole sentences.
+        changes: changes and notes, whole sentences.
     """
 
     content: bytes
@@ -60,19 +63,20 @@ class PatchedUrdf:
 
 
 def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]) -> PatchedUrdf:
-    """Put the head-eye transform and the wheels into a URDF.
+    """A URDF with the calibrated head-eye transform and wheels.
 
-    The first joint on the way from the head's link to the camera's takes up the head-eye transform; joints behind it
-    stay. Where the camera has no link, one is added at the end of the file. The wheels' joints move along their axle
-    about its middle, and the wheels' cylinders and spheres (visual and collision) get the calibrated radii.
+    The first joint from the head link to the camera link gets the head-eye transform; the joints after it stay. If
+    the camera has no link, one is added at the end of the file. The wheel joints move along their axle about its
+    midpoint, and the cylinders and spheres of the wheels (visual and collision) get the calibrated radii. Where the
+    wheel joints start from a frame on the ground, their height becomes the mean radius.
 
     Args:
         content: the URDF, UTF-8.
         robot: the calibration.
-        wheel_joints: names of the wheels' joints; a side that is left out keeps its numbers.
+        wheel_joints: names of the wheel joints; the numbers of a missing side stay.
 
     Raises:
-        ConfigError: no URDF, or no fixed joint leads from the head to the camera, or no such wheel joint.
+        ConfigError: invalid URDF, no fixed joint from the head to the camera, or an unknown wheel joint.
     """
     try:
         urdf = parse_urdf(content.decode("utf-8"))
@@ -85,29 +89,36 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
         mount, T_head_mount = _mount(urdf, robot)
         edits.append(_moved(content, places, mount.name, T_head_mount))
         changes.append(
-            f"joint {mount.name!r}: its origin puts {robot.child_frame!r} on {robot.parent_frame!r} as calibrated"
+            f"joint {mount.name!r}: the origin gives the calibrated pose of {robot.child_frame!r} on "
+            f"{robot.parent_frame!r}"
         )
     else:
         edits.append(_added(places.end, urdf, robot))
         changes.append(
-            f"link {robot.child_frame!r} was not there: added, with a fixed joint on {robot.parent_frame!r}; nothing "
-            "else may publish that transform"
+            f"link {robot.child_frame!r}: added with a fixed joint on {robot.parent_frame!r}; no other node may "
+            "publish this transform"
         )
     if len(wheel_joints) == len(_SIDES):
+        height_m, told = _height(content, places, urdf, robot, wheel_joints)
         for name, T in _wheel_origins(urdf, robot, wheel_joints):
+            if height_m is not None:
+                T[2, 3] = height_m
             edits.append(_moved(content, places, name, T, ("xyz",)))
         changes.append(
             f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}: {robot.wheels.separation_m:.6g} m apart"
         )
+        changes += told
     for side, name in wheel_joints.items():
         link = _joint(urdf, name).child
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
         tags = places.wheels.get(link, [])
         edits += [(*_span(tag), _with(content, tag, {"radius": f"{radius_m:.12g}"})) for tag in tags]
-        told = (
-            f"{len(tags)} radii are {radius_m:.6g} m" if tags else "no cylinder or sphere, no radius is set"
+        radii = (
+            f"radius of {len(tags)} shapes: {radius_m:.6g} m"
+            if tags
+            else "no cylinder or sphere, no radius set"
         )
-        changes.append(f"link {link!r}: {told}")
+        changes.append(f"link {link!r}: {radii}")
     for start, end, new in sorted(edits, reverse=True):
         content = content[:start] + new + content[end:]
     return PatchedUrdf(content, tuple(changes))
@@ -118,13 +129,13 @@ def _span(tag: _Tag) -> tuple[int, int]:
 
 
 def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
-    """The joint that takes up the head-eye transform, and its new origin."""
+    """The joint that gets the head-eye transform, and its new origin."""
     path = urdf.path(robot.parent_frame, robot.child_frame)
     moving = [joint.name for joint in path if joint.kind != "fixed"]
     if moving or not path:
         raise ConfigError(
             f"URDF: {robot.child_frame!r} is not fixed to {robot.parent_frame!r}: joint "
-            f"{moving[0] if moving else 'none'!r} lies between",
+            f"{moving[0] if moving else 'none'!r} is between them",
             "give the URDF of the robot that was calibrated",
         )
     T_mount_camera = np.eye(4)
@@ -134,11 +145,11 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
 
 
 def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
-    """The edit that adds the camera's link and joint before the end of the robot."""
+    """The edit that adds the camera link and joint before the end of the robot."""
     if robot.parent_frame not in urdf.links:
         raise ConfigError(
-            f"URDF: neither {robot.child_frame!r} nor {robot.parent_frame!r} is one of its links",
-            f"its links: {', '.join(urdf.links) or 'none'}",
+            f"URDF: neither {robot.child_frame!r} nor {robot.parent_frame!r} is a link",
+            f"links: {', '.join(urdf.links) or 'none'}",
         )
     lines = (
         f"<link name={attribute(robot.child_frame)}/>",
@@ -146,6 +157,7 @@ def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, byte
         f"  <parent link={attribute(robot.parent_frame)}/><child link={attribute(robot.child_frame)}/>",
         f"  {_origin(robot.T_parent_child)}",
         "</joint>",
+        *([f"<!-- {comment(frame_note(robot))} -->"] if robot.rectified else []),
     )
     return end, end, "".join(f"  {line}\n" for line in lines).encode()
 
@@ -153,7 +165,7 @@ def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, byte
 def _wheel_origins(
     urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
 ) -> Iterable[tuple[str, FloatArray]]:
-    """New origins of both wheel joints: on the old axle, about its old middle."""
+    """New origins of both wheel joints: on the old axle, about its old midpoint."""
     T = {}
     for side, name in wheel_joints.items():
         above = urdf.path(urdf.root, _joint(urdf, name).child)
@@ -161,9 +173,9 @@ def _wheel_origins(
         for joint in above[:-1]:
             T_root_parent = T_root_parent @ joint.T_parent_child
         T[side] = (T_root_parent, above[-1].T_parent_child)
-    centre = {side: (parent @ own)[:3, 3] for side, (parent, own) in T.items()}
-    axle = centre["left"] - centre["right"]
-    middle = (centre["left"] + centre["right"]) / 2
+    center = {side: (parent @ own)[:3, 3] for side, (parent, own) in T.items()}
+    axle = center["left"] - center["right"]
+    middle = (center["left"] + center["right"]) / 2
     for side, sign in (("left", 0.5), ("right", -0.5)):
         place = middle + sign * robot.wheels.separation_m * axle / np.linalg.norm(axle)
         parent, own = T[side]
@@ -172,16 +184,79 @@ def _wheel_origins(
         yield wheel_joints[side], moved
 
 
+def _height(
+    content: bytes, places: _Places, urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
+) -> tuple[float | None, tuple[str, ...]]:
+    """New height of the wheel joints in their parent, m, None to keep it; and notes on heights that stay.
+
+    A height that follows from the wheel radius has to change with it. It does in the wheel joints; other joints, such
+    as that of a base_footprint, may also place the body, so a note names them with both numbers.
+    """
+    joints = [_joint(urdf, wheel_joints[side]) for side in _SIDES]
+    radii = [_radius(content, tag) for joint in joints for tag in places.wheels.get(joint.child, [])[:1]]
+    if len(radii) != len(_SIDES) or None in radii:
+        return None, ()
+    old_m = sum(radius for radius in radii if radius is not None) / 2
+    new_m = (robot.wheels.radius_left_m + robot.wheels.radius_right_m) / 2
+    names = " and ".join(repr(joint.name) for joint in joints)
+    own = [float(joint.T_parent_child[2, 3]) for joint in joints]
+    if max(abs(height - old_m) for height in own) <= _GROUND_M:
+        return new_m, (f"joints {names}: height {new_m:.6g} m, the mean wheel radius",)
+    notes = []
+    for link in urdf.links:
+        height = _height_over(urdf, link, joints[0].child)
+        above = height is not None and link != joints[0].parent and abs(height - old_m) <= _GROUND_M
+        if above and abs(old_m - new_m) > 1e-9:
+            notes.append(
+                f"link {link!r}: the axle is {height:.6g} m above it, and the mean wheel radius is now {new_m:.6g} m; "
+                f"its joint {_joint_of(urdf, link)!r} is unchanged"
+            )
+    if not notes and abs(old_m - new_m) > 1e-9:
+        notes.append(
+            f"joints {names}: height {own[0]:.6g} m over {joints[0].parent!r} is unchanged; it does not follow from "
+            f"the wheel radius ({old_m:.6g} m before, {new_m:.6g} m now)"
+        )
+    return None, tuple(notes)
+
+
+def _radius(content: bytes, tag: _Tag) -> float | None:
+    found = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[tag.start : tag.end])
+    try:
+        return float(found.group(1)) if found else None
+    except ValueError:
+        return None
+
+
+def _height_over(urdf: Urdf, link: str, wheel: str) -> float | None:
+    """Height of a wheel center over a link that is fixed to the wheel's parent, m; None for other links."""
+    T = {}
+    for name in (link, wheel):
+        path = urdf.path(urdf.root, name)
+        if any(joint.kind != "fixed" for joint in path if joint.child != wheel):
+            return None
+        T[name] = np.eye(4)
+        for joint in path:
+            T[name] = T[name] @ joint.T_parent_child
+    return float((se3.inverse(T[link]) @ T[wheel])[2, 3])
+
+
+def _joint_of(urdf: Urdf, link: str) -> str:
+    """The fixed joint that places a link; for the root the one that hangs on it."""
+    above = [joint.name for joint in urdf.joints.values() if joint.child == link]
+    below = [joint.name for joint in urdf.joints.values() if joint.parent == link and joint.kind == "fixed"]
+    return (above or below or [link])[0]
+
+
 def _joint(urdf: Urdf, name: str) -> UrdfJoint:
     if name not in urdf.joints:
-        raise ConfigError(f"URDF: no joint {name!r}", f"its joints: {', '.join(urdf.joints)}")
+        raise ConfigError(f"URDF: no joint {name!r}", f"joints: {', '.join(urdf.joints)}")
     return urdf.joints[name]
 
 
 def _moved(
     content: bytes, places: _Places, joint: str, T: FloatArray, names: Sequence[str] = ("xyz", "rpy")
 ) -> tuple[int, int, bytes]:
-    """The edit that gives a joint an origin, or changes some attributes of the one that it has."""
+    """The edit that gives a joint an origin, or changes some attributes of an existing one."""
     own, origin = places.joints[joint]
     if origin is not None:
         return (
@@ -205,7 +280,7 @@ def _origin(T: FloatArray) -> str:
 
 
 def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> bytes:
-    """A tag with some attributes' values replaced, or added before its end."""
+    """A tag with the values of some attributes replaced or added."""
     text = content[tag.start : tag.end]
     for name, value in values.items():
         pattern = re.compile(rb"(\s" + name.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
@@ -220,7 +295,7 @@ def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> bytes:
 
 
 def _places(content: bytes) -> _Places:
-    """Find the tags that may be changed. The file has been parsed before, so it is well-formed and has no DTD."""
+    """Byte ranges of the tags that may change, in a file that is known to be well-formed and without a DTD."""
     places = _Places()
     stack: list[tuple[str, str]] = []
     parser = ParserCreate()
@@ -241,7 +316,7 @@ def _places(content: bytes) -> _Places:
 
     def end(_: str) -> None:
         stack.pop()
-        places.end = parser.CurrentByteIndex  # the robot's own comes last
+        places.end = parser.CurrentByteIndex  # the last one is that of the robot
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
@@ -250,7 +325,7 @@ def _places(content: bytes) -> _Places:
 
 
 def _end_of_tag(content: bytes, at: int) -> int:
-    """Behind the ">" that ends a start tag; one inside an attribute's value ends nothing."""
+    """Position after the ">" of a start tag, ignoring those in attribute values."""
     quote = b""
     while True:
         at += 1

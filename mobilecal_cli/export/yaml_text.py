@@ -1,4 +1,4 @@
-"""Numbers and strings as text that every YAML loader, of version 1.1 or 1.2, reads as what they are."""
+"""Numbers and strings as text that YAML 1.1 and 1.2 loaders read identically."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def decimal(value: float) -> str:
 
 
 def exponential(value: float) -> str:
-    """A number of any size, as every YAML version reads it: 1.25e-06 with a point and a signed exponent.
+    """A number with a decimal point and a signed exponent, as all YAML versions need it: 1.25e-06.
 
     Raises:
         ValueError: the value is not finite.
@@ -49,12 +49,12 @@ def decimals(values: Iterable[float]) -> str:
 
 
 def quoted(text: str) -> str:
-    """A double-quoted scalar on one line, whatever the text holds."""
+    """A double-quoted scalar on one line, for any text."""
     return dump(text).removesuffix("\n")
 
 
 def dump(value: Setting) -> str:
-    """Block YAML of plain values; every string is quoted, so none is taken for a number or a date."""
+    """Block YAML of plain values; strings are quoted, so none is read as a number or a date."""
     stream = io.StringIO()
     _emitter().dump(value, stream)
     return stream.getvalue()
@@ -65,7 +65,7 @@ def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any i
     from ruamel.yaml.representer import SafeRepresenter
 
     class Plain(SafeRepresenter):
-        """Quoted strings, decimals, and no anchors for values that occur twice."""
+        """Quoted strings, decimals, and no anchors for repeated values."""
 
         def ignore_aliases(self, data: object) -> bool:
             return True
@@ -95,5 +95,5 @@ def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any i
     yaml.Representer = Plain
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 1 << 30  # never fold: a folded string is hard to read and to search for
+    yaml.width = 1 << 30  # never fold: folded strings are hard to read and to search
     return yaml

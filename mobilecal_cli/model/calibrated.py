@@ -43,6 +43,7 @@ class CalibratedRobot:
         logs: recordings used for the calibration.
         wheel_joints: names of the wheel joints if the wheels were read from joint states.
         nominal_wheels: nominal wheels, if any.
+        rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
     """
 
     parent_frame: str
@@ -54,6 +55,7 @@ class CalibratedRobot:
     logs: tuple[LogSource, ...] = ()
     wheel_joints: Mapping[Side, str] = field(default_factory=dict)
     nominal_wheels: WheelGeometry | None = None
+    rectified: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, T_parent_child=(4, 4))

@@ -1,4 +1,4 @@
-"""`mobilecal export`: a calibration in another program's format."""
+"""`mobilecal export`: a calibration in the format of another program."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mobilecal_cli.export import (
     camera_info_yaml,
     diff_drive_yaml,
     extraction_from_npz,
+    frame_note,
     patched_urdf,
     plain_json,
     rectified_pair,
@@ -36,8 +37,8 @@ class Exported:
     """A calibration in another format.
 
     Attributes:
-        content: of the file.
-        notes: what to know about it, whole sentences.
+        content: the bytes of the file.
+        notes: changes and notes, whole sentences.
     """
 
     content: bytes
@@ -47,16 +48,16 @@ class Exported:
 def export(
     params: Path, target: Target, urdf: Path | None = None, wheel_joints: Mapping[Side, str] | None = None
 ) -> Exported:
-    """Write a calibration as something else.
+    """A calibration in another format.
 
     Args:
-        params: params.yaml; camera_info and camchain also take extraction.npz and report.json beside it.
+        params: params.yaml; camera_info and camchain also read extraction.npz and report.json next to it.
         target: the format.
         urdf: the file to patch, for the target urdf.
-        wheel_joints: names of the wheels' joints, over those that the calibration read.
+        wheel_joints: names of the wheel joints, overriding those that the calibration read.
 
     Raises:
-        ConfigError: a file is missing or does not fit.
+        ConfigError: a file is missing or invalid.
     """
     robot = read_params(params)
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
@@ -71,12 +72,13 @@ def export(
         Target.static_transform_yaml: lambda: static_transform_yaml(robot),
         Target.json: lambda: plain_json(robot),
     }
-    return Exported(text[target]().encode())
+    notes = (frame_note(robot),) if robot.rectified and target != Target.ros2_control else ()
+    return Exported(text[target]().encode(), notes)
 
 
 def _urdf(robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str]) -> Exported:
     if path is None:
-        raise ConfigError("--to urdf patches a file that is there", "name the robot's URDF with --urdf")
+        raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
     try:
         content = path.read_bytes() if path.stat().st_size <= LARGEST_URDF_BYTES else None
     except OSError as error:
@@ -84,38 +86,40 @@ def _urdf(robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str])
             f"{path}: cannot be read: {error.strerror}", "check the path after --urdf"
         ) from error
     if content is None:
-        raise ConfigError(f"{path}: is larger than {LARGEST_URDF_BYTES} bytes", "give a URDF")
+        raise ConfigError(f"{path}: larger than {LARGEST_URDF_BYTES} bytes", "give a URDF")
     patched = patched_urdf(content, robot, joints)
     missing = [side for side in _SIDES if side not in joints]
     notes = patched.changes
+    if robot.rectified:
+        notes += (frame_note(robot),)
     if missing:
         notes += (
-            f"The {' and '.join(missing)} wheel's joint is not known: name it with --left-joint, --right-joint.",
+            f"The joint of the {' and '.join(missing)} wheel is unknown: give it with --left-joint or --right-joint.",
         )
     return Exported(patched.content, notes)
 
 
 def _cameras(params: Path, target: Target) -> Exported:
-    """The stereo pair of the calibration's own robot, with what was refined of it."""
+    """The stereo pair of the calibrated robot, as refined."""
     extraction = _beside(params)
     extras = _extras(params)
     cameras = cameras_with(extraction.rig.cameras, extras)
     refined = cameras is not extraction.rig.cameras
     note = (
-        "The stereo pair is as it was refined."
+        "The stereo pair is as refined by the calibration."
         if refined
-        else "The stereo pair is as the recording states it."
+        else "The stereo pair is as stated in the recording."
     )
     if target == Target.camchain:
         return Exported(camchain_yaml(cameras, extraction.rig.sources.image).encode(), (note,))
     if not refined:
         raise ConfigError(
-            f"{params}: the stereo pair was not refined, so its camera_info is still right",
-            "calibrate with --estimate stereo (or focal_length, principal_point) where the recording supports it",
+            f"{params}: the stereo pair was not refined, so its camera_info does not change",
+            "calibrate with --estimate stereo (or focal_length, principal_point) if the recording supports it",
         )
     if cameras.rectified:
         raise ConfigError(
-            "the pictures were rectified, so what was refined is no camera_info of the raw ones",
+            "the calibration was made from rectified images, so it gives no camera_info of the raw images",
             "calibrate from the raw images",
         )
     return Exported(
@@ -133,14 +137,14 @@ def _beside(params: Path) -> Extraction:
     path = params.with_name("extraction.npz")
     if not path.is_file():
         raise ConfigError(
-            f"{path}: is not there, and the cameras are written in it",
+            f"{path}: not found; it contains the cameras",
             "keep params.yaml in the directory that calibrate wrote",
         )
     return extraction_from_npz(path)
 
 
 def _extras(params: Path) -> dict[str, float]:
-    """What was estimated beside the nine, as the report beside the file says."""
+    """Parameters estimated besides the nine, from the report.json next to params.yaml."""
     path = params.with_name("report.json")
     try:
         data = json.loads(read_text(path, _LARGEST_REPORT_BYTES))

@@ -261,7 +261,7 @@ def test_bad_flags(paper, tmp_path):
 def test_an_output_that_exists(paper, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/thesis.txt").write_text("years of work")
-    refused(run("calibrate", paper, "--output", "out", cwd=tmp_path), 7, "exists already", "--force")
+    refused(run("calibrate", paper, "--output", "out", cwd=tmp_path), 7, "already exists", "--force")
     refused(run("calibrate", paper, "--output", "out", "--force", cwd=tmp_path), 7, "thesis.txt")
     assert (tmp_path / "out/thesis.txt").read_text() == "years of work"
 

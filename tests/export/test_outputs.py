@@ -50,7 +50,7 @@ def test_a_relative_name(tmp_path, monkeypatch):
 def test_an_old_one_is_kept_without_force(tmp_path):
     out = old_output(tmp_path / "out")
     before = tree(tmp_path)
-    with pytest.raises(OutputError, match="exists already") as caught:
+    with pytest.raises(OutputError, match="already exists") as caught:
         write_outputs(out, FILES, force=False)
     assert "--force" in caught.value.hint
     assert tree(tmp_path) == before
@@ -75,7 +75,7 @@ def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
     (out / foreign).write_text("mine")
     (out / "params.yaml").write_text("mine")
     before = tree(tmp_path)
-    with pytest.raises(OutputError, match="does not look like an output"):
+    with pytest.raises(OutputError, match="not an output directory of mobilecal"):
         function(out, force=True)
     assert tree(tmp_path) == before
 
