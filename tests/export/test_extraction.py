@@ -214,7 +214,7 @@ def with_header(change):
         (lambda h: h.update(format="something"), "not an extraction"),
         (lambda h: h.pop("rig"), "damaged"),
         (lambda h: h["rig"].update(extra=1), "Rig: extra or missing keys: ['extra']"),
-        (lambda h: h["rig"]["chain"].update(pan=3), "Rig.chain.pan: a int"),
+        (lambda h: h["rig"]["chain"].update(pan=3), "Rig.chain.pan: int instead"),
         (lambda h: h["rig"]["cameras"].update(reference="up"), "'up' is not one of"),
         (lambda h: h["rig"]["cameras"]["left"].update(K=[[1]]), "Camera.K: shape"),
         (lambda h: h["rig"]["chain"]["links"][0].clear(), "match none of"),

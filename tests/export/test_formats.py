@@ -55,6 +55,29 @@ DIFF_DRIVE = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "written", [plain_json, static_transform_launch, static_transform_yaml, xacro_properties]
+)
+def test_formats_with_frames_state_the_images(written):
+    """`child_frame` means another frame for rectified images: each file says which."""
+    raw, rectified = written(ROBOT), written(replace(ROBOT, rectified=True))
+    if written is plain_json:
+        assert json.loads(raw)["child_frame_images"] == "raw"
+        assert json.loads(rectified)["child_frame_images"] == "rectified"
+        return
+    assert "is the optical frame of the raw images" in raw
+    assert "is the rectified optical frame: the calibration was made from rectified images" in rectified
+
+
+def test_camera_formats_state_the_images():
+    topics = {"left": "/l", "right": "/r"}
+    assert "those of the raw images" in camchain_yaml(CAMERAS, topics)
+    assert "those of the rectified images" in camchain_yaml(replace(CAMERAS, rectified=True), topics)
+    pair = rectified_pair(CAMERAS)
+    text = camera_info_yaml(CAMERAS.left, pair.R["left"], pair.P["left"])
+    assert "the optical frame of the raw images" in text
+
+
 def from_quaternion(x, y, z, w):
     return matrix_from_quaternion([w, x, y, z])
 

@@ -83,7 +83,7 @@ def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
 def test_force_needs_a_mark_of_ours(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "extraction.npz").write_bytes(b"of another tool")
-    with pytest.raises(OutputError, match="does not look like"):
+    with pytest.raises(OutputError, match="not an output directory"):
         check_output(tmp_path / "out", force=True)
 
 
@@ -117,7 +117,7 @@ def test_checking_changes_nothing(tmp_path):
 
 
 def test_an_unknown_name_is_a_bug(tmp_path):
-    with pytest.raises(ValueError, match="not known"):
+    with pytest.raises(ValueError, match="unknown output files"):
         write_outputs(tmp_path / "out", {"../evil": b""}, force=False)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,61 @@ def test_every_other_byte_stays():
         '<origin xyz="-0.15 0.0 0.0"/><axis xyz="1 0 0"/></joint>',
     ]
     assert patched_urdf(made.content, robot(), JOINTS).content == made.content
+
+
+GROUNDED = URDF.replace(b'xyz="0.1 0 0.05"', b'xyz="0.1 0 0"').replace(
+    b'<mesh filename="w.stl"/>', b'<cylinder radius="0.1" length="0.1"/>'
+)
+
+
+def heights(made, tmp_path, link):
+    """Heights of both wheel centers over a link, by two parsers."""
+    return [T[2, 3] for side in "lr" for T in two_readers(tmp_path, made.content, side, link)]
+
+
+def test_wheel_joints_over_the_ground_follow_the_radius(tmp_path):
+    """base_link is on the ground: the wheel centers are a radius above it, before and after."""
+    content = GROUNDED.replace(b'0.25 0.0 0.0"', b'0.25 0.0 0.1"').replace(
+        b'-0.15 0.0 0.0"', b'-0.15 0.0 0.1"'
+    )
+    made = patched_urdf(content, robot(), JOINTS)
+    assert heights(made, tmp_path, "base_link") == pytest.approx([0.1015] * 4, abs=1e-10)
+    assert any("height 0.1015 m, the mean wheel radius" in change for change in made.changes)
+    assert patched_urdf(made.content, robot(), JOINTS).content == made.content
+
+
+@pytest.mark.parametrize("upward", [True, False])
+def test_a_base_footprint_is_named_with_both_numbers(tmp_path, upward):
+    """The joint of a base_footprint places the whole robot: it stays, and a note says so."""
+    if upward:
+        joint = b'<parent link="base_footprint"/><child link="base_link"/><origin xyz="0 0 0.1"/>'
+    else:
+        joint = b'<parent link="base_link"/><child link="base_footprint"/><origin xyz="0 0 -0.1"/>'
+    content = GROUNDED.replace(
+        b"</robot>\n",
+        b'<link name="base_footprint"/><joint name="down" type="fixed">' + joint + b"</joint></robot>\n",
+    )
+    made = patched_urdf(content, robot(), JOINTS)
+    assert heights(made, tmp_path, "base_footprint") == pytest.approx([0.1] * 4, abs=1e-10)
+    said = (
+        "link 'base_footprint': the axle is 0.1 m above it, and the mean wheel radius is now 0.1015 m; "
+        "its joint 'down' is unchanged"
+    )
+    assert said in made.changes
+
+
+def test_an_axle_height_of_its_own_is_stated(tmp_path):
+    made = patched_urdf(GROUNDED, robot(), JOINTS)
+    assert heights(made, tmp_path, "base_link") == pytest.approx([0.0] * 4, abs=1e-10)
+    (said,) = [change for change in made.changes if "does not follow from the wheel radius" in change]
+    assert "height 0 m over 'axle' is unchanged" in said
+    assert "0.1 m before, 0.1015 m now" in said
+
+
+def test_a_calibration_from_rectified_images_says_so():
+    rectified = replace(robot(child="eye"), rectified=True)
+    assert b"<!-- eye is the rectified optical frame" in patched_urdf(URDF, rectified, {}).content
+    assert b"rectified" not in patched_urdf(URDF, robot(child="eye"), {}).content
 
 
 def test_line_ends_and_a_byte_order_mark_stay(tmp_path):
