@@ -11,12 +11,11 @@ import numpy as np
 
 from mobilecal_cli.model import Evaluation, Extraction, FloatArray
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.check import OUTCOME_LABELS, Check
 from mobilecal_cli.report.gates import drift_figures, rms
 from mobilecal_cli.report.verdict import Verdict
 
 EVALUATION_SCHEMA = 1
-_MARKS = {"good": "ok", "look": "check", "bad": "FAIL", "short": "short"}
 
 
 def evaluation_data(found: Evaluation) -> dict[str, Any]:
@@ -66,7 +65,8 @@ def evaluation_json(
             "reason": verdict.reason,
             "next_step": verdict.next_step,
             "checks": [
-                {key: getattr(check, key) for key in ("name", "measured", "limit", "outcome")}
+                {key: getattr(check, key) for key in ("name", "measured", "limit")}
+                | {"outcome": OUTCOME_LABELS[check.outcome]}
                 for check in verdict.checks
             ],
         },
@@ -117,15 +117,15 @@ def _number(value: float | None) -> str:
 
 
 def evaluation_text(found: Evaluation, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
-    """An evaluation for the terminal; a verdict other than PASS is left to the error message."""
-    lines = [f"note: {visible(note)}" for note in notes]
+    """An evaluation and the checks of its verdict for the terminal."""
+    lines = [f"Note: {visible(note)}" for note in notes]
     lines += [
         f"{found.stations} stations, {len(found.legs)} legs; driven {found.driven_m:.2f} m, turned "
         f"{math.degrees(found.turned_rad):.0f} deg",
     ]
     if found.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in found.clock_offsets_s.items())
-        lines += [f"clock offsets: {offsets}"]
+        lines += [f"Clock offsets: {offsets}"]
     lines += [
         "",
         f"  {'Prediction from station to station':<36}{'rms':>9}{'median':>9}{'worst':>9}",
@@ -140,12 +140,10 @@ def evaluation_text(found: Evaluation, notes: Sequence[str] = (), verdict: Verdi
     if verdict is not None:
         lines += [
             "",
-            f"  {'Calibration against this recording':<50}{'':<21}limit",
+            f"  {'Calibration against this recording':<56}{'':<21}limit",
             *(
-                f"  {_MARKS[check.outcome]:<6}{check.name:<44}{check.measured:<21}{check.limit}"
+                f"  {OUTCOME_LABELS[check.outcome]:<12}{check.name:<44}{check.measured:<21}{check.limit}"
                 for check in verdict.checks
             ),
         ]
-        if verdict.level == "PASS":
-            lines += ["", f"PASS: {verdict.reason}", verdict.next_step]
     return "\n".join(lines) + "\n"

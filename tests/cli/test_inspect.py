@@ -29,7 +29,7 @@ def test_sample_log(sample_logs, name):
     assert found.motion.share == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
-    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF in the log's /robot_description"
+    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF on /robot_description"
 
 
 def test_motion_that_does_not_show_everything(sample_logs):
@@ -73,7 +73,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
-    assert any("nothing says how the head is mounted" in text for text in said)
+    assert any("the head chain is unknown" in text for text in said)
     assert all(lack.cure for lack in found.missing)
 
 
@@ -135,7 +135,7 @@ def test_the_square_beside_the_stated_one(sample_logs):
 
 def test_empty_recording(tmp_path):
     found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
-    assert "holds no messages" in found.missing[0].what
+    assert "contains no messages" in found.missing[0].what
     assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
 
 

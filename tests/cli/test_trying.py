@@ -60,18 +60,23 @@ def test_evaluate_with_gates(made):
     npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
     kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
     assert kept.returncode == 0, kept.stderr
-    assert "ok    gate drift_deg_per_turn" in kept.stdout
+    assert "pass        gate drift_deg_per_turn" in kept.stdout
     assert "PASS: The calibration agrees with this recording" in kept.stdout
     junit = folder / "evaluate.xml"
     broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
     assert broken.returncode == 6
-    assert "FAIL  gate rotation_rms_deg" in broken.stdout
+    assert "fail        gate rotation_rms_deg" in broken.stdout
     assert "FAIL: Gate failed: rotation_rms_deg = " in broken.stdout
     assert broken.stderr == ""
     assert ET.parse(junit).getroot().get("failures") == "1"
     again = run("evaluate", npz, params, "--junit", junit)
     assert again.returncode == 7
     assert ET.parse(junit).getroot().get("failures") == "1"
+
+
+def joined(text):
+    """Wrapped lines as one."""
+    return " ".join(text.split())
 
 
 def changed_params(source, target, key, factor):
@@ -118,15 +123,16 @@ def test_evaluate_gives_a_verdict_without_gates(made, tmp_path, key, factor, lev
     assert verdict["reason"]
     assert verdict["next_step"]
     if level == "FAIL":
-        assert found.stderr.startswith(f"error: FAIL: {verdict['reason']}\nhint: ")
+        assert f"FAIL: {verdict['reason']}" in joined(found.stderr)
+        assert verdict["next_step"] in joined(found.stderr)
 
 
 def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_logs):
     folder, _ = made
     found = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--quiet")
     assert found.returncode == 6
-    assert "error: NOT ENOUGH: The wheel separation is unobservable in this recording." in found.stderr
-    assert "hint: Turn the base" in found.stderr
+    assert "NOT ENOUGH: The wheel separation is unobservable in this recording." in joined(found.stdout)
+    assert "Turn the base" in joined(found.stdout)
 
 
 @pytest.mark.long
@@ -179,7 +185,7 @@ def test_compare(made, tmp_path):
         "compare", first, first, "--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01"
     )
     assert same.returncode == 0, same.stderr
-    assert "they share a recording" in same.stdout
+    assert "share a recording" in same.stdout
     moved = tmp_path / "moved.yaml"
     text = first.read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("  separation_m:"))
@@ -200,7 +206,7 @@ def test_a_history_is_drawn(made, tmp_path):
         shutil.copyfile(folder / "out" / "params.yaml", files[-1])
     done = run("compare", *files, "--plot", tmp_path / "drift.svg")
     assert done.returncode == 0, done.stderr
-    assert "Over all 3 calibrations" in done.stdout
+    assert "All 3 calibrations" in done.stdout
     ET.parse(tmp_path / "drift.svg")
     assert run("compare", *files, "--plot", tmp_path / "drift.svg").returncode == 7
     assert run("compare", files[0]).returncode == 2
