@@ -139,5 +139,5 @@ def test_an_extraction_whose_array_claims_petabytes(tmp_path, members):
 def test_an_extraction_of_absurd_numbers(tmp_path, members, value):
     absurd = members[POINTS][:-8] + np.float64(value).tobytes()
     path = zipped(tmp_path / "extraction.npz", members | {POINTS: absurd})
-    with bounded(), pytest.raises(RecordingError, match="not finite, or beyond"):
+    with bounded(), pytest.raises(RecordingError, match="not finite, or above"):
         extraction_from_npz(path)

@@ -203,11 +203,11 @@ def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
 def test_what_is_there_is_refused_before_any_work(tmp_path):
     out = tmp_path / "log.mcap"
     out.write_bytes(b"precious")
-    with pytest.raises(OutputError, match="already exists"):
+    with pytest.raises(OutputError, match="exists already"):
         simulate(SMALL, out)
     out.unlink()
     truth_path(out).write_text("precious")
-    with pytest.raises(OutputError, match=r"log\.truth\.yaml: already exists"):
+    with pytest.raises(OutputError, match=r"log\.truth\.yaml: exists already"):
         simulate(SMALL, out)
     with pytest.raises(OutputError, match="is not a directory"):
         simulate(SMALL, tmp_path / "absent" / "log.mcap")
