@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
-from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray
+from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters
 from mobilecal_cli.model.arrays import freeze
 
 
@@ -22,7 +22,8 @@ class Difference:
     Attributes:
         change: (9,) in the order of `NINE`: rotation vector of R_b R_a^T in the head's frame, rad; m.
         std: (9,) standard deviation of `change` for independent recordings; 0 where `known` is false.
-        known: (9,) whether the parameter is observable in both.
+        known: (9,) whether the parameter can be compared: both have a standard deviation, and one observes it.
+        unobservable: (9,) whether the parameter is unobservable in one of them.
         chi2: squared Mahalanobis distance of the known parameters; None if there are none.
         chance: probability of a chi-squared this large if the robot did not change; None if there is none.
         shared: both use a common recording, so they are not independent and the test is weak.
@@ -35,6 +36,7 @@ class Difference:
     change: FloatArray
     std: FloatArray
     known: BoolArray
+    unobservable: BoolArray
     chi2: float | None
     chance: float | None
     shared: bool
@@ -45,7 +47,7 @@ class Difference:
 
     def __post_init__(self) -> None:
         freeze(self, change=(9,), std=(9,))
-        freeze(self, np.bool_, known=(9,))
+        freeze(self, np.bool_, known=(9,), unobservable=(9,))
 
     @property
     def sigmas(self) -> FloatArray:
@@ -87,6 +89,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         change=change,
         std=std,
         known=known,
+        unobservable=_unobservable(first) | _unobservable(second),
         chi2=chi2,
         chance=chance,
         shared=bool({log.sha256 for log in first.logs} & {log.sha256 for log in second.logs}),
@@ -99,25 +102,27 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
 
 def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
     """Change from a to b, (9,), in the order of `NINE`: rotation vector of R_b R_a^T, rad; lengths, m."""
-    a, b = first.wheels, second.wheels
-    R_b_a = second.T_parent_child[:3, :3] @ first.T_parent_child[:3, :3].T
-    return np.array(
-        [
-            *se3.log_so3(R_b_a),
-            *(second.T_parent_child[:3, 3] - first.T_parent_child[:3, 3]),
-            b.radius_right_m - a.radius_right_m,
-            b.radius_left_m - a.radius_left_m,
-            b.separation_m - a.separation_m,
-        ]
-    )
+    a, b = (Parameters(robot.T_parent_child, robot.wheels) for robot in (first, second))
+    return b.minus(a)
 
 
 def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, FloatArray]:
-    """Which parameters both observe, (9,), and the covariance of the difference if independent, (9, 9)."""
+    """Which parameters can be compared, (9,), and the covariance of the difference, (9, 9).
+
+    Both must have a standard deviation, and one must observe the parameter: two nominal values are no comparison.
+    """
     a, b = first.knowledge, second.knowledge
     if a is None or b is None:
         return np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
-    return a.observable & b.observable, a.covariance + b.covariance
+    known = (np.diag(a.covariance) > 0) & (np.diag(b.covariance) > 0)
+    return known & (a.observable | b.observable), a.covariance + b.covariance
+
+
+def _unobservable(robot: CalibratedRobot) -> BoolArray:
+    """(9,) parameters that a calibration does not determine; all False where it states no uncertainty."""
+    if robot.knowledge is None:
+        return np.zeros(9, dtype=np.bool_)
+    return np.asarray(~robot.knowledge.observable)
 
 
 def _chance(chi2: float, freedom: int) -> float:
@@ -133,7 +138,7 @@ class History:
 
     Attributes:
         change: (n, 9) change from the first calibration.
-        std: (n, 9) standard deviations of each calibration, 0 where a parameter is not observable.
+        std: (n, 9) standard deviations of each calibration, 0 where there is none.
         chance: (9,) probability of a spread this large if the robot did not change; NaN where fewer than two
             calibrations observe the parameter.
     """
@@ -153,7 +158,7 @@ def history(robots: Sequence[CalibratedRobot]) -> History:
     std = np.zeros_like(change)
     for row, robot in zip(std, robots, strict=True):
         if robot.knowledge is not None:
-            row[:] = np.where(robot.knowledge.observable, np.sqrt(np.diag(robot.knowledge.covariance)), 0.0)
+            row[:] = np.sqrt(np.diag(robot.knowledge.covariance))
     chance = np.full(9, np.nan)
     for k in range(9):
         known = std[:, k] > 0

@@ -8,8 +8,9 @@ logarithm. Quaternions are ``xyzw``.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mobilecal_cli.model import FloatArray
+FloatArray = NDArray[np.float64]
 
 _LOCKED = 1e-12  # smaller cos(ay): gimbal lock within rounding
 _SMALL_ANGLE_RAD = 1e-3  # below this the series' error (angle^6) is less than one ulp

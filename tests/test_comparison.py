@@ -11,6 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.pipeline import Limits
 from mobilecal_cli.report import change_from_nominal, comparison_text
 from mobilecal_cli.report.changes import change_rows
 
@@ -57,12 +58,28 @@ def test_rotation_is_in_the_heads_frame():
     assert difference(robot(T), robot(turned)).change[:3] == pytest.approx([0, 0.02, 0])
 
 
-def test_what_one_of_them_does_not_know_is_left_out():
-    blind = robot(observable=(True,) * 8 + (False,), wheels=WheelGeometry(0.1, 0.1, 0.6))
+def test_an_unobservable_parameter_counts_with_its_prior_sigma():
+    wide = np.array([*STD[:8], 0.1])
+    blind = robot(observable=(True,) * 8 + (False,), wheels=WheelGeometry(0.1, 0.1, 0.6), std=wide)
     found = difference(robot(), blind)
-    assert found.known.tolist() == [True] * 8 + [False]
-    assert np.isnan(found.sigmas[8])
-    assert found.chi2 == pytest.approx(0)
+    assert found.known.all()
+    assert found.unobservable.tolist() == [False] * 8 + [True]
+    assert found.sigmas[8] == pytest.approx(0.1 / np.hypot(0.1, STD[8]))
+    assert found.chi2 == pytest.approx(found.sigmas[8] ** 2)
+    both = difference(blind, blind)
+    assert both.known.tolist() == [True] * 8 + [False]
+    assert np.isnan(both.sigmas[8])
+
+
+def test_a_limit_in_sigma_needs_observable_parameters():
+    blind = robot(observable=(True,) * 8 + (False,), std=np.array([*STD[:8], 0.1]))
+    assert Limits(sigma=4).broken_by(difference(robot(), robot(log="b"))) == []
+    assert Limits(sigma=4).broken_by(difference(robot(), blind)) == [
+        "no conclusion about separation: unobservable"
+    ]
+
+
+def test_calibrations_without_standard_deviations_have_no_test():
     unknown = difference(robot(), robot(std=None))
     assert unknown.chi2 is None
     assert not unknown.known.any()
@@ -75,8 +92,8 @@ def test_another_robot_is_refused():
 
 def test_nominal_values_have_no_sigma():
     change = change_from_nominal(robot(), Nominal(wheels=WheelGeometry(0.11, 0.1, 0.5)))
-    rows = change_rows(change, ())
-    assert (rows["radius_right"].value, rows["radius_right"].sigmas) == ("-10.000", "–")
+    rows = change_rows(change, [1.0] * 9)
+    assert (rows["radius_right"].value, rows["radius_right"].percent) == ("-10.0", "-9.09")
     assert rows["t_x"].value == "–"
     assert {row.sigmas for row in rows.values()} == {"–"}
     assert change.chance is None

@@ -1,7 +1,7 @@
 """Terms that the project's prose does not use: `python -m tests.words [PATH ...]` lists every place.
 
 Prose is Markdown, templates, and in Python: docstrings, comments, and strings of more than one word. Code in
-backticks, fenced blocks, URLs and identifiers are not prose.
+backticks, fenced blocks, URLs, placeholders and identifiers are not prose.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ TERMS: tuple[tuple[str, str], ...] = (
     (rf"({_IZE})s(e|ed|es|er|ers|ing|ation|ations)", "US spelling"),
 )
 _TERMS = tuple((re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE), instead) for pattern, instead in TERMS)
-_CODE = re.compile(r"``[^`]*``|`[^`]*`|https?://\S+|\]\([^)]*\)|<[^>]*>|\{[{%][^}]*[%}]\}")
+_CODE = re.compile(r"⟨[^⟩]*⟩|``[^`]*``|`[^`]*`|https?://\S+|\]\([^)]*\)|<[^>]*>|\{[{%][^}]*[%}]\}")
 _FENCE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 
 Prose = Iterator[tuple[int, str]]

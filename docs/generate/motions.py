@@ -8,7 +8,7 @@ from pathlib import Path
 from mobilecal_cli import pipeline
 from mobilecal_cli.report import plots
 from mobilecal_cli.report.figures import standalone
-from mobilecal_cli.solvers import asked_of
+from mobilecal_cli.solvers import constraints_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 IMAGES = REPOSITORY / "docs" / "images"
@@ -19,8 +19,10 @@ def main() -> None:
     """Path and head angles of a good recording, one with straight driving only, and one with a still head."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("paper_robot", "straight", "head_fixed"):
-            asked = asked_of(["t_y=0"] if name == "head_fixed" else [], [], [])
-            done = pipeline.calibrate([SAMPLES / f"{name}.mcap"], Path(folder) / name, asked=asked)
+            constraints = constraints_of(["t_y=0"] if name == "head_fixed" else [], [], [])
+            done = pipeline.calibrate(
+                [SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints
+            )
             way = plots.seen_from_above(done.solution, done.extraction, 0)
             (IMAGES / f"way-{name}.svg").write_text(standalone(way), encoding="utf-8")
             head = plots.head_angles(done.extraction)

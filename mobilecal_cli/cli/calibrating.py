@@ -128,12 +128,12 @@ def calibrate(
     """
     from mobilecal_cli import pipeline
     from mobilecal_cli.report import summary_table
-    from mobilecal_cli.solvers import asked_of
+    from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import progress_bar
 
     with _errors_to(junit, str(logs[0]), force):
         flags = flags_of(setting, board, square_m, stations)
-        asked = asked_of(fix or [], prior or [], estimate or [])
+        constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
             result = pipeline.calibrate(
                 logs,
@@ -141,7 +141,7 @@ def calibrate(
                 config_path=config,
                 flags=flags,
                 method=cast(Any, method.value),
-                asked=asked,
+                constraints=constraints,
                 gates=gate or [],
                 hold_out=hold_out or None,
                 last=last,

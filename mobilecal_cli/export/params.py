@@ -92,14 +92,12 @@ def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
     covariance = (covariance + covariance.T) / 2
     std = np.sqrt(np.diag(covariance))
     seen = found.observable
-    shown = ", ".join(
-        f"{n}: {exponential(s) if ok else 'null'}" for n, s, ok in zip(NINE, std, seen, strict=True)
-    )
+    shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(NINE, std, strict=True))
     levels = found.noise
     return [
         "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
-        "# An unobservable parameter is fixed at its nominal value: its std is null, and the covariance does not",
-        "# apply to it.",
+        "# A parameter that the recording does not determine (observable: false) keeps its nominal value, and has the",
+        "# standard deviation of a nominal value. Parameters fixed by the user have none.",
         "uncertainty:",
         f"  order: [{', '.join(NINE)}]",
         f"  std: {{{shown}}}",

@@ -1,30 +1,32 @@
-"""Several recordings of one robot: the estimate of each, and the spread between them beyond their noise."""
+"""Several recordings of one robot: the estimate from each alone, and their spread beyond its own noise."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, stdtrit
 
-from mobilecal_cli.likelihood.noise import Noise, Selection
-from mobilecal_cli.likelihood.problem import Problem, State
-from mobilecal_cli.likelihood.shared import Layout
-from mobilecal_cli.likelihood.system import linearize
-from mobilecal_cli.model import NINE, BetweenLogs, FloatArray
+from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, FloatArray
 
-_SHOWN = 1.0  # least scale over standard deviation of a direction that is observable in a recording
-_SHARE = 0.1  # limit of a parameter's share in the unobservable directions
-_CHANCE = 0.01  # significance level of a difference between recordings
+if TYPE_CHECKING:
+    from mobilecal_cli.likelihood.linearization import Linearization
+
+_SHOWN = 1.0  # a recording shows a direction that it knows better than its scale
+_SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
+_TWO_SIGMA = 0.97725  # probability below two standard deviations
+_CHANCE = 0.01  # recordings differ where chance alone would make as much in fewer cases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pooled:
-    """Combined estimate of several recordings.
+    """The recordings weighed against one another.
 
     Attributes:
-        between: the estimate of each recording, and the spread between them.
-        step: (named,) from the optimum of all measurements to the estimate that includes the spread.
+        between: each recording by itself, and the spread between them.
+        step: (named,) from the optimum of all measurements to the estimate that allows for the spread.
         covariance: (named, named) of that estimate.
     """
 
@@ -33,134 +35,113 @@ class Pooled:
     covariance: FloatArray
 
 
-def one_log(
-    problem: Problem, state: State, selection: Selection, leg_covariance: FloatArray, log: int
-) -> tuple[Problem, State, Selection, FloatArray]:
-    """The part of a problem, its state, its selection and its leg covariance that belongs to one recording."""
-    mine = problem.log == log
-    legs = mine[problem.legs[:, 0]]
-    number = np.cumsum(mine) - 1
-    boards = np.unique(problem.board[mine])
-    part = replace(
-        problem,
-        pixels=problem.pixels[mine],
-        seen=problem.seen[mine],
-        whitening=problem.whitening[mine],
-        joints=problem.joints[mine],
-        joint_tracks=problem.joint_tracks[log : log + 1],
-        moving=problem.moving[mine],
-        joint_sides=problem.joint_sides[mine],
-        log=np.zeros(int(mine.sum()), dtype=np.int64),
-        board=np.searchsorted(boards, problem.board[mine]),
-        legs=number[problem.legs[legs]],
-        tracks=problem.tracks[log : log + 1],
-        times_ns=problem.times_ns[mine],
-        layout=Layout(problem.layout.extras, len(boards)),
-    )
-    there = replace(
-        state,
-        T_w_k=state.T_w_k[boards],
-        base=state.base[mine],
-        joint_errors=state.joint_errors[mine],
-        encoder_errors=state.encoder_errors[mine],
-    )
-    believed = Selection(
-        selection.corners[mine], selection.views[mine], selection.legs[legs], selection.readings[mine]
-    )
-    return part, there, believed, leg_covariance[legs]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Own:
-    """Estimate of one recording, in scaled units.
+    """The estimate from one recording alone, in scaled units.
 
     Attributes:
-        step, std: (named,) from the common optimum, NaN for unobservable parameters.
-        distance: chi-squared distance of the common optimum, with `shown` degrees of freedom.
-        shown: number of observable directions.
+        step, std: (named,) from the common optimum; 0 where the recording does not show a parameter.
+        shown: (named,) whether it does.
+        distance: chi-squared of the common optimum, with `rank` degrees of freedom.
+        rank: number of directions that the recording shows.
     """
 
     step: FloatArray
     std: FloatArray
+    shown: BoolArray
     distance: float
-    shown: int
+    rank: int
 
 
 def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
     values, vectors = np.linalg.eigh(A)
-    shown = values > _SHOWN**2
-    inverse = np.where(shown, 1 / np.where(shown, values, 1.0), 0.0)
+    seen = values > _SHOWN**2
+    inverse = np.where(seen, 1 / np.where(seen, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
-    lost = np.linalg.norm(basis @ vectors[:, ~shown], axis=1) > _SHARE
-    return _Own(
-        np.where(lost, np.nan, step), np.where(lost, np.nan, std), float(a @ covariance @ a), int(shown.sum())
-    )
+    shown = (np.linalg.norm(basis @ vectors[:, ~seen], axis=1) < _SHARE) & (std > 0)
+    distance = float(a @ covariance @ a)
+    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(seen.sum()))
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
-    """Variance between groups beyond their own (moment estimate of DerSimonian and Laird), from (L,) and (L,)."""
-    seen = np.isfinite(values) & (std > 0)
-    if seen.sum() < 2:
+    """Variance between groups beyond their own (DerSimonian and Laird's moment estimate); (L,), (L,) → its unit."""
+    if len(values) < 2:
         return 0.0
-    weight = std[seen] ** -2
-    mean = np.sum(weight * values[seen]) / weight.sum()
-    Q = float(np.sum(weight * (values[seen] - mean) ** 2))
+    weight = std**-2
+    mean = np.sum(weight * values) / weight.sum()
+    Q = float(np.sum(weight * (values - mean) ** 2))
     spare = float(weight.sum() - np.sum(weight**2) / weight.sum())
-    return max(0.0, (Q - (int(seen.sum()) - 1)) / spare)
+    return max(0.0, (Q - (len(values) - 1)) / spare)
 
 
-def weigh_logs(
-    problem: Problem,
-    state: State,
-    selection: Selection,
-    noise: Noise,
-    leg_covariance: FloatArray,
-    scales: FloatArray,
-    basis: FloatArray,
-    prior: FloatArray,
-) -> Pooled:
-    """Combine the recordings, with the spread between them in their weights.
+def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> float:
+    """What the standard deviation of a mean of few recordings is multiplied by, so that two of it hold 95.4 %.
 
-    The spread is zero if the differences are not significant (a chi-squared test of all nine together). Otherwise each
-    recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A includes the spread T, which limits the weight of a
-    recording with many stations.
+    Knapp and Hartung's variance (Statistics in Medicine 22, 2003; at least the usual one), and Student's t in place of
+    the normal distribution: the spread between n recordings is known from n - 1 differences.
 
     Args:
-        problem, state, selection, noise, leg_covariance: the optimum of all measurements.
-        scales: (named,) units.
-        basis: (named, F) free directions, orthonormal in units of `scales`.
-        prior: (named,) inverse variances of the priors, which belong to no recording.
+        values, std: (L,) each recording's own estimate and its standard deviation.
+        variance: between the recordings, see `between_variance`.
     """
-    named = problem.layout.named
-    parts, logs = [], []
-    for log in range(len(problem.tracks)):
-        if not (problem.log == log).any():
-            continue
-        part, there, believed, covariance = one_log(problem, state, selection, leg_covariance, log)
-        system = linearize(part, there, believed, noise, covariance)
-        S, s = system.S, system.s
+    spare = len(values) - 1
+    if spare < 1:
+        return 1.0
+    weight = 1 / (std**2 + variance)
+    mean = np.sum(weight * values) / weight.sum()
+    q = float(np.sum(weight * (values - mean) ** 2)) / spare
+    return math.sqrt(max(1.0, q)) * float(stdtrit(spare, _TWO_SIGMA)) / 2
+
+
+def weigh_logs(lin: Linearization) -> Pooled:
+    """Weigh the recordings with the spread between them.
+
+    Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.
+    Else each recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations
+    of one recording do not count for more than one robot's worth of evidence. The covariance is then wider by
+    `few_logs_factor`.
+
+    Args:
+        lin: the optimum of all measurements.
+    """
+    named, scales, basis = lin.data.layout.named, lin.priors.scales, lin.priors.named_basis
+    parts = []
+    for log in np.unique(lin.data.log).tolist():
+        normal = lin.of_log(log).normal
+        S, s = normal.S, normal.s
         onto = np.linalg.solve(S[named:, named:], np.column_stack([S[named:, :named], s[named:]]))
         reduced = S[:named, :named] - S[:named, named:] @ onto[:, :-1]
         gradient = s[:named] - S[:named, named:] @ onto[:, -1]
-        A = basis.T @ (reduced * np.outer(scales, scales)) @ basis
-        a = basis.T @ (gradient * scales)
-        parts.append((A, a))
-        logs.append(_own(A, a, basis))
-    own, std = (np.array([getattr(log, name)[: len(NINE)] for log in logs]) for name in ("step", "std"))
-    variance = np.zeros(named)
-    spare = sum(log.shown for log in logs) - basis.shape[1]
+        parts.append((basis.T @ (reduced * np.outer(scales, scales)) @ basis, basis.T @ (gradient * scales)))
+    logs = [_own(A, a, basis) for A, a in parts]
+    nine = slice(len(NINE))
+    step, std, shown = (
+        np.array([getattr(log, name)[nine] for log in logs]) for name in ("step", "std", "shown")
+    )
+    variance, factor = np.zeros(named), np.ones(named)
+    spare = sum(log.rank for log in logs) - basis.shape[1]
     if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
-        variance[: len(NINE)] = [between_variance(own[:, k], std[:, k]) for k in range(len(NINE))]
+        variance[nine] = [
+            between_variance(step[shown[:, k], k], std[shown[:, k], k]) for k in range(len(NINE))
+        ]
+        factor[nine] = [
+            few_logs_factor(step[shown[:, k], k], std[shown[:, k], k], variance[k]) for k in range(len(NINE))
+        ]
     T = basis.T @ (variance[:, None] * basis)
-    total = basis.T @ ((prior * scales**2)[:, None] * basis)
-    right = np.zeros(basis.shape[1])
+    total = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
+    right = basis.T @ (lin.priors.gradient(lin.state)[:named] * scales)
     for A, a in parts:
         shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
         total += shrink @ A
         right += shrink @ a
     inverse = np.linalg.inv((total + total.T) / 2)
-    step = basis @ (-inverse @ right) if variance.any() else np.zeros(named)
-    nine = scales[: len(NINE)]
-    between = BetweenLogs((own - step[: len(NINE)]) * nine, std * nine, np.sqrt(variance[: len(NINE)]) * nine)
-    return Pooled(between, step * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales))
+    pooled = basis @ (-inverse @ right) if variance.any() else np.zeros(named)
+    between = BetweenLogs(
+        np.where(shown, step - pooled[nine], 0.0) * scales[nine],
+        np.where(shown, std, 0.0) * scales[nine],
+        shown,
+        np.sqrt(variance[nine]) * scales[nine],
+    )
+    scales_wide = scales * factor
+    return Pooled(between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales_wide, scales_wide))

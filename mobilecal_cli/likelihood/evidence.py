@@ -1,105 +1,81 @@
-"""Evidence for additional parameters: Rao's score test, from one linearization."""
+"""Score tests of constants: does the data support estimating them? (Rao's test, from one linearization.)"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli.likelihood.noise import Noise, Selection
-from mobilecal_cli.likelihood.problem import Problem, State
-from mobilecal_cli.likelihood.shared import EXTRA_NAMES, EXTRAS, INDEX
-from mobilecal_cli.likelihood.system import linearize
+from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.nuisance import Constant
 from mobilecal_cli.model import Evidence, FloatArray
 
-
-def _offered(problem: Problem) -> tuple[str, ...]:
-    """Additional parameters that can be observable in this problem."""
-    joints = problem.chain.joints
-    unusable = set()
-    if not problem.moving.any() or not problem.joint_tracks:
-        unusable |= {"time_joints", "time_wheels"}
-    for role, names in (
-        (problem.chain.pan, ("pan_zero", "backlash_pan")),
-        (problem.chain.tilt, ("backlash_tilt",)),
-    ):
-        sides = problem.joint_sides[:, joints.index(role)] if role in joints else np.zeros(1)
-        unusable |= {n for n in names if role not in joints or (n != "pan_zero" and not np.ptp(sides))}
-    return tuple(name for name in EXTRA_NAMES if name not in unusable)
+if TYPE_CHECKING:
+    from mobilecal_cli.likelihood.linearization import Linearization
 
 
-def measurements(problem: Problem, selection: Selection) -> int:
-    """Number of inlier measurements."""
-    corners = selection.corners & selection.views[:, None, None]
-    return 2 * int(corners.sum()) + 3 * int(selection.legs.sum()) + int(selection.readings.sum())
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scores:
+    """Normal equations with every constant that the recording can show.
 
-
-def evidence(
-    problem: Problem,
-    state: State,
-    selection: Selection,
-    noise: Noise,
-    leg_covariance: FloatArray,
-    prior: FloatArray,
-    basis: FloatArray,
-) -> Iterator[Evidence]:
-    """Evidence for every group of additional parameters at an optimum, tested one group at a time.
-
-    Args:
-        problem, state, selection, noise, leg_covariance: the optimum.
-        prior: (P,) information of the priors, on the diagonal.
-        basis: (P, F) free directions of the optimum.
+    Attributes:
+        names: columns before the boards'.
+        information, gradient: (P, P) and (P,), priors of the estimated parameters included.
+        free: (P, F) directions that are estimated already.
+        price: of one more parameter, in chi-squared (Bayesian information criterion).
     """
-    offered = _offered(problem)
-    layout = problem.layout
-    whole = problem.with_extras(tuple(n for n in EXTRA_NAMES if n in (*layout.extras, *offered)))
-    system = linearize(whole, state, selection, noise, leg_covariance)
-    named = whole.layout.names
+
+    names: tuple[str, ...]
+    information: FloatArray
+    gradient: FloatArray
+    free: FloatArray
+    price: float
+
+
+def evidence(lin: Linearization) -> Iterator[Evidence]:
+    """Evidence for every group of constants at an optimum, one group at a time."""
+    layout = lin.data.layout
+    known = {row.name for row in layout.constants}
+    table = tuple(row for row in nuisance.CONSTANTS if row.name in known or row.effect.offered(lin.data))
+    whole = lin.estimating(table)
+    named = whole.data.layout.names
     old = [named.index(name) for name in layout.names]
-    old += list(range(whole.layout.named, whole.layout.size))
-    A = np.zeros((whole.layout.size, basis.shape[1]))
-    A[old] = basis
-    information = system.S.copy()
-    information[old, old] += prior
-    price = math.log(measurements(problem, selection))
-    for group in dict.fromkeys(extra.group for extra in EXTRAS):
-        members = [extra.name for extra in EXTRAS if extra.group == group]
-        free = [name for name in members if name in layout.extras]
-        names = free or [name for name in members if name in offered]
-        if not names:
-            continue
-        yield _group(group, names, bool(free), state, named, information, system.s, A, price)
+    old += list(range(whole.data.layout.named, whole.data.layout.size))
+    free = np.zeros((whole.data.layout.size, lin.priors.basis.shape[1]))
+    free[old] = lin.priors.basis
+    information = whole.normal.S.copy()
+    information[old, old] += lin.priors.information
+    scores = _Scores(named, information, whole.normal.s, free, math.log(lin.inliers.count))
+    for group in dict.fromkeys(row.group for row in table):
+        members = [row for row in table if row.group == group]
+        estimated = [row for row in members if row.name in known]
+        yield _of_group(lin, scores, estimated or members, bool(estimated))
 
 
-def _group(
-    group: str,
-    names: list[str],
-    estimated: bool,
-    state: State,
-    named: tuple[str, ...],
-    information: FloatArray,
-    gradient: FloatArray,
-    A: FloatArray,
-    price: float,
-) -> Evidence:
-    columns = [named.index(name) for name in names]
-    scales = np.array([EXTRAS[INDEX[name]].scale for name in names])
-    rest = A[:, ~np.any(A[columns] != 0, axis=0)]
-    unit = 1 / np.sqrt(np.einsum("pf,pq,qf->f", rest, information, rest))
-    inner = unit[:, None] * (rest.T @ information @ rest) * unit
-    across = (rest.T @ information[:, columns]) * unit[:, None] * scales
-    own = information[np.ix_(columns, columns)] * np.outer(scales, scales)
+def _of_group(lin: Linearization, scores: _Scores, rows: list[Constant], estimated: bool) -> Evidence:
+    group, names = rows[0].group, [row.name for row in rows]
+    columns = [scores.names.index(name) for name in names]
+    sigmas = np.array([row.sigma for row in rows])
+    rest = scores.free[:, ~np.any(scores.free[columns] != 0, axis=0)]
+    unit = 1 / np.sqrt(np.einsum("pf,pq,qf->f", rest, scores.information, rest))
+    inner = unit[:, None] * (rest.T @ scores.information @ rest) * unit
+    across = (rest.T @ scores.information[:, columns]) * unit[:, None] * sigmas
+    own = scores.information[np.ix_(columns, columns)] * np.outer(sigmas, sigmas)
     schur = own - across.T @ np.linalg.solve(inner, across)
     values, vectors = np.linalg.eigh(schur)
-    if values[0] < 1.0:  # the standard deviation exceeds the scale in some direction
-        return Evidence(group, dict.fromkeys(names, (0.0, math.inf)), "hidden", 0.0, 0.0)
+    if values[0] < 1.0:  # in some direction the data shows no more than the prior
+        return Evidence(group, dict.fromkeys(names, (0.0, math.inf)), "unobservable", 0.0, 0.0)
     covariance = (vectors / values) @ vectors.T
     if estimated:
-        found = np.array([state.extra(name) for name in names]) / scales
+        found = np.array([lin.state.value(name) for name in names]) / sigmas
     else:
-        found = -covariance @ (gradient[columns] * scales)
+        found = -covariance @ (scores.gradient[columns] * sigmas)
     chi2 = float(found @ schur @ found)
-    std = np.sqrt(np.diag(covariance)) * scales
-    known = {n: (float(v), float(s)) for n, v, s in zip(names, found * scales, std, strict=True)}
-    return Evidence(group, known, "estimated" if estimated else "offered", chi2, chi2 - len(names) * price)
+    std = np.sqrt(np.diag(covariance)) * sigmas
+    known = {n: (float(v), float(s)) for n, v, s in zip(names, found * sigmas, std, strict=True)}
+    return Evidence(
+        group, known, "estimated" if estimated else "offered", chi2, chi2 - len(names) * scores.price
+    )

@@ -1,4 +1,4 @@
-"""Noise level of each kind of measurement, and the selection of inlier measurements."""
+"""Noise level of each kind of measurement, and which measurements are inliers."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.likelihood.problem import Problem
-from mobilecal_cli.model import BoolArray
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.model import BoolArray, FloatArray
 
-SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, for a wheel without slip on a firm floor
-STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # sigma of a leg without motion
-FREE_JOINT = 1.0  # rad or m: sigma of an excluded reading
-LOST_BASE = 1e2  # m, rad: sigma of a base pose that may have no other constraint
+SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
+STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
+FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
+FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
+FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviation of each kind of measurement.
+    """Standard deviations.
 
     Attributes:
-        pixel_px: of one corner coordinate (root mean square over the stations).
-        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance is proportional to the rotation.
-        encoder_rad: of one encoder reading; 0 for encoders without steps.
-        joint_rad: of one joint reading (prismatic joint: per 0.1 m).
+        pixel_px: of one corner coordinate (root mean square over the stations, whose images differ).
+        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
+        encoder_rad: of one encoder reading; 0 where the encoders have no steps.
+        joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
     """
 
     pixel_px: float
@@ -33,11 +34,11 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Selection:
-    """Inlier measurements.
+class Inliers:
+    """The measurements that are used.
 
     Attributes:
-        corners: (N, 2, M) corners of each camera, a subset of the detected ones.
+        corners: (N, 2, M) corners of each image, among those that were detected.
         views: (N,) stations whose images are used.
         legs: (L,) legs whose wheels are used.
         readings: (N, J) joint readings that are used.
@@ -49,18 +50,39 @@ class Selection:
     readings: BoolArray
 
     @classmethod
-    def everything(cls, problem: Problem) -> Selection:
-        """Selection of all measurements."""
+    def all_of(cls, data: Dataset) -> Inliers:
+        """Every measurement."""
         return cls(
-            problem.seen,
-            np.ones(problem.stations, dtype=np.bool_),
-            np.ones(len(problem.legs), dtype=np.bool_),
-            np.ones(problem.joints.shape, dtype=np.bool_),
+            data.seen,
+            np.ones(data.stations, dtype=np.bool_),
+            np.ones(len(data.legs), dtype=np.bool_),
+            np.ones(data.joints.shape, dtype=np.bool_),
         )
 
-    def same(self, other: Selection) -> bool:
-        """Whether both selections are equal."""
+    def of_log(self, data: Dataset, log: int) -> Inliers:
+        """The part that belongs to one recording of a data set."""
+        mine = data.log == log
+        legs = mine[data.legs[:, 0]]
+        return Inliers(self.corners[mine], self.views[mine], self.legs[legs], self.readings[mine])
+
+    def same(self, other: Inliers) -> bool:
+        """Whether both are the same measurements."""
         return all(
             np.array_equal(getattr(self, name), getattr(other, name))
             for name in ("corners", "views", "legs", "readings")
         )
+
+    @property
+    def used_corners(self) -> BoolArray:
+        """(N, 2, M) corners of the stations whose images are used."""
+        return self.corners & self.views[:, None, None]
+
+    @property
+    def count(self) -> int:
+        """How many numbers were measured: two per corner, three per leg, one per joint reading."""
+        return 2 * int(self.used_corners.sum()) + 3 * int(self.legs.sum()) + int(self.readings.sum())
+
+
+def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
+    """(N, J) sigma of each reading, rad or m."""
+    return np.where(inliers.readings, noise.joint_rad * data.joint_units, FREE_JOINT)

@@ -1,30 +1,30 @@
-"""Observable and unobservable directions of the global parameters (method.md, last table)."""
+"""Directions of the shared parameters that the measurements show (method.md, last table)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli.likelihood.shared import WHEEL_SCALE, Layout
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
+from mobilecal_cli.model import FloatArray
 
-_HELD_ERROR = (
-    0.1  # assumed error of a fixed direction, as a share of its scale: 10 mm, 1.1 degrees, 2 % of a wheel
-)
+if TYPE_CHECKING:
+    from mobilecal_cli.likelihood.linearization import Linearization
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Singular values and directions of the whitened, column-scaled Jacobian of the named global parameters.
+    """Singular values and directions of the whitened, column-scaled Jacobian of the named parameters.
 
     Attributes:
         names: (named,) the columns.
-        scales: (named,) units: the accuracy of a parameter without any recording.
-        singular_values: (named,) in decreasing order: scale over standard deviation along each direction.
+        scales: (named,) units: prior sigmas of nominal values.
+        singular_values: (named,) falling: scale over standard deviation along each direction.
         directions: (named, named) rows, orthonormal, in units of `scales`.
-        least: directions with a smaller singular value are unobservable: nominal values are more accurate, or noise
-            alone gives as much.
+        least: a direction with a smaller singular value is unobservable: the measurements show less than a drawing, or
+            no more than their noise alone would.
     """
 
     names: tuple[str, ...]
@@ -34,46 +34,32 @@ class Directions:
     least: float
 
     @property
-    def hidden(self) -> FloatArray:
-        """Unobservable directions, (K, named)."""
+    def unobservable(self) -> FloatArray:
+        """(K, named) directions that the measurements do not show."""
         return self.directions[self.singular_values < self.least]
 
 
-def directions(
-    information: FloatArray, layout: Layout, wheels_m: FloatArray, free: FloatArray, legs: int
-) -> Directions:
-    """Singular directions of the information about the named parameters, with the boards eliminated.
+def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
+    """Singular directions of the information about the named parameters, the boards eliminated.
 
-    Noisy readings resemble a small motion: a leg without a turn seems to turn by its own noise, and so to determine
-    the wheel separation to 100 %. Over n such legs this gives a singular value of ``WHEEL_SCALE sqrt(n)``. The limit
-    `least` is three times this value.
+    Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
+    to show the separation to 100 %. Over n such legs that makes a singular value of ``WHEEL_SIGMA sqrt(n)``. A
+    direction is observable from three times that on.
 
     Args:
-        information: (P, P) of the global parameters.
-        layout: names its columns.
-        wheels_m: (3,) scales of the wheels.
-        legs: number of legs.
-        free: (named, F) basis of the directions not fixed by the user, in units of the scales.
+        lin: where.
+        user_weight: (named,) inverse variances of priors that count as measurements.
+
+    Raises:
+        LinAlgError: the boards' poses are not determined.
     """
-    n, scales = layout.named, layout.scales(wheels_m)
-    S_ab, S_bb = information[:n, n:], information[n:, n:]
-    reduced = information[:n, :n] - S_ab @ np.linalg.solve(S_bb, S_ab.T)
+    layout, scales, fixed = lin.data.layout, lin.priors.scales, lin.priors.fixed
+    S, n = lin.normal.S, lin.data.layout.named
+    S_ab, S_bb = S[:n, n:], S[n:, n:]
+    reduced = S[:n, :n] - S_ab @ np.linalg.solve(S_bb, S_ab.T) + np.diag(user_weight)
+    free = np.eye(n)[:, ~fixed]
     values, vectors = np.linalg.eigh(free.T @ (reduced * np.outer(scales, scales)) @ free)
     order = np.argsort(-values)
     singular = np.sqrt(np.maximum(values[order], 0.0))
-    least = max(1.0, 3 * WHEEL_SCALE * float(np.sqrt(legs)))
+    least = max(1.0, 3 * WHEEL_SIGMA * float(np.sqrt(len(lin.data.legs))))
     return Directions(layout.names, scales, singular, (free @ vectors[:, order]).T, least)
-
-
-def tainted(held: FloatArray, scales: FloatArray, std: FloatArray) -> BoolArray:
-    """Parameters that a plausible error of the fixed directions shifts by more than their own sigma, (named,).
-
-    Args:
-        held: (K, named) fixed directions in units of `scales`.
-        scales: (named,) units.
-        std: (named,) standard deviations with these directions fixed.
-    """
-    if not len(held):
-        return np.zeros(len(scales), dtype=np.bool_)
-    share = np.linalg.norm(held, axis=0)
-    return np.asarray((share > 1e-6) & (share * scales * _HELD_ERROR > std))

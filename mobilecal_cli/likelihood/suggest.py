@@ -1,4 +1,4 @@
-"""Suggested next stops: the stops that would add the most information after the recording's last station."""
+"""What to record next: the stop after the log's last that would tell most, from the information matrix."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariance, linearize_legs
-from mobilecal_cli.likelihood.noise import Noise, Selection
-from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at
-from mobilecal_cli.likelihood.system import System
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelTrack
 
-# Target accuracy. The least certain parameter is the one with the largest standard deviation relative to it.
-WANTED = np.array(
+# Accuracy that a robot needs: the least certain parameter is the worst relative to these.
+NEEDED = np.array(
     [0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003, 0.003]
-)  # rad, m; wheels: share of the value
+)  # rad, m; wheels: of themselves
 _TURNS_DEG = (0, -50, -25, 25, 50)
 _DRIVES_M = (0.0, 0.3, -0.3, 0.6)
 _LOOKS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.3), (0.25, 0.7), (0.75, 0.7), (0.5, 0.2), (0.5, 0.8))
-_MARGIN = 0.02  # of the image size
-_ROOM = 1.2  # factor by which the range of board distances may exceed the recording's
-_REACH_RAD = 0.35  # beyond the joints' range in the recording
+_MARGIN = 0.02  # of the picture's size
+_ROOM = 1.2  # range of distances: the log's own, so much wider
+_REACH_RAD = 0.35  # beyond the joints' range in the log
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 20
 _LEAST_DEPTH_M = 0.1
@@ -33,12 +34,12 @@ _LEAST_DEPTH_M = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stops:
-    """C candidate stops.
+    """Stops to choose from, C of them.
 
     Attributes:
-        turn_rad, drive_m: (C,) turn and path of the base from the recording's last station.
-        base: (C, 3) base pose at the stop, in the world.
-        joints: (C, J) head joint positions.
+        turn_rad, drive_m: (C,) the base's way from the log's last station.
+        base: (C, 3) where it ends, in the world.
+        joints: (C, J) where the head's joints stand.
     """
 
     turn_rad: FloatArray
@@ -50,38 +51,38 @@ class _Stops:
         return _Stops(self.turn_rad[chosen], self.drive_m[chosen], self.base[chosen], self.joints[chosen])
 
 
-def _boards(problem: Problem, state: State, base: FloatArray, joints: FloatArray) -> FloatArray:
-    """Board poses T_c_k for base poses (C, 3) and joints (C, J), (C, 4, 4)."""
+def _boards(data: Dataset, state: State, base: FloatArray, joints: FloatArray) -> FloatArray:
+    """T_c_k from base poses (C, 3) and joints (C, J): (C, 4, 4)."""
     flat = np.concatenate([base[:, :2], np.zeros((len(base), 1))], axis=1)
     T_w_v = se3.transform(se3.rotation_z(base[:, 2]), flat)
-    T_w_c = T_w_v @ head_pose(problem.chain, joints) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[problem.board[-1]]
+    T_w_c = T_w_v @ head_pose(data.chain, joints) @ state.parameters.T_h_c
+    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.board[-1]]
     return T
 
 
-def _aimed(problem: Problem, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
-    """The stops with joints that move the board's center to target pixels (C, 2) in the left camera, and success."""
-    rig, X = cameras_at(problem, state), state.parameters.T_h_c
-    middle = problem.points_k.mean(axis=0)
+def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
+    """The stops with joints that bring the board's middle to pixels (C, 2) of the left camera, and where that works."""
+    rig, X = cameras_at(data, state), state.parameters.T_h_c
+    middle = data.points_k.mean(axis=0)
     joints = stops.joints
     to_camera = se3.adjoint(se3.inverse(X))
     for _ in range(_AIM_STEPS):
-        points = se3.act(_boards(problem, state, stops.base, joints), middle[None])
+        points = se3.act(_boards(data, state, stops.base, joints), middle[None])
         points[..., 2] = np.maximum(points[..., 2], _LEAST_DEPTH_M)
         at, J_p = project_with_jacobian(rig.left, points)
         off = at[:, 0] - target
         if np.abs(off).max() < 1.0:
             break
         J_twist = np.concatenate([np.cross(points, J_p[:, 0]), J_p[:, 0]], axis=-1)
-        J = -J_twist @ (to_camera @ head_jacobian(problem.chain, joints))
+        J = -J_twist @ (to_camera @ head_jacobian(data.chain, joints))
         step = np.linalg.pinv(J, rcond=1e-3) @ off[..., None]
         joints = joints - np.clip(step[..., 0], -0.3, 0.3)
     return replace(stops, joints=joints), np.abs(off).max(axis=1) < 1.0
 
 
-def _seen_whole(problem: Problem, T_c_k: FloatArray, rig: StereoRig, distances: FloatArray) -> BoolArray:
-    """Whether both cameras see the whole board well, (C,)."""
-    points_c = se3.act(T_c_k, problem.points_k)
+def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: StereoRig, distances: FloatArray) -> BoolArray:
+    """(C,) whether both cameras see the whole board well."""
+    points_c = se3.act(T_c_k, data.points_k)
     reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
     middle = points_c.mean(axis=1)
     facing = np.abs(np.einsum("ca,ca->c", T_c_k[:, :3, 2], middle)) / np.linalg.norm(middle, axis=1)
@@ -95,41 +96,46 @@ def _seen_whole(problem: Problem, T_c_k: FloatArray, rig: StereoRig, distances: 
     return np.asarray(fine)
 
 
-def _reachable(problem: Problem, state: State) -> _Stops:
-    """Candidate stops one turn and one drive after the last station, with the whole board in view."""
-    rig = cameras_at(problem, state)
-    T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
-    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[problem.board])[:, :3, 3], axis=1)
+def _reachable(data: Dataset, state: State) -> _Stops:
+    """Stops a turn and a drive away from the last, from which the whole board is seen."""
+    rig = cameras_at(data, state)
+    T_w_c = state.T_w_v @ head_at(data, state) @ state.parameters.T_h_c
+    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[data.board])[:, :3, 3], axis=1)
     ways = [(np.radians(turn), drive, u, v) for turn in _TURNS_DEG for drive in _DRIVES_M for u, v in _LOOKS]
     turn, drive, u, v = np.array(ways).T
     last = state.base[-1]
     heading = last[2] + turn
     base = np.stack([last[0] + drive * np.cos(heading), last[1] + drive * np.sin(heading), heading], axis=1)
-    stops = _Stops(turn, drive, base, np.repeat(problem.joints[-1:], len(turn), axis=0))
+    stops = _Stops(turn, drive, base, np.repeat(data.joints[-1:], len(turn), axis=0))
     target = np.stack([u * rig.left.width, v * rig.left.height], axis=1)
-    stops, fine = _aimed(problem, state, stops, target)
-    low, high = problem.joints.min(axis=0) - _REACH_RAD, problem.joints.max(axis=0) + _REACH_RAD
+    stops, fine = _aimed(data, state, stops, target)
+    low, high = data.joints.min(axis=0) - _REACH_RAD, data.joints.max(axis=0) + _REACH_RAD
     fine &= np.all((stops.joints > low) & (stops.joints < high), axis=1)
-    fine &= _seen_whole(problem, _boards(problem, state, stops.base, stops.joints), rig, distances)
+    fine &= _seen_whole(data, _boards(data, state, stops.base, stops.joints), rig, distances)
     return stops.select(fine)
 
 
-def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem, State]:
-    """A problem of the last station and all stops, each with a leg from the last station."""
-    count, J = len(stops.turn_rad), problem.joints.shape[1]
+def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, State]:
+    """A data set of the last station and, each reached from it, all the stops."""
+    count, J = len(stops.turn_rad), data.joints.shape[1]
     wide = replace(
-        problem,
-        pixels=np.repeat(problem.pixels[-1:], count + 1, axis=0),
-        seen=np.ones((count + 1, *problem.seen.shape[1:]), dtype=np.bool_),
-        whitening=np.broadcast_to(np.eye(2), (count + 1, *problem.whitening.shape[1:])),
-        joints=np.concatenate([problem.joints[-1:], stops.joints]),
+        data,
+        pixels=np.repeat(data.pixels[-1:], count + 1, axis=0),
+        seen=np.ones((count + 1, *data.seen.shape[1:]), dtype=np.bool_),
+        whitening=np.broadcast_to(np.eye(2), (count + 1, *data.whitening.shape[1:])),
+        joints=np.concatenate([data.joints[-1:], stops.joints]),
         joint_tracks=(),
         moving=np.zeros(count + 1, dtype=np.bool_),
-        joint_sides=np.zeros((count + 1, J)),
+        approach_direction=np.zeros((count + 1, J)),
         log=np.zeros(count + 1, dtype=np.int64),
-        board=np.repeat(problem.board[-1:], count + 1),
+        board=np.repeat(data.board[-1:], count + 1),
         legs=np.stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)], axis=1),
         times_ns=np.arange(count + 1),
+        T_c_k=np.repeat(
+            data.T_c_k[-1:], count + 1, axis=0
+        ),  # of no meaning at a stop that is not recorded yet
+        T_c_k_cov=np.repeat(data.T_c_k_cov[-1:], count + 1, axis=0),
+        points_c=np.repeat(data.points_c[-1:], count + 1, axis=0),
     )
     there = replace(
         state,
@@ -140,40 +146,40 @@ def _with_stops(problem: Problem, state: State, stops: _Stops) -> tuple[Problem,
     return wide, there
 
 
-def _leg(
-    problem: Problem, state: State, noise: Noise, turn_rad: float, drive_m: float
-) -> tuple[FloatArray, FloatArray]:
-    """One leg with a turn, then a drive: (3, P + 10) by global parameters and both base blocks, and its weight."""
+def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> tuple[FloatArray, FloatArray]:
+    """One leg that turns and then drives: (3, P + 10) by the shared parameters and both base blocks, and its weight."""
+    data, state, noise = lin.data, lin.state, lin.noise
     wheels = state.parameters.wheels
     turn = turn_rad * wheels.separation_m / 2
     sides = ((turn, wheels.radius_right_m), (-turn, wheels.radius_left_m))
     right, left = ([0.0, by / radius, (by + drive_m) / radius] for by, radius in sides)
     times = np.array([0, 1, 2], dtype=np.int64)
     end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
-    one = _Stops(np.zeros(1), np.zeros(1), end, problem.joints[-1:])
-    pair, there = _with_stops(problem, replace(state, base=np.zeros_like(state.base)), one)
+    one = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
+    pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), one)
     track = WheelTrack(times, np.array(right), np.array(left))
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     legs = linearize_legs(pair, there, noise.encoder_rad > 0)
     by_start = legs.by_start[0].copy()
-    # The start is not the world's origin here, so its base pose has derivatives too.
+    # The start is a station like any other here, not the origin of the world.
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
-    rows = np.concatenate([legs.by_all_shared(problem.layout)[0], by_start, legs.by_end[0]], axis=1)
+    rows = np.concatenate([legs.by_shared(data.layout)[0], by_start, legs.by_end[0]], axis=1)
     return rows, np.linalg.inv(leg_covariance(pair, wheels, noise))[0]
 
 
-def _informations(problem: Problem, state: State, noise: Noise, stops: _Stops) -> FloatArray:
-    """Information of each stop about the global parameters and the last station's base block, (C, P + 5, P + 5)."""
-    wide, there = _with_stops(problem, state, stops)
-    views = linearize_views(wide, there, Selection.everything(wide), noise)
-    count, P, J = len(stops.turn_rad), problem.layout.size, problem.joints.shape[1]
+def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
+    """(C, P + 5, P + 5) information of each stop about the shared parameters and the last station's base block."""
+    data, state, noise = lin.data, lin.state, lin.noise
+    wide, there = _with_stops(data, state, stops)
+    views = linearize_views(wide, there, Inliers.all_of(wide), noise)
+    count, P, J = len(stops.turn_rad), data.layout.size, data.joints.shape[1]
     legs: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
     out = np.empty((count, P + 5, P + 5))
     for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
         if way not in legs:
-            legs[way] = _leg(problem, state, noise, *way)
+            legs[way] = _leg(lin, *way)
         driven, weight = legs[way]
-        H = np.zeros((P + 10 + J, P + 10 + J))  # global parameters, last base, new base, new joints
+        H = np.zeros((P + 10 + J, P + 10 + J))  # shared, last base, new base, new joints
         by_last = np.zeros((views.by_shared.shape[1], 5))
         seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_joints[c + 1]]
         A = np.concatenate(seen, axis=1)
@@ -181,49 +187,34 @@ def _informations(problem: Problem, state: State, noise: Noise, stops: _Stops) -
         H[: P + 10, : P + 10] += driven.T @ weight @ driven
         encoders, readings = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + J)
         H[encoders, encoders] += (noise.encoder_rad or 1.0) ** -2
-        H[readings, readings] += noise.joint_rad**-2
+        H[readings, readings] += (noise.joint_rad * data.joint_units) ** -2
         kept = P + 5
         out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
     return out
 
 
-def suggestions(
-    problem: Problem,
-    state: State,
-    noise: Noise,
-    system: System,
-    covariance: FloatArray,
-    held: FloatArray,
-    scales: FloatArray,
-    most: int = 5,
-) -> tuple[Suggestion, ...]:
-    """Stops that would reduce the largest standard deviation most, best first, one per turn and drive.
+def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
+    """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
 
     Args:
-        problem, state, noise, system: the optimum.
-        covariance: (P, P) of the global parameters.
-        held: (K, named) unobservable directions in units of `scales`, with a standard deviation of one scale each.
-        scales: (named,) units.
-        most: maximum number of suggestions.
+        lin: the optimum.
+        covariance: (P, P) of the shared parameters.
+        most: how many at most.
     """
-    P, named = problem.layout.size, problem.layout.named
-    wide = covariance.copy()
-    along = held * scales
-    wide[:named, :named] += along.T @ along
-    follow = system.base_by_shared[-1]
-    own, _ = system.base_covariance()
-    joint = np.block([[wide, wide @ follow.T], [follow @ wide, own[-1] + follow @ wide @ follow.T]])
-    wheels = state.parameters.wheels
-    sizes = np.array([wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m])
-    wanted = np.concatenate([WANTED[:6], WANTED[6:] * sizes])
-    now = np.sqrt(np.diag(wide)[:9])
-    worst = int(np.argmax(now / wanted))
-    stops = _reachable(problem, state)
+    P, wheels = lin.data.layout.size, lin.state.parameters.wheels.vector
+    follow = lin.normal.base_by_shared[-1]
+    own, _ = lin.normal.base_covariance()
+    by_base = follow @ covariance
+    joint = np.block([[covariance, by_base.T], [by_base, own[-1] + by_base @ follow.T]])
+    needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
+    now = np.sqrt(np.diag(covariance)[:9])
+    worst = int(np.argmax(now / needed))
+    stops = _reachable(lin.data, lin.state)
     best: dict[tuple[float, float], Suggestion] = {}
-    for c, M in enumerate(_informations(problem, state, noise, stops)):
+    for c, M in enumerate(_informations(lin, stops)):
         after = joint - joint @ M @ np.linalg.solve(np.eye(P + 5) + joint @ M, joint)
         then = np.sqrt(np.diag(after)[:9])
-        gain = 1 - float(np.max(then / wanted) / np.max(now / wanted))
+        gain = 1 - float(np.max(then / needed) / np.max(now / needed))
         way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))
         if way not in best or best[way].gain < gain:
             known = float(now[worst]), float(then[worst])

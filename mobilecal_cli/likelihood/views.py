@@ -1,8 +1,8 @@
 """Reprojection residuals of each station in raw pixels, and their derivatives.
 
-All unknowns that move camera or board change the board's pose in the left camera, T_c_k → exp(delta) T_c_k. The
-derivatives pass through these six numbers per station. Additional parameters that change the cameras or the board
-itself ("direct" extras) have their own columns.
+Whatever moves camera or board moves the board in the left camera's frame, T_c_k → exp(delta) T_c_k: six numbers per
+station stand between the pixels and all poses. Constants that change the cameras or the board itself have columns of
+their own ("direct").
 """
 
 from __future__ import annotations
@@ -15,26 +15,28 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian
-from mobilecal_cli.likelihood.noise import Noise, Selection
-from mobilecal_cli.likelihood.problem import Problem, State, cameras_at, head_at, joints_at
-from mobilecal_cli.likelihood.shared import POSE_EXTRAS
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, HeadEffect, JointEffect, Sight
+from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.likelihood.nuisance import stereo_turn
+from mobilecal_cli.likelihood.state import State, board_in_camera, cameras_at, head_at, joints_at, points_at
+from mobilecal_cli.model import Camera, FloatArray, Side
 
 _BLOCK = 500  # stations: 10 MB of derivatives for 54 corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """Whitened reprojection residuals of all stations at a state.
+    """Residuals of all stations' images at a state, whitened.
 
     Attributes:
         residual_px: (N, 2, M, 2) predicted minus detected.
-        information: (N, Q, Q) of (delta, direct extras): J^T J of the whitened inlier residuals.
+        information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (zero).
+        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (nothing).
         by_joints: (N, Q, J) delta by joint errors.
-        by_shared: (N, Q, P) delta and direct extras by the global parameters.
+        by_shared: (N, Q, P) delta and direct constants by the parameters that all stations share.
     """
 
     residual_px: FloatArray
@@ -46,15 +48,8 @@ class Views:
     by_shared: FloatArray
 
 
-def board_in_camera(problem: Problem, state: State) -> FloatArray:
-    """Predicted board pose of each station, T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k, (N, 4, 4)."""
-    T_w_c = state.T_w_v @ head_at(problem, state) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[problem.board]
-    return T
-
-
 def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
-    """Corner residuals or derivatives (N, 2, M, 2, ...) px, multiplied by the lower triangular whitening W."""
+    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, by the corners' whitening, lower triangles W."""
     W = W.reshape(*W.shape, *[1] * (values.ndim - 4))
     result = np.empty_like(values)
     np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
@@ -64,30 +59,32 @@ def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def blocks_of(stations: int) -> Iterator[slice]:
-    """Blocks of stations, which limit the memory for the corner derivatives to a few MB."""
+    """The stations cut into blocks, so that the derivatives of their corners take a few MB however many there are."""
     yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
 
 
 def corner_residuals(
-    problem: Problem, state: State, T_c_k: FloatArray, stations: slice = slice(None)
+    data: Dataset, state: State, T_c_k: FloatArray, stations: slice = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus detected corners of some stations for board poses T_c_k, and their derivatives.
+    """Predicted minus detected pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
 
     Returns:
-        (N, 2, M, 2) residuals, px, and (N, 2, M, 2, Q) derivatives by (delta, direct extras).
+        The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct constants).
     """
-    rig = cameras_at(problem, state)
-    scale = 1 + state.extra("square_scale")
-    points_c = se3.act(T_c_k, scale * problem.points_k)
+    rig, turn = cameras_at(data, state), stereo_turn(data.layout.constants, state.constants)
+    points_c = se3.act(T_c_k, points_at(data, state))
     T_r_c = se3.inverse(rig.T_c_r)
     points_r = se3.act(T_r_c, points_c)
-    direct = [name for name in problem.layout.extras if name not in POSE_EXTRAS]
-    turning = se3.left_jacobian_so3(np.array([state.extra(f"stereo_r_{axis}") for axis in "xyz"]))
+    direct = data.layout.direct
     residual = np.empty((*points_c.shape[:2], 2, 2)).swapaxes(1, 2)
     J = np.zeros((len(points_c), 2, points_c.shape[1], 2, 6 + len(direct)))
-    for k, (camera, points) in enumerate(((rig.left, points_c), (rig.right, points_r))):
+    sides: list[tuple[Side, Camera, FloatArray]] = [
+        ("left", rig.left, points_c),
+        ("right", rig.right, points_r),
+    ]
+    for k, (side, camera, points) in enumerate(sides):
         at, J_p = project_with_jacobian(camera, points)
-        residual[:, k] = at - problem.pixels[stations, k]
+        residual[:, k] = at - data.pixels[stations, k]
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
         x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
         by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
@@ -95,71 +92,57 @@ def corner_residuals(
         J[:, k, :, :, 1] = z * by_x - x * by_z
         J[:, k, :, :, 2] = x * by_y - y * by_x
         J[:, k, :, :, 3:6] = J_c
-        for column, name in enumerate(direct, 6):
-            side = ("left", "right")[k]
-            if name == "square_scale":
-                grown = points_c - T_c_k[:, None, :3, 3]
-                J[:, k, :, :, column] = np.einsum("nmab,nmb->nma", J_c, grown) / scale
-            elif name == "baseline_scale" and k == 1:
-                shift = T_r_c[:3, :3] @ problem.cameras.T_c_r[:3, 3]
-                J[:, k, :, :, column] = -J_p @ shift
-            elif name.startswith("stereo_r_") and k == 1:
-                # R_c_r → exp(rho) R_c_r rotates the point by -rho about r's origin, in axes of c.
-                arm = points_c - rig.T_c_r[:3, 3]
-                axis = turning[:, "xyz".index(name[-1])]
-                J[:, k, :, :, column] = -np.einsum("nmab,nmb->nma", J_c, np.cross(axis, arm))
-            elif name == f"focal_{side}":
-                J[:, k, :, :, column] = (at - camera.K[:2, 2]) / camera.K[0, 0]
-            elif name in (f"principal_{side}_x", f"principal_{side}_y"):
-                J[:, k, :, "xy".index(name[-1]), column] = 1.0
+        sight = Sight(side, data.cameras, rig, turn, at, points_c, J_p, J_c)
+        for column, (_, row) in enumerate(direct, 6):
+            if isinstance(row.effect, CameraEffect):
+                by_value = row.effect.pixels(sight)
+                if by_value is not None:
+                    J[:, k, :, :, column] = by_value
+            elif isinstance(row.effect, BoardEffect):
+                shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
+                J[:, k, :, :, column] = np.einsum("nmab,nmb->nma", J_c, shift_c)
     return residual, J
 
 
 def _pose_columns(
-    problem: Problem, state: State, T_c_k: FloatArray, width: int
+    data: Dataset, state: State, T_c_k: FloatArray, width: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    X, chain, layout = state.parameters.T_h_c, problem.chain, problem.layout
-    count, names = problem.stations, chain.joints
+    X, chain, layout = state.parameters.T_h_c, data.chain, data.layout
+    count, joints = data.stations, len(chain.joints)
     by_base = np.zeros((count, width, 5))
-    Ad_c_v = se3.adjoint(se3.inverse(head_at(problem, state) @ X))
+    T_v_h = head_at(data, state)
+    Ad_c_v = se3.adjoint(se3.inverse(T_v_h @ X))
     by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_v[:, :, k] for k in (3, 4, 2))
-    by_base[problem.first] = 0.0  # the world is the base at its first station
-    by_joints = np.zeros((count, width, len(names)))
-    by_joints[:, :6] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, joints_at(problem, state))
+    by_base[data.first] = 0.0  # the world is the base at its first station
+    by_joints = np.zeros((count, width, joints))
+    by_joints[:, :6] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, joints_at(data, state))
 
     by_shared = np.zeros((count, width, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
-    for column, name in enumerate(layout.extras, 9):
-        joint = {"pan_zero": chain.pan, "backlash_pan": chain.pan, "backlash_tilt": chain.tilt}.get(name)
-        if name == "time_joints":
-            rates = problem.joint_rates(state.extra(name))
-            by_shared[:, :6, column] = (by_joints[:, :6] @ rates[:, :, None])[..., 0]
-        elif name.startswith("mount_"):
-            by_shared[:, :6, column] = -Ad_c_v[:, :, 3 + "xy".index(name[-1])]
-        elif joint in names:
-            j = names.index(joint)
-            share = np.ones(count) if name == "pan_zero" else -problem.joint_sides[:, j] / 2
-            by_shared[:, :6, column] = by_joints[:, :6, j] * share[:, None]
-    direct = [column for column, name in enumerate(layout.extras, 9) if name not in POSE_EXTRAS]
-    for row, column in enumerate(direct, 6):
-        by_shared[:, row, column] = 1.0
+    for column, row in enumerate(layout.constants, 9):
+        if isinstance(row.effect, JointEffect):
+            rate = row.effect.rate(data, state.value(row.name))
+            by_shared[:, :6, column] = (by_joints[:, :6] @ rate[:, :, None])[..., 0]
+        elif isinstance(row.effect, HeadEffect):
+            by_shared[:, :6, column] = (-Ad_c_v @ row.effect.twist(T_v_h)[..., None])[..., 0]
+    for pixel_row, (column, _) in enumerate(layout.direct, 6):
+        by_shared[:, pixel_row, column] = 1.0
     Ad_c_k = se3.adjoint(T_c_k)
     for b in range(layout.boards):
-        mine = problem.board == b
+        mine = data.board == b
         by_shared[mine, :6, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
     return by_base, by_joints, by_shared
 
 
-def linearize_views(problem: Problem, state: State, selection: Selection, noise: Noise) -> Views:
+def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise) -> Views:
     """Residuals and information of all stations' images."""
-    T_c_k = board_in_camera(problem, state)
-    believed = selection.corners & selection.views[:, None, None]
-    root_weight = np.where(believed, 1 / noise.pixel_px, 0.0)
+    T_c_k = board_in_camera(data, state)
+    root_weight = np.where(inliers.used_corners, 1 / noise.pixel_px, 0.0)
     parts = []
-    for block in blocks_of(problem.stations):
-        residual, J = corner_residuals(problem, state, T_c_k[block], block)
+    for block in blocks_of(data.stations):
+        residual, J = corner_residuals(data, state, T_c_k[block], block)
         width = J.shape[-1]
-        W = problem.whitening[block] * root_weight[block, ..., None, None]
+        W = data.whitening[block] * root_weight[block, ..., None, None]
         A = whitened(W, J).reshape(len(J), -1, width)
         r = whitened(W, residual).reshape(len(J), -1)
         At = np.swapaxes(A, 1, 2)
@@ -170,5 +153,5 @@ def linearize_views(problem: Problem, state: State, selection: Selection, noise:
         information,
         gradient,
         cost,
-        *_pose_columns(problem, state, T_c_k, width),
+        *_pose_columns(data, state, T_c_k, width),
     )

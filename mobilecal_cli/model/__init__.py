@@ -2,8 +2,9 @@
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
+from mobilecal_cli.model.calibration import NINE, Parameters
 from mobilecal_cli.model.evaluation import Drift, Evaluation
-from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.findings import BetweenLogs, Diagnosis, Evidence, ScaleCheck, Suggestion
 from mobilecal_cli.model.fleet import FleetJob, FleetRow
 from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.model.observations import (
@@ -46,12 +47,10 @@ from mobilecal_cli.model.rig import (
 )
 from mobilecal_cli.model.signals import Rejection, Shot, Signals, Station, Track
 from mobilecal_cli.model.solution import (
-    NINE,
     LinearEstimate,
     Method,
     NoiseLevels,
     Outlier,
-    Parameters,
     Provenance,
     Refinement,
     Residuals,
@@ -75,6 +74,7 @@ __all__ = [
     "Camera",
     "CameraInfo",
     "Corners",
+    "Diagnosis",
     "Distortion",
     "Drift",
     "Evaluation",

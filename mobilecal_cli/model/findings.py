@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from mobilecal_cli.model.arrays import FloatArray, freeze
+import numpy as np
+
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,14 +18,14 @@ class Evidence:
     Attributes:
         group: its name for `--estimate`.
         values: parameter → value and standard deviation: as estimated, or to first order if not estimated.
-        state: "estimated", "offered" (observable but not estimated) or the state of an unobservable group.
+        state: "estimated", "offered" (observable but not estimated) or "unobservable".
         chi2: twice the gain in log-likelihood compared with zero values, to second order.
         bic: chi2 minus the penalty of the Bayesian information criterion; above 0 the data support the group.
     """
 
     group: str
     values: Mapping[str, tuple[float, float]]
-    state: Literal["estimated", "offered", "hidden"]
+    state: Literal["estimated", "offered", "unobservable"]
     chi2: float
     bic: float
 
@@ -51,19 +53,22 @@ class BetweenLogs:
     """Estimates from each of several recordings alone.
 
     Attributes:
-        shift: (L, 9) each recording's own estimate minus the common one, order and units of `NINE`; NaN where a
+        shift: (L, 9) each recording's own estimate minus the common one, order and units of `NINE`; 0 where a
             parameter is unobservable in a recording.
-        std: (L, 9) their standard deviations.
+        std: (L, 9) their standard deviations; 0 where a parameter is unobservable.
+        shown: (L, 9) whether the parameter is observable in the recording.
         between_std: (9,) additional spread between the recordings; 0 where none is significant.
     """
 
     shift: FloatArray
     std: FloatArray
+    shown: BoolArray
     between_std: FloatArray
 
     def __post_init__(self) -> None:
         logs = freeze(self, shift=("L", 9))["L"]
         freeze(self, std=(logs, 9), between_std=(9,))
+        freeze(self, np.bool_, shown=(logs, 9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,3 +93,20 @@ class Suggestion:
 
     def __post_init__(self) -> None:
         freeze(self, joints=("J",))
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """A mistake in the robot's description that explains why a recording does not fit.
+
+    Attributes:
+        cause: what is wrong, as the end of a sentence.
+        cure: what to do, as a command.
+        error_share: point error over the distance to the board as the recording stands; None if there is no solution.
+        corrected_share: the same without the mistake; None if it was not computed.
+    """
+
+    cause: str
+    cure: str
+    error_share: float | None
+    corrected_share: float | None

@@ -324,6 +324,17 @@ class WheelGeometry:
     radius_left_m: float
     separation_m: float
 
+    @classmethod
+    def of(cls, sizes_m: FloatArray) -> WheelGeometry:
+        """Wheels of (right radius, left radius, separation), (3,) m."""
+        right, left, separation = (float(size) for size in sizes_m)
+        return cls(right, left, separation)
+
+    @property
+    def vector(self) -> FloatArray:
+        """(3,) right radius, left radius, separation, m."""
+        return np.array([self.radius_right_m, self.radius_left_m, self.separation_m])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominal:

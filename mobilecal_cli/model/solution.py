@@ -9,29 +9,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
-from mobilecal_cli.model.findings import BetweenLogs, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import BetweenLogs, Diagnosis, Evidence, ScaleCheck, Suggestion
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import WheelGeometry
 
 Method = Literal["linear", "paper", "lm", "ml"]
-NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str, Setting] | None"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Parameters:
-    """The nine parameters.
-
-    Attributes:
-        T_h_c: (4, 4) head-eye transform: left camera coordinates to head coordinates, m.
-        wheels: radii and separation.
-    """
-
-    T_h_c: FloatArray
-    wheels: WheelGeometry
-
-    def __post_init__(self) -> None:
-        freeze(self, T_h_c=(4, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,24 +96,25 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Uncertainty of the nine parameters: the inverse of the normal matrix (Cramer-Rao bound).
+    """Uncertainty of the nine parameters.
 
     Attributes:
-        covariance: (9, 9) in the order of `NINE`: small rotation vector and translation of the left camera in the
-            head frame (rad, m), wheels (m). It is zero along unobservable directions.
-        observable: (9,) false for parameters that a plausible error of the fixed directions would shift by more than
-            their own sigma: they are no better than nominal, and `covariance` does not apply to them.
-        `held`: (K, 9) unobservable directions, fixed at nominal values; in units of `scales`, unit length.
-        scales: (9,) rad, m.
+        covariance: (9, 9) in the order of `NINE`, see `Parameters` (rad, m): the inverse of the normal matrix
+            (Cramer-Rao bound), plus the prior variance of unobservable directions.
+        observable: (9,) whether the recording makes the standard deviation clearly smaller than that of a nominal
+            value; false for fixed parameters.
+        unobservable: (K, 9) directions that the recording does not show, in units of `scales`, unit length: the
+            parameters keep their nominal values along them, and the prior variance.
+        scales: (9,) prior standard deviations of nominal values, rad, m.
         singular_values: of the whitened, scaled Jacobian, decreasing: scale over sigma along each direction.
         noise: noise levels.
-        fixed: (9,) parameters fixed by the user; not observable either.
+        fixed: (9,) parameters fixed by the user; their variance is zero.
         jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, for comparison.
     """
 
     covariance: FloatArray
     observable: BoolArray
-    held: FloatArray
+    unobservable: FloatArray
     scales: FloatArray
     singular_values: FloatArray
     noise: NoiseLevels
@@ -139,7 +123,12 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         freeze(
-            self, covariance=(9, 9), held=("K", 9), scales=(9,), singular_values=("D",), jackknife_std=(9,)
+            self,
+            covariance=(9, 9),
+            unobservable=("K", 9),
+            scales=(9,),
+            singular_values=("D",),
+            jackknife_std=(9,),
         )
         freeze(self, np.bool_, observable=(9,), fixed=(9,))
 
@@ -227,11 +216,12 @@ class Solution:
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.
-        extras: additional parameters: name → value and standard deviation.
+        constants: additional parameters: name → value and standard deviation.
         evidence: whether the data support additional parameters.
         scale: stated squares against the stereo baseline, if the square size is stated.
         between: estimates from each recording alone, if there are several.
         suggestions: what to record next, most useful first.
+        diagnosis: the mistake in the description that explains a bad fit, if one was found.
     """
 
     method: Method
@@ -244,11 +234,12 @@ class Solution:
     motion: Mapping[str, float]
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
-    extras: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    constants: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
     scale: ScaleCheck | None = None
     between: BetweenLogs | None = None
     suggestions: tuple[Suggestion, ...] = ()
+    diagnosis: Diagnosis | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ from mobilecal_cli.report import (
     report_json,
     suggestion_sentences,
 )
-from mobilecal_cli.solvers import Asked, clock_offsets, evaluate, solve
+from mobilecal_cli.solvers import Constraints, clock_offsets, evaluate, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 
@@ -74,12 +74,19 @@ def _created() -> str:
     return now.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _solved(extraction: Extraction, method: Method, asked: Asked | None, progress: Progress) -> Solution:
+def _solved(
+    extraction: Extraction, method: Method, constraints: Constraints | None, progress: Progress
+) -> Solution:
     """Solve; an error is extended by the motion that the recording lacks."""
     steps = itertools.count(1)
     progress("solving", 0, None)
     try:
-        return solve(extraction, method, asked=asked, on_step=lambda: progress("solving", next(steps), None))
+        return solve(
+            extraction,
+            method,
+            constraints=constraints,
+            on_step=lambda: progress("solving", next(steps), None),
+        )
     except SolveError as error:
         gaps = motion_gaps(extraction)
         if not gaps:
@@ -120,7 +127,7 @@ def calibrate(
     config_path: Path | None = None,
     flags: Mapping[str, Any] | None = None,
     method: Method = "ml",
-    asked: Asked | None = None,
+    constraints: Constraints | None = None,
     gates: Sequence[str] = (),
     hold_out: float | None = None,
     last: Path | None = None,
@@ -136,7 +143,7 @@ def calibrate(
         config_path: rig.yaml.
         flags: dotted key → value, overriding the file.
         method: see `solvers.solve`.
-        asked: fixed parameters, priors and additional parameters; for the method "ml".
+        constraints: fixed parameters, priors and additional parameters; for the method "ml".
         gates: `NAME=LIMIT`, overriding those of the file.
         hold_out: share at the end of each recording to hold out and to test the calibration on.
         last: params.yaml to compare the result with; the nominal values by default.
@@ -160,7 +167,7 @@ def calibrate(
         if method != "ml":
             require_observable(extraction)
         draughtsman.begin_with(extraction)
-        solution = _solved(extraction, method, asked, progress)
+        solution = _solved(extraction, method, constraints, progress)
         nominal = extraction.rig.nominal.wheels
         offsets = clock_offsets(solution)
         trial = None if rest is None else evaluate(rest, solution.parameters, nominal, offsets_s=offsets)

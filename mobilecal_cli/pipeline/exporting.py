@@ -22,7 +22,7 @@ from mobilecal_cli.export import (
     static_transform_yaml,
     xacro_properties,
 )
-from mobilecal_cli.likelihood.problem import cameras_with
+from mobilecal_cli.likelihood.nuisance import CONSTANTS, cameras_with
 from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.targets import Target
@@ -103,7 +103,7 @@ def _cameras(params: Path, target: Target) -> Exported:
     """The stereo pair of the calibrated robot, as refined."""
     extraction = _beside(params)
     extras = _extras(params)
-    cameras = cameras_with(extraction.rig.cameras, extras)
+    cameras = cameras_with(extraction.rig.cameras, CONSTANTS, extras)
     refined = cameras is not extraction.rig.cameras
     note = (
         "The stereo pair is as refined by the calibration."

@@ -65,6 +65,9 @@ def _says(found: Difference) -> str:
         else "The change is not significant."
     )
     note = " The calibrations share a recording, so this test is weak." if found.shared else ""
+    if found.unobservable.any():
+        names = ", ".join(name for name, ok in zip(NINE, found.unobservable, strict=True) if ok)
+        note += f" At least one calibration does not determine {names}."
     return (
         f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
         f"{_percent(found.chance)}. {verdict}{note}"
@@ -109,6 +112,7 @@ def _plain(found: Difference) -> dict[str, Any]:
         "chi2": found.chi2,
         "chance": found.chance,
         "share_a_recording": found.shared,
+        "unobservable": dict(zip(NINE, found.unobservable.tolist(), strict=True)),
         "ray_at_2m_mm": found.ray_m * 1e3,
         "along_mm_per_m": found.along_m_per_m * 1e3,
         "heading_deg_per_m": math.degrees(found.heading_rad_per_m),

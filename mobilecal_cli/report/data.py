@@ -33,7 +33,7 @@ from mobilecal_cli.report.verdict import Verdict
 
 SCHEMA_VERSION = 2
 #: `Evidence.state` → its name in the file.
-_STATES = {"estimated": "estimated", "offered": "observable", "hidden": "unobservable"}
+_STATES = {"estimated": "estimated", "offered": "observable", "unobservable": "unobservable"}
 _COUNTS = {"pictures": "images"}
 
 
@@ -60,7 +60,7 @@ def report_json(
         "uncertainty": _uncertainty(solution, cameras),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
         "additional_parameters": {
-            name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.extras.items()
+            name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.constants.items()
         },
         **_findings(solution, extraction),
         "hold_out": None if trial is None else evaluation_data(trial),
@@ -209,11 +209,11 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
     known = np.where(std > 0, std, 1.0)
     return {
         "order": NINE,
-        "std": {n: s if ok else None for n, s, ok in zip(NINE, std, found.observable, strict=True)},
+        "std": dict(zip(NINE, std.tolist(), strict=True)),
         "covariance": covariance,
         "correlation": covariance / np.outer(known, known),
         "observable": dict(zip(NINE, found.observable.tolist(), strict=True)),
-        "unobservable_directions": found.held,
+        "unobservable_directions": found.unobservable,
         "scales": found.scales,
         "singular_values": found.singular_values,
         "noise": asdict(found.noise),

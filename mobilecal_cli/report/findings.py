@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.predict import predicted
-from mobilecal_cli.likelihood.shared import EXTRAS, INDEX
 from mobilecal_cli.model import NINE, Evidence, Extraction, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.units import SHOWN, value_text
@@ -109,7 +109,7 @@ def extra_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
         _square(value, std, extraction)
         if name == "square_scale" and extraction.board.square_m is None
         else _extra(name, value, std)
-        for name, (value, std) in solution.extras.items()
+        for name, (value, std) in solution.constants.items()
     )
 
 
@@ -122,7 +122,7 @@ def _square(value: float, std: float, extraction: Extraction) -> Row:
 
 
 def _extra(name: str, value: float, std: float) -> Row:
-    extra = EXTRAS[INDEX[name]]
+    extra = nuisance.constant(name)
     unit, factor = _SHOWN_UNITS[extra.unit]
     if not math.isfinite(std):
         return Row(name, extra.meaning, f"{value * factor:.4g}", "unobservable", unit)
@@ -144,7 +144,7 @@ def evidence_rows(
 
 
 def _says(found: Evidence) -> str:
-    if found.state == "hidden":
+    if found.state == "unobservable":
         return "unobservable in this recording"
     supported = found.bic > 0
     if found.state == "estimated":

@@ -118,18 +118,13 @@ def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation 
     if found is not None:
         figures |= dict(zip(_STD_KEYS, reference_std(solution, cameras), strict=True))
         p = predicted(solution.parameters, found.covariance)
-        rotation, place, wheels = (
-            found.observable[:3].all(),
-            found.observable[3:6].all(),
-            found.observable[6:].all(),
-        )
         figures |= {
-            "predicted.camera_mm": p.camera_m * 1e3 if place else None,
-            "predicted.camera_deg": math.degrees(p.camera_rad) if rotation else None,
-            "predicted.point_mm": p.point_m * 1e3 if place and rotation else None,
-            "predicted.along_mm_per_m": p.along_m_per_m * 1e3 if wheels else None,
-            "predicted.heading_deg_per_m": math.degrees(p.heading_rad_per_m) if wheels else None,
-            "predicted.heading_deg_per_turn": math.degrees(p.heading_rad_per_turn) if wheels else None,
+            "predicted.camera_mm": p.camera_m * 1e3,
+            "predicted.camera_deg": math.degrees(p.camera_rad),
+            "predicted.point_mm": p.point_m * 1e3,
+            "predicted.along_mm_per_m": p.along_m_per_m * 1e3,
+            "predicted.heading_deg_per_m": math.degrees(p.heading_rad_per_m),
+            "predicted.heading_deg_per_turn": math.degrees(p.heading_rad_per_turn),
         }
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}

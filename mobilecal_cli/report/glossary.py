@@ -53,8 +53,8 @@ TERMS = (
     Term("nominal", "Nominal value", "nominal (?:values?|wheels|head-eye transform)",
          "The value of a parameter before calibration, from the URDF or from rig.yaml."),
     Term("observable", "Observable", "(?:un)?observable",
-         "A parameter is observable if the motion in the recording determines it. An unobservable parameter is "
-         "fixed at its nominal value and has no standard deviation."),
+         "A parameter is observable if the motion in the recording determines it. An unobservable parameter "
+         "keeps its nominal value, with the standard deviation of a nominal value."),
     Term("outlier", "Outlier", "outliers?",
          "A station, leg or reading that is inconsistent with the others. The solver leaves it out."),
     Term("point-error", "Point error", "point errors?",

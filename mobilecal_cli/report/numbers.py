@@ -74,7 +74,7 @@ class Rotation:
 
     Attributes:
         vector_deg: (3,) rotation vector, norm at most 180 degrees.
-        vector_std_deg: (3,) 1 sigma of its components; None if any part of the rotation is fixed or unobservable.
+        vector_std_deg: (3,) 1 sigma of its components; None if any part of the rotation is fixed by the user.
         quaternion_xyzw: (4,) unit quaternion with w >= 0.
         euler_deg: (3,) angles x, y, z with R = Rz(z) Ry(y) Rx(x); None within `NEAR_LOCK_DEG` of gimbal lock.
         euler_std_deg: (3,) 1 sigma of these angles; None where `euler_deg` or `vector_std_deg` is None.
@@ -99,7 +99,7 @@ def rotation_of(solution: Solution, cameras: StereoRig) -> Rotation:
     lock_deg = se3.gimbal_margin_deg(R)
     euler_deg = np.array(se3.euler_zyx_deg(R)) if lock_deg >= NEAR_LOCK_DEG else None
     vector_std = euler_std = None
-    if found is not None and found.observable[:3].all():
+    if found is not None and not found.fixed[:3].any():
         C = found.covariance[:3, :3]
         J = np.linalg.inv(se3.left_jacobian_so3(np.radians(vector_deg)))
         vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
@@ -120,14 +120,16 @@ class Sigma:
     Attributes:
         name: as in params.yaml.
         meaning: label for people.
-        value: 1 sigma, None where the parameter is fixed at its nominal value.
+        value: 1 sigma, None where the user fixed the parameter.
         unit: "deg" or "mm".
+        observable: whether the recording determines the parameter.
     """
 
     name: str
     meaning: str
     value: float | None
     unit: str
+    observable: bool
 
 
 def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
@@ -135,8 +137,8 @@ def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
 
     The first three are of a small rotation about the head's axes, not of the components of the rotation vector.
     """
-    std = reference_std(solution, cameras)
-    if not std:
+    std, found = reference_std(solution, cameras), solution.uncertainty
+    if found is None:
         return ()
     meanings = [
         *(f"small rotation about the head's {axis} axis" for axis in "xyz"),
@@ -144,13 +146,15 @@ def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
     ]
     units = [("deg", float(np.degrees(1.0)))] * 3 + [("mm", 1e3)] * 6
     return tuple(
-        Sigma(name, meaning, None if s is None else s * factor, unit)
-        for name, meaning, s, (unit, factor) in zip(NINE, meanings, std, units, strict=True)
+        Sigma(name, meaning, None if s is None else s * factor, unit, bool(seen))
+        for name, meaning, s, (unit, factor), seen in zip(
+            NINE, meanings, std, units, found.observable, strict=True
+        )
     )
 
 
 def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
-    """Nine standard deviations for the reference camera, rad and m; None where a parameter is fixed.
+    """Nine standard deviations for the reference camera, rad and m; None where the user fixed a parameter.
 
     Empty for methods that give none.
     """
@@ -158,7 +162,7 @@ def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None,
     if found is None:
         return ()
     std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
-    return tuple(float(s) if seen else None for s, seen in zip(std, found.observable, strict=True))
+    return tuple(None if fixed else float(s) for s, fixed in zip(std, found.fixed, strict=True))
 
 
 def nine_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
@@ -175,8 +179,10 @@ def nine_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]
 
 
 def written(sigma: Sigma) -> str:
-    """A standard deviation with two significant digits, or "fixed"."""
-    return "fixed" if sigma.value is None else std_text(sigma.value)
+    """A standard deviation with two significant digits, or "fixed"; unobservable parameters are marked."""
+    if sigma.value is None:
+        return "fixed"
+    return std_text(sigma.value) + ("" if sigma.observable else " (unobservable)")
 
 
 def std_text(std: float) -> str:

@@ -87,7 +87,7 @@ def correlation_matrix(solution: Solution) -> str:
     found = solution.uncertainty
     if found is None:
         return ""
-    std = np.where(found.observable & (found.std > 0), found.std, np.nan)
+    std = np.where(found.std > 0, found.std, np.nan)
     correlation = found.covariance / np.outer(std, std)
     with style():
         drawing, (axes,) = figure(5.2, 4.4, header_in=0.1)

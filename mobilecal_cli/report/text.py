@@ -32,20 +32,22 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
     """
     cameras = extraction.rig.cameras
     numbers = nine_numbers(solution.parameters, cameras)
+    known = solution.uncertainty
     std_m = reference_std(solution, cameras)[3:] or (math.nan,) * 6
+    seen = [True] * 6 if known is None else (known.observable | known.fixed)[3:].tolist()
     lengths = [
-        _row(name, value, None if s is None else 1e3 * s, "mm", 2)
-        for name, value, s in zip(_LENGTHS, numbers[3:], std_m, strict=True)
+        _row(name, value, None if s is None else 1e3 * s, "mm" if ok else "mm, unobservable", 2)
+        for name, value, s, ok in zip(_LENGTHS, numbers[3:], std_m, seen, strict=True)
     ]
     frames = f"{visible(reference_frame(cameras))} in {visible(extraction.rig.chain.head_frame)}"
     lines = [
-        f"Camera: {frames}" + (" (± 1 sigma)" if solution.uncertainty is not None else ""),
+        f"Camera: {frames}" + (" (± 1 sigma)" if known is not None else ""),
         *_rotation(solution, extraction),
         *lengths[:3],
         "Wheels",
         *lengths[3:],
     ]
-    clocks = [(name, *solution.extras[key]) for key, name in _CLOCKS if key in solution.extras]
+    clocks = [(name, *solution.constants[key]) for key, name in _CLOCKS if key in solution.constants]
     if clocks:
         lines.append("Clock offsets, to be added to the image time stamps")
         lines += [_row(name, 1e3 * value, 1e3 * s or None, "ms", 3) for name, value, s in clocks]
@@ -68,7 +70,7 @@ def _rotation(solution: Solution, extraction: Extraction) -> Iterator[str]:
     found, known = rotation_of(solution, extraction.rig.cameras), solution.uncertainty
     yield from _angles("Rotation vector {}", found.vector_deg, found.vector_std_deg)
     if known is not None and found.vector_std_deg is None:
-        fixed = [name for name, ok in zip(NINE[:3], known.observable[:3], strict=True) if not ok]
+        fixed = [name for name, ok in zip(NINE[:3], ~known.fixed[:3], strict=True) if not ok]
         yield f"    ({', '.join(fixed)} fixed: for the other standard deviations see the report)"
     yield f"  {'Quaternion x, y, z, w':<26}" + "".join(f"{q:>11.6f}" for q in found.quaternion_xyzw)
     if found.euler_deg is None:

@@ -84,6 +84,8 @@ def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = (
         gates: criteria of the user, see `gate_checks`.
     """
     checks = (*_checks(solution, extraction), *gates)
+    for check in _diagnosis(solution):  # a wrong description comes before what it seems to lack
+        return Verdict("FAIL", check.why, check.next_step, checks)
     levels: tuple[tuple[Outcome, Level], ...] = (("short", "NOT ENOUGH"), ("bad", "FAIL"))
     for outcome, level in levels:
         for check in checks:
@@ -115,6 +117,7 @@ def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = (
 
 def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _stations(extraction)
+    yield from _diagnosis(solution)
     yield from hidden(solution)
     yield from _motion(solution)
     if not extraction.observations:
@@ -144,6 +147,22 @@ def _stations(extraction: Extraction) -> Check:
         "good" if have >= MIN_STATIONS else "short",
         f"The board is in both images at {have} stations only (limit {MIN_STATIONS}, recommended 12).",
         "Record again with more stops where both cameras see the whole board.",
+    )
+
+
+def _diagnosis(solution: Solution) -> Iterator[Check]:
+    found = solution.diagnosis
+    if found is None:
+        return
+    shares = (found.error_share, found.corrected_share)
+    before, after = ("no solution" if share is None else f"{100 * share:.2g} %" for share in shares)
+    yield Check(
+        "robot description",
+        f"{found.cause}: point error {before} of the distance to the board, {after} when corrected",
+        "no mistake found",
+        "bad",
+        f"The recording does not fit the robot's description: {found.cause}.",
+        f"{found.cure[0].upper()}{found.cure[1:]}.",
     )
 
 

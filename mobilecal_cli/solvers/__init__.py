@@ -1,7 +1,7 @@
-"""Estimate the nine parameters: the iterative linear method, its refinements, and maximum likelihood."""
+"""Solvers: the iterative linear method, its refinements, maximum likelihood, and the evaluation of a calibration."""
 
-from mobilecal_cli.solvers.asked import Asked, asked_of
+from mobilecal_cli.solvers.constraints import Constraints, constraints_of
 from mobilecal_cli.solvers.evaluate import clock_offsets, evaluate
 from mobilecal_cli.solvers.solve import solve
 
-__all__ = ["Asked", "asked_of", "clock_offsets", "evaluate", "solve"]
+__all__ = ["Constraints", "clock_offsets", "constraints_of", "evaluate", "solve"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.problem import problem_of
+from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
 from mobilecal_cli.model import (
     Drift,
     Evaluation,
@@ -20,9 +20,8 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.carry import camera_motion
-from mobilecal_cli.solvers.loops import Loops, closed_loops
 from mobilecal_cli.solvers.residuals import dead_reckoned, residuals_of
+from mobilecal_cli.solvers.transfer import camera_motion
 
 #: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
 _LEAST_M, _LEAST_RAD = 0.2, 0.35
@@ -33,8 +32,8 @@ _CLOCKS = ("joints", "wheels")
 
 def clock_offsets(solution: Solution) -> dict[str, float]:
     """Estimated clock offset of "joints" and "wheels" against the images, s; empty if not estimated."""
-    names = [name for name in _CLOCKS if f"time_{name}" in solution.extras]
-    return {name: solution.extras[f"time_{name}"][0] for name in names}
+    names = [name for name in _CLOCKS if f"time_{name}" in solution.constants]
+    return {name: solution.constants[f"time_{name}"][0] for name in names}
 
 
 def evaluate(
@@ -56,41 +55,40 @@ def evaluate(
             the calibration under test; its own wheels by default.
     """
     offsets = dict(offsets_s or {})
-    loops = _at_offsets(extraction, offsets)
-    i, j = loops.legs.T
+    pairs = _at_offsets(extraction, offsets)
+    i, j = pairs.legs.T
     o = extraction.observations
-    seen = loops.T_c_k[i] @ se3.inverse(loops.T_c_k[j])
-    apart = se3.inverse(seen) @ camera_motion(loops, parameters)
+    seen = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
+    apart = se3.inverse(seen) @ camera_motion(pairs, parameters)
     reference = reference or parameters.wheels
-    path, turned = _covered(loops, reference)
+    path, turned = _covered(pairs, reference)
     return Evaluation(
         stations=len(o),
-        legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in loops.legs.tolist()]),
-        reprojection_px=residuals_of(extraction, loops, parameters).leg_reprojection_px,
+        legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in pairs.legs.tolist()]),
+        reprojection_px=residuals_of(extraction, pairs, parameters).leg_reprojection_px,
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
         driven_m=float(path.sum()),
         turned_rad=float(turned.sum()),
-        before=_drift(loops, parameters, before, reference) if before is not None else None,
-        after=_drift(loops, parameters, parameters.wheels, reference),
+        before=_drift(pairs, parameters, before, reference) if before is not None else None,
+        after=_drift(pairs, parameters, parameters.wheels, reference),
         clock_offsets_s=offsets,
     )
 
 
-def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> Loops:
-    """The closed loops with joints and wheels read at the corrected time stamps."""
-    loops = closed_loops(extraction)
+def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> MotionPairs:
+    """The motion pairs with joints and wheels read at the corrected time stamps."""
+    data = dataset_of(extraction)
     if not offsets_s:
-        return loops
-    problem = problem_of(extraction)
-    joints = problem.joints + problem.joint_shift(offsets_s.get("joints", 0.0))
-    steps = problem.steps(offsets_s.get("wheels", 0.0))
-    return replace(loops, T_v_h=head_pose(problem.chain, joints), steps=steps)
+        return data.pairs
+    joints = data.joints + data.joint_shift(offsets_s.get("joints", 0.0))
+    steps = data.steps(offsets_s.get("wheels", 0.0))
+    return replace(data.pairs, T_v_h=head_pose(data.chain, joints), steps=steps)
 
 
-def _covered(loops: Loops, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
+def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
     """(L,) path length, m, and (L,) absolute rotation, rad, of each leg."""
-    steps = loops.steps
+    steps = pairs.steps
     path_m = (wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
     turn_rad = (
         wheels.radius_right_m * steps.right_rad - wheels.radius_left_m * steps.left_rad
@@ -98,17 +96,19 @@ def _covered(loops: Loops, wheels: WheelGeometry) -> tuple[FloatArray, FloatArra
     return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
 
 
-def _drift(loops: Loops, parameters: Parameters, wheels: WheelGeometry, reference: WheelGeometry) -> Drift:
+def _drift(
+    pairs: MotionPairs, parameters: Parameters, wheels: WheelGeometry, reference: WheelGeometry
+) -> Drift:
     """Error of dead reckoning with some wheels against the base poses that the board gives.
 
     Path and rotation do not depend on these wheels but on the reference, so that drifts can be compared.
     """
-    reckoned = dead_reckoned(loops, Parameters(parameters.T_h_c, wheels))
-    T_k_v = se3.inverse(loops.T_v_h @ parameters.T_h_c @ loops.T_c_k)
-    path, turned = _covered(loops, reference)
+    reckoned = dead_reckoned(pairs, Parameters(parameters.T_h_c, wheels))
+    T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
+    path, turned = _covered(pairs, reference)
     place_m, heading_rad, path_m, turned_rad = [], [], [], []
-    for legs in _logs(loops):
-        stations = np.concatenate([loops.legs[legs, 0], loops.legs[legs[-1:], 1]])
+    for legs in _logs(pairs):
+        stations = np.concatenate([pairs.legs[legs, 0], pairs.legs[legs[-1:], 1]])
         covered = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
         kept = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_STATIONS)).astype(int))
         first, second = (kept[index] for index in np.triu_indices(len(kept), 1))
@@ -124,9 +124,9 @@ def _drift(loops: Loops, parameters: Parameters, wheels: WheelGeometry, referenc
     )
 
 
-def _logs(loops: Loops) -> list[IntArray]:
+def _logs(pairs: MotionPairs) -> list[IntArray]:
     """Indices of the legs of each log."""
-    return [np.flatnonzero(loops.chain == first) for first in np.unique(loops.chain)]
+    return [np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)]
 
 
 def _heading(T: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Findings of a fit for the report: evidence, scale check, jackknife, spread between recordings, suggestions."""
+"""Findings of a fit for the report: scale check, jackknife, spread between recordings."""
 
 from __future__ import annotations
 
@@ -7,29 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.likelihood.between import weigh_logs
-from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.problem import moved
-from mobilecal_cli.likelihood.suggest import suggestions
-from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck, Suggestion
+from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck
 from mobilecal_cli.solvers.fit import Fit
 
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
-def evidence_of(fit: Fit) -> tuple[Evidence, ...]:
-    """Evidence for every group of additional parameters."""
-    optimum = fit.optimum
-    prior, _, _ = fit.ties.prior_terms(fit.problem, optimum.state)
-    found = evidence(
-        fit.problem, optimum.state, fit.selection, fit.noise, optimum.leg_covariance, prior, optimum.basis
-    )
-    return tuple(found)
-
-
 def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck | None:
     """Consistency of square size and stereo baseline; None if no square size is stated or it is unobservable."""
     square_m = extraction.board.square_m
-    ratio = next((e for e in found if e.group == "square_scale" and e.state != "hidden"), None)
+    ratio = next((e for e in found if e.group == "square_scale" and e.state != "unobservable"), None)
     if square_m is None or ratio is None:
         return None
     value, std = ratio.values["square_scale"]
@@ -41,47 +28,21 @@ def jackknife_std(fit: Fit) -> FloatArray:
 
     The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
     is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
-    that with true noise levels the expected value is the covariance itself.
+    that with true noise levels the expected value is the covariance itself. The prior variance of unobservable
+    directions is added: residuals do not show it.
     """
-    spread = sum(np.diag(influence.spread)[:9] for influence in fit.influences())
-    return np.asarray(np.sqrt(spread))
+    spread = sum(np.diag(influence.spread)[:9] for influence in fit.lin.influences)
+    return np.asarray(np.sqrt(spread + np.sum(fit.lin.considered[:9] ** 2, axis=1)))
 
 
 def over_logs(fit: Fit) -> Fit:
     """The fit with the spread between recordings included; unchanged for a single recording."""
-    problem, state = fit.problem, fit.optimum.state
-    if len(np.unique(problem.log)) < 2:
+    lin = fit.lin
+    if len(np.unique(lin.data.log)) < 2:
         return fit
-    prior, _, _ = fit.ties.prior_terms(problem, state)
-    named = problem.layout.named
-    pooled = weigh_logs(
-        problem,
-        state,
-        fit.selection,
-        fit.noise,
-        fit.optimum.leg_covariance,
-        fit.ties.scales,
-        fit.ties.named_basis(),
-        prior[:named],
-    )
+    pooled = weigh_logs(lin)
     if np.any(pooled.step):
-        S = fit.optimum.system.S
+        named, S = lin.data.layout.named, lin.normal.S
         boards = -np.linalg.solve(S[named:, named:], S[named:, :named] @ pooled.step)
-        step = np.concatenate([pooled.step, boards])
-        state = moved(problem, state, step, *fit.optimum.system.back(step))
-    return replace(
-        fit, optimum=replace(fit.optimum, state=state), between=pooled.between, over_logs=pooled.covariance
-    )
-
-
-def suggestions_of(fit: Fit) -> tuple[Suggestion, ...]:
-    """Suggested next stops."""
-    return suggestions(
-        fit.problem,
-        fit.optimum.state,
-        fit.noise,
-        fit.optimum.system,
-        fit.covariance,
-        fit.held,
-        fit.ties.scales,
-    )
+        lin = lin.after(lin.normal.step(np.concatenate([pooled.step, boards])))
+    return replace(fit, lin=lin, between=pooled.between, pooled_covariance=pooled.covariance)

@@ -1,4 +1,4 @@
-"""Robust maximum-likelihood estimate from all measurements, with noise levels from the residuals."""
+"""Maximum-likelihood estimate from all measurements: robust, with noise levels from the residuals."""
 
 from __future__ import annotations
 
@@ -9,96 +9,112 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Noise, Selection
+from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.model import Extraction, Parameters
-from mobilecal_cli.solvers.asked import Asked
-from mobilecal_cli.solvers.consensus import agreed
-from mobilecal_cli.solvers.decisions import Decisions
+from mobilecal_cli.solvers.consensus import consensus
+from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.corners import gross_corners
 from mobilecal_cli.solvers.fit import FINE, Fit, Fitter
-from mobilecal_cli.solvers.placing import state_at
-from mobilecal_cli.solvers.robust import gross_corners
+from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.outliers import OutlierSearch
 
 _LOG = logging.getLogger(__name__)
 _MOST_DECISIONS = 60
 
 
 class Solver:
-    """Robust maximum-likelihood solver for one extraction."""
+    """The recipe for one extraction."""
 
     def __init__(
-        self, extraction: Extraction, asked: Asked, on_step: Callable[[], None] = lambda: None
+        self, extraction: Extraction, constraints: Constraints, on_step: Callable[[], None] = lambda: None
     ) -> None:
-        self._fitter = Fitter(extraction, asked, on_step)
-        self._decisions = Decisions(self._fitter)
-        self._pose_cov = np.stack([o.T_c_k_cov for o in extraction.observations])
+        self._fitter = Fitter(extraction, constraints, on_step)
+        self._search = OutlierSearch(self._fitter)
 
     @property
-    def plain(self) -> bool:
-        """Whether all nine parameters are observable, so that the plain linear method applies."""
-        return self._fitter.plain
+    def full_motion(self) -> bool:
+        """Whether the motion shows all nine, so that the linear method applies as it is."""
+        return self._fitter.full_motion
 
-    def linear(self) -> Parameters:
-        """Linear estimate from all legs."""
-        return self._fitter.linear()
+    def initial(self) -> Parameters:
+        """Linear parameters from all legs."""
+        return self._fitter.initial()
 
     def solve(self, start: Parameters | None = None) -> Fit:
-        """Estimate parameters, noise levels and outliers."""
-        fitter, decisions = self._fitter, self._decisions
-        problem = fitter.problem
-        rough = start or fitter.linear()
-        T_c_k = fitter.loops.T_c_k
-        plain_state = state_at(problem, rough, fitter.loops, Selection.everything(problem))
-        sound, boards, own_px = gross_corners(problem, plain_state, T_c_k)
+        """Initial fit, noise levels, outliers, and a fine fit at the end."""
+        fitter, search = self._fitter, self._search
+        data = fitter.data
+        initial = start or fitter.initial()
+        everything = Inliers.all_of(data)
+        state = initial_state(data, initial, everything)
+        corners, boards, own_px = gross_corners(data, state)
         noise = fitter.first_noise(own_px)
-        selection = replace(Selection.everything(problem), corners=sound, views=boards)
-        fit = fitter.fit(plain_state, selection, noise)
-        if not decisions.sound(fit):
-            try:
-                fit = self._by_consensus(rough, noise, selection)
-            except SolveError as error:
-                # The noise levels may be far from the assumed ones, without outliers: estimate them from all data.
-                _LOG.info("no consensus among the legs: %s", error.message)
-        fit = fitter.levelled(fit)
-        before: list[Selection] = [fit.selection]
+        inliers = replace(everything, corners=corners, views=boards)
+        fit = self._first_fit(initial, noise, inliers)
+        fit = fitter.estimate_noise(fit)
+        before: list[Inliers] = [fit.inliers]
         for _ in range(_MOST_DECISIONS):
-            again = decisions.decided(fit) or decisions.swapped(fit)
-            if again is None or any(again.selection.same(other) for other in before):
+            again = search.decided(fit) or search.swapped(fit)
+            if again is None or any(again.inliers.same(other) for other in before):
                 break
-            before.append(again.selection)
+            before.append(again.inliers)
             fit = again
-        return fitter.levelled(fit, FINE)
+        return fitter.estimate_noise(fit, FINE)
 
-    def _by_consensus(self, rough: Parameters, noise: Noise, selection: Selection) -> Fit:
-        """A fit of the consensus legs, with all measurements consistent with it restored."""
+    def _first_fit(self, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
+        """A fit of all measurements, or of those on which most legs agree if all together are implausible."""
         fitter = self._fitter
-        found = agreed(fitter.problem, fitter.loops, rough, noise, self._pose_cov, fitter.fit_few(rough))
-        louder = {
+        failure: SolveError | None = None
+        fit: Fit | None = None
+        try:
+            state = initial_state(fitter.data, initial, Inliers.all_of(fitter.data))
+            fit = fitter.fit(state, inliers, noise)
+            if self._search.plausible(fit):
+                return fit
+        except SolveError as error:
+            failure = error
+        try:
+            return self._by_consensus(initial, noise, inliers)
+        except SolveError as error:
+            # Noise far above the supposed one, and no outliers: all measurements, with noise levels to match.
+            _LOG.info("no consensus of legs: %s", error.message)
+        if fit is None:
+            assert failure is not None
+            raise failure
+        return fit
+
+    def _by_consensus(self, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
+        """A fit of the legs that agree, with all measurements restored that are consistent with it."""
+        fitter = self._fitter
+        data = fitter.data
+        found = consensus(data, initial, noise, lambda pairs: fitter.initial_of(pairs, initial))
+        inflated = {
             name: getattr(noise, name) * found.noise_factor
             for name in ("wheel_rad_per_sqrt_rad", "joint_rad")
             if name not in fitter.given
         }
-        noise = replace(noise, **louder)
+        noise = replace(noise, **inflated)
         legs = ~found.bad
-        touched = np.zeros((fitter.problem.stations, 2), dtype=np.int64)
-        for (i, j), good in zip(fitter.problem.legs, legs, strict=True):
+        touched = np.zeros((data.stations, 2), dtype=np.int64)
+        for (i, j), good in zip(data.legs, legs, strict=True):
             touched[[i, j], int(good)] += 1
         lonely = (touched[:, 0] > 0) & (touched[:, 1] == 0)
-        selection = replace(selection, legs=legs, views=selection.views & ~lonely)
-        state = state_at(fitter.problem, found.parameters, fitter.loops, selection)
-        return self._decisions.taken_back(fitter.fit(state, selection, noise))
+        inliers = replace(inliers, legs=legs, views=inliers.views & ~lonely)
+        state = initial_state(data, found.parameters, inliers)
+        return self._search.restore(fitter.fit(state, inliers, noise))
 
 
 def maximum_likelihood(
-    extraction: Extraction, asked: Asked | None = None, start: Parameters | None = None
+    extraction: Extraction, constraints: Constraints | None = None, start: Parameters | None = None
 ) -> Fit:
-    """Robust maximum-likelihood fit of all parameters.
+    """Solve for all parameters by maximum likelihood.
 
     Args:
         extraction: at least four observations.
-        asked: constraints, priors and additional parameters.
-        start: initial estimate; the linear solution by default.
+        constraints: fixed parameters, priors, and constants to estimate.
+        start: where to start; the linear solution by default.
 
     Raises:
-        SolveError: did not converge, or a parameter to be fixed has no nominal value.
+        SolveError: not converged, or an unobservable parameter without a nominal value.
     """
-    return Solver(extraction, asked or Asked()).solve(start)
+    return Solver(extraction, constraints or Constraints()).solve(start)

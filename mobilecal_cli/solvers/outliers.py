@@ -1,61 +1,209 @@
-"""Descriptions of outliers, with their times in the recording."""
+"""Which measurements are outliers: rejected and restored one by one, in long recordings a few at a time."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
-from mobilecal_cli.likelihood.views import board_in_camera
-from mobilecal_cli.model import Extraction, Outlier
-from mobilecal_cli.se3 import inverse, log
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.residual_tests import ResidualTests, limit
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.solvers.fit import LONG_RECORDING, Fit, Fitter
+from mobilecal_cli.solvers.noise import guess_worth
+
+_CONSENSUS_REDUNDANCY = 20.0  # of the noise level that the consensus legs show
+_MANY = 1e6
+_DEGREES = {"readings": 1, "legs": 3, "views": 6}
+_STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
+_FEWEST_VIEWS = 4
+# Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
+# none is mistaken for another.
+_APART = 5
+_MUCH = 4.0  # a first fit with statistics beyond this many times their limit calls for a consensus
 
 
-def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
-    """Description of each outlier of a fit, in order of time."""
-    seen, selection, state = extraction.observations, fit.selection, fit.optimum.state
-    several = len(extraction.wheels) > 1
-    begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
+class OutlierSearch:
+    """Judges fits of one extraction."""
 
-    def name(i: int) -> str:
-        return f"{seen[i].log}:{seen[i].station}" if several else str(seen[i].station)
+    def __init__(self, fitter: Fitter) -> None:
+        self._fitter = fitter
+        self._data = fitter.data
 
-    def clock(i: int) -> str:
-        return f"{(seen[i].time_ns - begin[seen[i].log]) / 1e9:.1f} s"
-
-    found: list[Outlier] = []
-    legs = fit.optimum.system.legs.residual
-    for leg in np.flatnonzero(~selection.legs):
-        i, j = (int(k) for k in fit.problem.legs[leg])
-        x, y, psi = legs[leg]
-        by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
-        text = (
-            f"Wheel slip or moved board between stations {name(i)} and {name(j)}, {clock(j)}: wheels and cameras "
-            f"differ by {by}. The odometry of this leg is excluded."
+    def _worst(self, tests: ResidualTests) -> float:
+        """Largest statistic of an inlier over its limit, for known noise levels."""
+        count = self._data.stations
+        return max(
+            float(getattr(tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+            for kind, dof in _DEGREES.items()
         )
-        found.append(Outlier("slip", seen[i].log, (i, j), seen[j].time_ns, text))
-    expected = board_in_camera(fit.problem, state)
-    for i in (int(k) for k in np.flatnonzero(~selection.views)):
-        off = log(seen[i].T_c_k @ inverse(expected[i]))
-        shift = (seen[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
-        text = (
-            f"Station {name(i)}, {clock(i)}: the board is {np.linalg.norm(shift):.0f} mm and "
-            f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
-            "predict. Its images are excluded. Check for a moved or wrong board, or wrong joint readings."
-        )
-        found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
-    left_out = fit.problem.seen & ~selection.corners
-    joints = extraction.rig.chain.joints
-    for i, j in ((int(a), int(b)) for a, b in np.argwhere(~selection.readings)):
-        text = (
-            f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by "
-            f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees. It is excluded."
-        )
-        found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
-    for i in (int(k) for k in np.flatnonzero(left_out.any(axis=(1, 2)) & selection.views)):
-        left, right = (int(n) for n in left_out[i].sum(axis=1))
-        counts = f"{left} corners of the left image and {right} of the right image"
-        text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
-        found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))
-    return tuple(sorted(found, key=lambda o: (o.log, o.time_ns)))
+
+    def plausible(self, fit: Fit) -> bool:
+        """Whether a first fit of everything, with supposed noise, shows no gross outlier."""
+        bound = 1.0 if self._fitter.given >= set(fit.components) else _MUCH
+        return self._worst(fit.lin.tests) < bound and bool(fit.inliers.views.all())
+
+    def _all_consistent(self, fit: Fit) -> bool:
+        """Whether no inlier stands out at the present noise levels."""
+        return self._worst(fit.lin.tests) < 1.0
+
+    def restore(self, fit: Fit) -> Fit:
+        """Restore measurements consistent with the inliers: legs first, as a bad station breaks both of its legs."""
+        for _ in range(2 * len(self._data.legs)):
+            out = ~fit.inliers.legs
+            if not out.any():
+                break
+            statistic = np.where(out, fit.lin.tests.predicted_legs, np.inf)
+            legs = self._consistent_legs(fit.inliers, statistic)
+            if legs is None:
+                break
+            fit = self._fitter.refit(fit, replace(fit.inliers, legs=legs))
+        for _ in range(self._data.stations):
+            again = self._restored_views(fit, _CONSENSUS_REDUNDANCY)
+            if again is None:
+                break
+            fit = self._fitter.refit(fit, again)
+        return self._fitter.fit(fit.lin.state, fit.inliers, fit.noise)
+
+    def _consistent_legs(self, inliers: Inliers, statistic: FloatArray) -> BoolArray | None:
+        """Inlier legs with consistent ones restored; None where there is none.
+
+        Along a stretch without a used image, legs agree with anything one by one, until the last of them closes the
+        stretch: only one of them is restored at a time.
+        """
+        legs, one_taken = inliers.legs.copy(), False
+        for leg in np.argsort(statistic):
+            if statistic[leg] > limit(self._data.stations, 3, _CONSENSUS_REDUNDANCY):
+                break
+            blind = not inliers.views[self._data.legs[leg]].all()
+            if not (blind and one_taken):
+                legs[leg], one_taken = True, one_taken or blind
+        return None if np.array_equal(legs, inliers.legs) else legs
+
+    def _restored_views(self, fit: Fit, redundancy: float) -> Inliers | None:
+        """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
+        inliers = fit.inliers
+        usable = np.all(inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2), axis=1)
+        out = ~inliers.views & usable
+        if not out.any():
+            return None
+        as_read, freed = fit.lin.tests.predicted_views
+        agree = out & (as_read < limit(self._data.stations, 6, redundancy))
+        if agree.any():
+            return replace(inliers, views=inliers.views | agree)
+        least = np.where(out, freed.min(axis=1), np.inf)
+        best = int(np.argmin(least))
+        if least[best] < limit(self._data.stations, 5, redundancy):
+            views, readings = inliers.views.copy(), inliers.readings.copy()
+            views[best], readings[best, int(np.argmin(freed[best]))] = True, False
+            return replace(inliers, views=views, readings=readings)
+        return None
+
+    def _candidates(self, fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
+        """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
+        tests = fit.lin.tests
+        found = []
+        for kind, dof in _DEGREES.items():
+            values = getattr(tests, kind)
+            if not values.size:
+                continue
+            usual = float(chdtri(dof, _STRIKING / values.size))
+            striking = np.argwhere(values > usual)
+            places = self._some(striking[np.argsort(-values[values > usual], kind="stable")])
+            if places:
+                found.append((float(values[places[0]]) / usual, kind, places))
+        return sorted(found, reverse=True)
+
+    def _some(self, places: IntArray) -> list[tuple[int, ...]]:
+        """The first of some places, (n, indices), that are far from one another: one, in long recordings a few."""
+        most, some = 1 + self._data.stations // LONG_RECORDING, list[tuple[int, ...]]()
+        for at in places:
+            if len(some) == most:
+                break
+            if all(abs(at[0] - other[0]) > _APART for other in some):
+                some.append(tuple(int(k) for k in at))
+        return some
+
+    def _external(self, fit: Fit, kind: str) -> FloatArray:
+        """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
+        count, tests = self._data.stations, fit.lin.tests
+        wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
+        if kind == "legs":
+            statistic = tests.predicted_legs
+            redundancy = self._known_by("wheel_rad_per_sqrt_rad", wheels.redundancy)
+        elif kind == "views":
+            statistic, _ = tests.predicted_views
+            redundancy = self._known_by("joint_rad", wheels.redundancy + joints.redundancy)
+        else:
+            statistic = tests.predicted_readings
+            redundancy = self._known_by("joint_rad", joints.redundancy)
+        return np.asarray(statistic / limit(count, _DEGREES[kind], redundancy))
+
+    def _known_by(self, level: str, redundancy: float) -> float:
+        """Number of residuals that a noise level rests on: very many where it is given."""
+        return _MANY if level in self._fitter.given else redundancy + guess_worth(redundancy)
+
+    def swapped(self, fit: Fit) -> Fit | None:
+        """A fit with a station's images restored and a leg beside it rejected instead: a slip looks like both."""
+        inliers, legs = fit.inliers, self._data.legs
+        for station in np.flatnonzero(~inliers.views):
+            beside = np.flatnonzero((legs == station).any(axis=1))
+            neighbors = np.setdiff1d(legs[beside], [station])
+            if len(beside) == 2 and inliers.legs[beside].all() and inliers.views[neighbors].all():
+                continue  # two legs from used stations agree about this one: its images are wrong
+            for slipped in beside:
+                views, driven = inliers.views.copy(), inliers.legs.copy()
+                views[station], driven[beside], driven[slipped] = True, True, False
+                without = replace(inliers, legs=driven)
+                try:
+                    trial = self._fitter.refit(fit, without)
+                    off, _ = trial.lin.tests.predicted_views
+                    if off[station] > limit(self._data.stations, 6, _CONSENSUS_REDUNDANCY):
+                        continue
+                    trial = self._fitter.refit(trial, replace(without, views=views))
+                except SolveError:
+                    continue
+                if self._all_consistent(trial):
+                    return self._fitter.estimate_noise(trial)
+        return None
+
+    def decided(self, fit: Fit) -> Fit | None:
+        """A fit with measurements restored or rejected; None where all are consistent."""
+        inliers = fit.inliers
+        wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
+        back = self._restored_views(fit, self._known_by("joint_rad", wheels.redundancy + joints.redundancy))
+        if back is not None:
+            return self._refitted(fit, back)
+        if not inliers.legs.all():
+            agreeing = self._some(np.argwhere(~inliers.legs & (self._external(fit, "legs") < 1)))
+            if agreeing:
+                return self._refitted(fit, _changed(inliers, kind="legs", places=agreeing, to=True))
+        for _, kind, places in self._candidates(fit):
+            without = _changed(inliers, kind, places, to=False)
+            if without.views.sum() < _FEWEST_VIEWS:
+                continue
+            try:
+                trial = self._refitted(fit, without)
+                beyond = self._external(trial, kind)
+                wrong = [at for at in places if beyond[at] > 1]
+                if wrong and len(wrong) < len(places):
+                    trial = self._refitted(trial, _changed(inliers, kind, wrong, to=False))
+            except SolveError:
+                continue  # the other measurements alone do not determine all parameters
+            if wrong:
+                return trial
+        return None
+
+    def _refitted(self, fit: Fit, inliers: Inliers) -> Fit:
+        """A fit of other inliers, from where an earlier one ended, with noise levels of its own."""
+        return self._fitter.estimate_noise(self._fitter.fit(fit.lin.state, inliers, fit.noise))
+
+
+def _changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:
+    """The inliers with some measurements of a kind restored or rejected."""
+    values = getattr(inliers, kind).copy()
+    for at in places:
+        values[at] = to
+    return replace(inliers, **{kind: values})

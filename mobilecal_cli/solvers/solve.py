@@ -11,10 +11,11 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.likelihood.observability import tainted
-from mobilecal_cli.likelihood.problem import head_at
+from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
+from mobilecal_cli.likelihood.legs import wheel_clock_s
+from mobilecal_cli.likelihood.state import head_at
+from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
-    NINE,
     BoolArray,
     Extraction,
     FloatArray,
@@ -26,24 +27,27 @@ from mobilecal_cli.model import (
     Solution,
     Uncertainty,
 )
-from mobilecal_cli.solvers.asked import Asked
-from mobilecal_cli.solvers.carry import point_rms_m
-from mobilecal_cli.solvers.findings import evidence_of, jackknife_std, over_logs, scale_of, suggestions_of
+from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.diagnosis import diagnose
+from mobilecal_cli.solvers.findings import jackknife_std, over_logs, scale_of
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.linear import linear_estimate, ratios_of
-from mobilecal_cli.solvers.loops import Loops, closed_loops
+from mobilecal_cli.solvers.initial import linear_estimate, ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
-from mobilecal_cli.solvers.outliers import outliers_of
+from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of
 from mobilecal_cli.solvers.signs import check_signs
+from mobilecal_cli.solvers.transfer import point_rms_m
+
+#: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
+OBSERVABLE_SHARE = 1 / 3
+# Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
+_BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 
 _LOG = logging.getLogger(__name__)
 
 
-def _motion(
-    extraction: Extraction, loops: Loops, solution_psi: FloatArray, path_m: float
-) -> dict[str, float]:
+def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[str, float]:
     chain = extraction.rig.chain
     joints = np.degrees(np.stack([o.joints for o in extraction.observations]))
     ranges = dict(zip(chain.joints, np.ptp(joints, axis=0), strict=True))
@@ -54,8 +58,8 @@ def _motion(
     }
     return {
         **motion,
-        "turned_deg": float(np.degrees(np.sum(np.abs(solution_psi)))),
-        "largest_turn_deg": float(np.degrees(np.max(np.abs(solution_psi)))),
+        "turned_deg": float(np.degrees(np.sum(np.abs(psi_rad)))),
+        "largest_turn_deg": float(np.degrees(np.max(np.abs(psi_rad)))),
         "driven_m": path_m,
     }
 
@@ -64,7 +68,7 @@ def solve(
     extraction: Extraction,
     method: Method = "ml",
     start_ratios: FloatArray | None = None,
-    asked: Asked | None = None,
+    constraints: Constraints | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Solution:
     """Solution for all nine parameters.
@@ -75,135 +79,153 @@ def solve(
         method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
             (eq. 19 by Levenberg-Marquardt).
         start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
-        asked: constraints, priors and additional parameters, for "ml" only.
+        constraints: fixed parameters, priors and additional parameters, for "ml" only.
         on_step: called before each optimization step, for "ml" only.
 
     Raises:
         SolveError: did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
             parameter has no nominal value.
     """
+    constraints = constraints or Constraints()
     try:
-        return _solved(extraction, method, start_ratios, asked or Asked(), on_step)
-    except np.linalg.LinAlgError as error:
+        solution = _solved(extraction, method, start_ratios, constraints, on_step)
+    except SolveError as error:
+        found = diagnose(extraction)
+        if found is None:
+            raise
         raise SolveError(
-            f"numerical failure in the solver: {error}",
-            "run calibrate on the recording again; if this recurs, its stations are inconsistent with one another",
+            f"the recording does not fit the robot's description: {found.cause}", found.cure
         ) from error
+    if _fits_badly(solution, extraction):
+        solution = replace(solution, diagnosis=diagnose(extraction))
+    return solution
+
+
+def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
+    distance_m = np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations])
+    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
+    return bool(
+        solution.point_rms_m > _BAD_SHARE * distance_m
+        or gross > _MANY_OUTLIERS * len(extraction.observations)
+    )
 
 
 def _solved(
     extraction: Extraction,
     method: Method,
     start_ratios: FloatArray | None,
-    asked: Asked,
+    constraints: Constraints,
     on_step: Callable[[], None],
 ) -> Solution:
-    loops = closed_loops(extraction)
+    pairs = dataset_of(extraction).pairs
     if method == "ml":
-        return _by_likelihood(extraction, loops, start_ratios, asked, on_step)
-    linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
+        return _by_likelihood(extraction, pairs, start_ratios, constraints, on_step)
+    linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
     check_signs(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
-    refinement = refiner(loops, linear.parameters) if refiner is not None else None
-    return _solution(extraction, loops, method, linear, refinement)
+    refinement = refiner(pairs, linear.parameters) if refiner is not None else None
+    return _solution(extraction, pairs, refinement or linear, linear=linear)
 
 
 def _solution(
     extraction: Extraction,
-    loops: Loops,
-    method: Method,
+    pairs: MotionPairs,
+    best: LinearEstimate | Refinement,
+    *,
     linear: LinearEstimate,
-    refinement: Refinement | None,
-    believed: BoolArray | None = None,
+    inliers: BoolArray | None = None,
 ) -> Solution:
-    best = refinement or linear
-    residuals = residuals_of(extraction, loops, best.parameters, believed)
+    residuals = residuals_of(extraction, pairs, best.parameters, inliers)
     wheels = best.parameters.wheels
-    path = (wheels.radius_right_m * loops.steps.right_rad + wheels.radius_left_m * loops.steps.left_rad) / 2
-    psi = integrate(loops.steps, wheels).psi_rad
+    path = (wheels.radius_right_m * pairs.steps.right_rad + wheels.radius_left_m * pairs.steps.left_rad) / 2
+    psi = integrate(pairs.steps, wheels).psi_rad
     return Solution(
-        method=method,
+        method=best.method if isinstance(best, Refinement) else "linear",
         parameters=best.parameters,
         linear=linear,
-        refinement=refinement,
+        refinement=best if isinstance(best, Refinement) else None,
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, loops, psi, float(np.sum(np.abs(path)))),
+        motion=_motion(extraction, psi, float(np.sum(np.abs(path)))),
     )
 
 
-def _pulled(loops: Loops, start: Parameters) -> LinearEstimate:
+def _initial_estimate(pairs: MotionPairs, initial: Parameters) -> LinearEstimate:
     """The initial estimate of a partly unobservable problem as a `LinearEstimate`."""
-    rms = point_rms_m(loops, start)
-    return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
+    rms = point_rms_m(pairs, initial)
+    return LinearEstimate(initial, (initial,), 1, rms, ratios_of(initial.wheels), "nominal", math.inf)
 
 
-def _with_extras(loops: Loops, fit: Fit) -> Loops:
-    """The loops corrected for the fit's additional parameters (time offsets, pan zero, backlash, mount)."""
-    problem, state = fit.problem, fit.optimum.state
+def _corrected(pairs: MotionPairs, fit: Fit) -> MotionPairs:
+    """The pairs with the fit's constants applied: time offsets, pan zero, backlash, mount."""
+    data, state = fit.data, fit.lin.state
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    return replace(loops, T_v_h=head_at(problem, as_read), steps=problem.steps(state.extra("time_wheels")))
+    return replace(pairs, T_v_h=head_at(data, as_read), steps=data.steps(wheel_clock_s(data, state)))
 
 
 def _by_likelihood(
     extraction: Extraction,
-    loops: Loops,
+    pairs: MotionPairs,
     start_ratios: FloatArray | None,
-    asked: Asked,
+    constraints: Constraints,
     on_step: Callable[[], None],
 ) -> Solution:
-    solver = Solver(extraction, asked, on_step)
-    if solver.plain:
-        linear = linear_estimate(loops, extraction.rig.nominal.wheels, start_ratios)
+    solver = Solver(extraction, constraints, on_step)
+    if solver.full_motion:
+        linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         check_signs(linear.parameters.wheels)
     else:
-        linear = _pulled(loops, solver.linear())  # no sign check: an unobservable scale may have any sign
+        linear = _initial_estimate(
+            pairs, solver.initial()
+        )  # no sign check: an unobservable scale may have any sign
     fit = solver.solve(linear.parameters)
-    found = evidence_of(fit)
+    found = fit.lin.evidence()
     scale = scale_of(extraction, found)
-    if scale is not None and scale.apart and "square_scale" not in asked.extras:
+    if scale is not None and scale.apart and "square_scale" not in constraints.constants:
         _LOG.info("square size and stereo baseline are inconsistent: the square size is estimated")
-        extended = replace(asked, extras=(*asked.extras, "square_scale"))
-        fit = Solver(extraction, extended, on_step).solve(linear.parameters)
-        found = evidence_of(fit)
+        more = replace(constraints, constants=(*constraints.constants, "square_scale"))
+        fit = Solver(extraction, more, on_step).solve(linear.parameters)
+        found = fit.lin.evidence()
         scale = scale_of(extraction, found)
+    suggested = suggestions(fit.lin, fit.covariance)
     fit = over_logs(fit)
-    parameters = fit.optimum.state.parameters
+    data, state = fit.data, fit.lin.state
+    parameters = state.parameters
     check_signs(parameters.wheels)
-    i, j = fit.problem.legs.T
-    believed = fit.selection.legs & fit.selection.views[i] & fit.selection.views[j]
-    if not believed.any():
-        believed[:] = True
-    explained = _with_extras(loops, fit)
-    rms = point_rms_m(explained, parameters)
+    i, j = data.legs.T
+    inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
+    if not inliers.any():
+        inliers[:] = True
+    corrected = _corrected(pairs, fit)
+    rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
-    refinement = Refinement("ml", parameters, history, rms, len(fit.optimum.history))
-    solution = _solution(extraction, explained, "ml", linear, refinement, believed)
-    names = fit.problem.layout.names[9:]
-    std = np.sqrt(np.diag(fit.covariance)[9 : fit.problem.layout.named])
+    refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
+    solution = _solution(extraction, corrected, refinement, linear=linear, inliers=inliers)
+    std = np.sqrt(np.diag(fit.covariance)[9 : data.layout.named]).tolist()
     return replace(
         solution,
-        uncertainty=uncertainty_of(fit, asked),
+        uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
-        extras={name: (fit.optimum.state.extra(name), float(s)) for name, s in zip(names, std, strict=True)},
+        constants={
+            row.name: (state.value(row.name), s) for row, s in zip(data.layout.constants, std, strict=True)
+        },
         evidence=found,
         scale=scale,
         between=fit.between,
-        suggestions=suggestions_of(fit),
+        suggestions=suggested,
     )
 
 
-def uncertainty_of(fit: Fit, asked: Asked) -> Uncertainty:
+def uncertainty_of(fit: Fit) -> Uncertainty:
     """Uncertainty of the nine parameters of a fit."""
     covariance = fit.covariance[:9, :9]
-    fixed = np.array([name in asked.fixed for name in NINE])
-    scales = fit.directions.scales[:9]
+    scales, fixed = fit.lin.priors.scales[:9], fit.lin.priors.fixed[:9]
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
-        observable=~tainted(fit.held[:, :9], scales, np.sqrt(np.diag(covariance))) & ~fixed,
-        held=fit.held[:, :9],
+        observable=(np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed,
+        unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
         singular_values=fit.directions.singular_values,
         noise=NoiseLevels(

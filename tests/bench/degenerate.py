@@ -12,7 +12,7 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers import asked_of, solve
+from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import (
     DISTURBED,
     GIVEN,
@@ -45,7 +45,9 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
         T_h_reference = robot.T_h_c @ rig.cameras.T_c_reference
         rig = replace(rig, nominal=replace(rig.nominal, T_h_reference=T_h_reference))
     try:
-        solution = solve(replace(extraction, rig=rig), asked=asked_of([fix] if fix else [], [], []))
+        solution = solve(
+            replace(extraction, rig=rig), constraints=constraints_of([fix] if fix else [], [], [])
+        )
     except SolveError:
         return np.full(9, np.nan), ("refused",)
     found = solution.uncertainty

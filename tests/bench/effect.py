@@ -98,7 +98,7 @@ def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]
         except SolveError:
             result[how] = (np.full(9, np.nan), np.nan, corner_px)
             continue
-        error = errors(fit.optimum.state.parameters, robot)
+        error = errors(fit.lin.state.parameters, robot)
         nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
         result[how] = (error, nees, corner_px)
     return result

@@ -7,24 +7,23 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
-from mobilecal_cli import se3
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.noise import Selection
-from mobilecal_cli.likelihood.problem import Problem, State, problem_of
-from mobilecal_cli.likelihood.system import terms_at
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.descent import Ties, descend, terms_before
-from mobilecal_cli.solvers.linear import linear_estimate
-from mobilecal_cli.solvers.loops import closed_loops
-from mobilecal_cli.solvers.placing import state_at
+from mobilecal_cli.solvers.initial import linear_estimate
+from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, conditions, route_of
 
 SIZES = (12, 200, 2000)
@@ -48,26 +47,28 @@ class Found:
     nine: list[float]
 
 
-def start_of(path: Path) -> tuple[Problem, State]:
+def start_of(path: Path) -> tuple[Dataset, State]:
     """The problem and the linear start, the same for all solvers."""
     extraction = extraction_from_npz(path)
-    problem, loops = problem_of(extraction), closed_loops(extraction)
-    parameters = linear_estimate(loops, extraction.rig.nominal.wheels).parameters
-    return problem, state_at(problem, parameters, loops, Selection.everything(problem))
+    data = dataset_of(extraction)
+    parameters = linear_estimate(data.pairs, extraction.rig.nominal.wheels).parameters
+    return data, initial_state(data, parameters, Inliers.all_of(data))
+
+
+def likelihood_at(data: Dataset, state: State) -> Linearization:
+    """The likelihood of all measurements, without priors."""
+    priors = Priors.none(data.layout, state.parameters)
+    return Linearization.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
 
 
 def vector(state: State) -> np.ndarray:
     """(9,) rotation vector, translation and wheels."""
-    X, wheels = state.parameters.T_h_c, state.parameters.wheels
-    sizes = [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
-    return np.concatenate([se3.log_so3(X[:3, :3]), X[:3, 3], sizes])
+    return state.parameters.vector
 
 
-def by_mobilecal(problem: Problem, start: State) -> tuple[State, float]:
+def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     """The optimizer of mobilecal, which needs no callbacks."""
-    nine = np.zeros(9)
-    ties = Ties(start.parameters, np.zeros((0, 9)), np.zeros(0), np.ones(9), nine, nine)
-    return descend(terms_before(problem, start, Selection.everything(problem), TRUE_NOISE), ties).state, 0.0
+    return optimize(likelihood_at(data, start)).lin.state, 0.0
 
 
 def _kernel_mb(name: str) -> float:
@@ -83,15 +84,14 @@ def one(solver: str, path: Path) -> None:
         from tests.bench.established_ceres import by_ceres as solve
     elif solver == "gtsam":
         from tests.bench.established_gtsam import by_gtsam as solve
-    problem, start = start_of(path)
+    data, start = start_of(path)
     Path("/proc/self/clear_refs").write_text("5")  # forget the peak that making the start had
     before = _kernel_mb("VmRSS")
     began = time.perf_counter()
-    end, callbacks = solve(problem, start)
+    end, callbacks = solve(data, start)
     seconds = time.perf_counter() - began
     memory = _kernel_mb("VmHWM") - before
-    covariance = leg_covariance(problem, start.parameters.wheels, TRUE_NOISE)
-    cost = terms_at(problem, end, Selection.everything(problem), TRUE_NOISE, covariance).cost
+    cost = replace(likelihood_at(data, start), state=end).cost
     found = {
         "seconds": seconds,
         "callbacks": callbacks,

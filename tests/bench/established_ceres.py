@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pyceres
 
-from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.state import State
 from tests.bench.established_terms import Terms
 
 
@@ -25,12 +26,12 @@ class _Cost(pyceres.CostFunction):  # type: ignore[misc]
         return True
 
 
-def by_ceres(problem: Problem, start: State) -> tuple[State, float]:
+def by_ceres(data: Dataset, start: State) -> tuple[State, float]:
     """Final state, and seconds in callbacks.
 
     Sparse Cholesky factors of the whole, one thread: as fast as its Schur complements here, and smaller.
     """
-    terms = Terms(problem, start)
+    terms = Terms(data, start)
     at = terms.first()
     ceres, costs = pyceres.Problem(), []
 
@@ -39,9 +40,9 @@ def by_ceres(problem: Problem, start: State) -> tuple[State, float]:
         ceres.add_residual_block(costs[-1], None, blocks)
 
     for station, (base, error) in enumerate(zip(at.bases, at.errors, strict=True)):
-        add(terms.views, station, 4 * len(problem.points_k), [at.head_eye, at.board, base, error])
+        add(terms.views, station, 4 * len(data.points_k), [at.head_eye, at.board, base, error])
         add(terms.reading, station, terms.joints, [error])
-    for leg, (i, j) in enumerate(problem.legs):
+    for leg, (i, j) in enumerate(data.legs):
         add(terms.leg, leg, 3, [at.bases[i], at.bases[j], at.wheels])
     ceres.set_parameter_block_constant(at.bases[0])
     options = pyceres.SolverOptions()

@@ -6,15 +6,16 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, E
 
-from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.state import State
 from tests.bench.established_terms import Terms, Unknowns
 
 _X, _K, _W = (gtsam.symbol(letter, 0) for letter in "xkw")  # head-eye, board, wheels
 
 
-def by_gtsam(problem: Problem, start: State) -> tuple[State, float]:
+def by_gtsam(data: Dataset, start: State) -> tuple[State, float]:
     """Final state, and seconds in callbacks: Levenberg-Marquardt, stations in their order and then what they share."""
-    terms = Terms(problem, start)
+    terms = Terms(data, start)
     at = terms.first()
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
     for key, vector in ((_X, at.head_eye), (_K, at.board), (_W, at.wheels)):
@@ -38,13 +39,13 @@ def by_gtsam(problem: Problem, start: State) -> tuple[State, float]:
         unit = gtsam.noiseModel.Unit.Create(residuals)
         graph.add(gtsam.CustomFactor(unit, [keys[place] for place in free], whitened))
 
-    for station in range(problem.stations):
-        add(terms.views, station, 4 * len(problem.points_k), [_X, _K, B(station), E(station)])
+    for station in range(data.stations):
+        add(terms.views, station, 4 * len(data.points_k), [_X, _K, B(station), E(station)])
         add(terms.reading, station, terms.joints, [E(station)])
-    for leg, (i, j) in enumerate(problem.legs):
+    for leg, (i, j) in enumerate(data.legs):
         add(terms.leg, leg, 3, [B(i), B(j), _W])
     ordering = gtsam.Ordering()
-    for station in range(problem.stations):
+    for station in range(data.stations):
         ordering.push_back(E(station))
         if station:
             ordering.push_back(B(station))
@@ -55,7 +56,7 @@ def by_gtsam(problem: Problem, start: State) -> tuple[State, float]:
     parameters.setRelativeErrorTol(1e-14)
     parameters.setAbsoluteErrorTol(1e-14)
     end = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    bases = [at.bases[0], *(end.atVector(B(station)) for station in range(1, problem.stations))]
-    errors = [end.atVector(E(station)) for station in range(problem.stations)]
+    bases = [at.bases[0], *(end.atVector(B(station)) for station in range(1, data.stations))]
+    errors = [end.atVector(E(station)) for station in range(data.stations)]
     shared = (np.asarray(end.atVector(key)) for key in (_X, _K, _W))
     return terms.state(Unknowns(*shared, bases, errors)), terms.seconds

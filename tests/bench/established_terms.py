@@ -16,8 +16,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import Arcs, head_jacobian, head_pose
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.problem import Problem, State
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, WheelGeometry
 from tests.bench.simulated import TRUE_NOISE
 
@@ -66,14 +67,14 @@ class Terms:
         seconds: What all calls so far have taken.
     """
 
-    def __init__(self, problem: Problem, start: State) -> None:
+    def __init__(self, data: Dataset, start: State) -> None:
         self.seconds = 0.0
-        self.problem, self.start = problem, start
+        self.data, self.start = data, start
         self.R_X0, self.board0 = start.parameters.T_h_c[:3, :3], start.T_w_k[0]
-        self.joints = problem.joints.shape[1]
-        covariance = leg_covariance(problem, start.parameters.wheels, TRUE_NOISE)
+        self.joints = data.joints.shape[1]
+        covariance = leg_covariance(data, start.parameters.wheels, TRUE_NOISE)
         roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance)), 1, 2)
-        steps = problem.steps()
+        steps = data.steps()
         ends = np.searchsorted(steps.leg, np.arange(steps.legs + 1))
         self._legs = []
         for leg, root in enumerate(roots):
@@ -86,7 +87,7 @@ class Terms:
                 legs=1,
             )
             self._legs.append((alone, root))
-        self._T_r_c = se3.inverse(problem.cameras.T_c_r)
+        self._T_r_c = se3.inverse(data.cameras.T_c_r)
 
     def first(self) -> Unknowns:
         """The unknowns at the start."""
@@ -123,19 +124,19 @@ class Terms:
         error: FloatArray,
     ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
         """(4 M,) of a station's two pictures; on request, derivatives by head-eye, board, base and joint errors."""
-        problem = self.problem
-        rig, joints = problem.cameras, problem.joints[station] + error
+        data = self.data
+        rig, joints = data.cameras, data.joints[station] + error
         R_X = se3.exp_so3(head_eye[:3]) @ self.R_X0
-        turned = problem.points_k @ se3.exp_so3(board[:3]).T
+        turned = data.points_k @ se3.exp_so3(board[:3]).T
         p_w = (turned + board[3:]) @ self.board0[:3, :3].T + self.board0[:3, 3]
         Rz = se3.rotation_z(base[2])
         p_v = (p_w - [base[0], base[1], 0.0]) @ Rz
-        H = head_pose(problem.chain, joints)
+        H = head_pose(data.chain, joints)
         p_h = (p_v - H[:3, 3]) @ H[:3, :3]
         p_c = (p_h - head_eye[3:]) @ R_X
         at_left, J_left = project_with_jacobian(rig.left, p_c)
         at_right, J_right = project_with_jacobian(rig.right, se3.act(self._T_r_c, p_c))
-        W, seen = problem.whitening[station] / TRUE_NOISE.pixel_px, problem.pixels[station]
+        W, seen = data.whitening[station] / TRUE_NOISE.pixel_px, data.pixels[station]
         off = np.stack([at_left - seen[0], at_right - seen[1]])
         residual = (W @ off[..., None]).ravel()
         if not derivatives:
@@ -148,7 +149,7 @@ class Terms:
         by_X = np.cross(J_h, (p_h - head_eye[3:])[:, None, :]) @ se3.left_jacobian_so3(head_eye[:3])
         by_board = np.cross(turned[:, None, :], J_b) @ se3.left_jacobian_so3(board[:3])
         by_heading = -J_v @ np.cross(_Z, p_v)[:, :, None]
-        J_q = head_jacobian(problem.chain, joints)
+        J_q = head_jacobian(data.chain, joints)
         shift = np.cross(J_q[:3].T[None], p_h[:, None, :]) + J_q[3:].T  # (M, J, 3)
         blocks = (
             np.concatenate([by_X, -J_h], axis=-1),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Selection
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import KnownNoise, Method
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
@@ -43,9 +43,9 @@ def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool
         except SolveError:
             result[name] = _NOTHING
             continue
-        error = errors(fit.optimum.state.parameters, robot)
+        error = errors(fit.lin.state.parameters, robot)
         nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
-        result[name] = (error, nees, not fit.selection.same(Selection.everything(fit.problem)))
+        result[name] = (error, nees, not fit.inliers.same(Inliers.all_of(fit.data)))
     methods: tuple[Method, ...] = ("linear",) if seed % _PAPER_EVERY else ("linear", "paper")
     for method in methods:
         try:

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Selection
-from mobilecal_cli.likelihood.problem import problem_of
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
@@ -35,7 +35,7 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
     robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
     sound = ideal.ideal_extraction(robot, route, DISTURBED, seed)
     extraction, bad, slip = spoiled(sound, route, np.random.default_rng(seed))
-    good = Selection.everything(problem_of(sound))
+    good = Inliers.all_of(dataset_of(sound))
     views, legs = good.views.copy(), good.legs.copy()
     views[bad], legs[slip] = False, False
     bound = np.linalg.inv(information_of(robot, route, replace(good, views=views, legs=legs)))[:9, :9]
@@ -45,13 +45,13 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
     except SolveError:
         return np.full(9, np.nan), np.sqrt(np.diag(bound)), np.nan, "refused", time.perf_counter() - start
     seconds = time.perf_counter() - start
-    error = errors(fit.optimum.state.parameters, robot)
+    error = errors(fit.lin.state.parameters, robot)
     nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
     same_views, same_legs = (
-        np.array_equal(fit.selection.views, views),
-        np.array_equal(fit.selection.legs, legs),
+        np.array_equal(fit.inliers.views, views),
+        np.array_equal(fit.inliers.legs, legs),
     )
-    all_bad = not fit.selection.views[bad].any()
+    all_bad = not fit.inliers.views[bad].any()
     found = (
         "exactly these"
         if same_views and same_legs

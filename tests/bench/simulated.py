@@ -22,17 +22,16 @@ import scipy  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
 from mobilecal_cli import __version__, se3  # noqa: E402
-from mobilecal_cli.likelihood.legs import leg_covariance  # noqa: E402
-from mobilecal_cli.likelihood.noise import Noise, Selection  # noqa: E402
-from mobilecal_cli.likelihood.problem import problem_of  # noqa: E402
-from mobilecal_cli.likelihood.system import linearize  # noqa: E402
+from mobilecal_cli.likelihood.dataset import dataset_of  # noqa: E402
+from mobilecal_cli.likelihood.linearization import Linearization  # noqa: E402
+from mobilecal_cli.likelihood.noise import Inliers, Noise  # noqa: E402
+from mobilecal_cli.likelihood.priors import Priors  # noqa: E402
 from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack  # noqa: E402
 from mobilecal_cli.simulate import ideal  # noqa: E402
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot  # noqa: E402
 from mobilecal_cli.simulate.route import Motion, Route, plan_route  # noqa: E402
 from mobilecal_cli.simulate.stereo import pixels  # noqa: E402
-from mobilecal_cli.solvers.loops import closed_loops  # noqa: E402
-from mobilecal_cli.solvers.placing import state_at  # noqa: E402
+from mobilecal_cli.solvers.initial_state import initial_state  # noqa: E402
 from mobilecal_cli.vision import Miss, board_pose, triangulate  # noqa: E402
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
@@ -75,14 +74,13 @@ def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
     return np.concatenate([turn, found.T_h_c[:3, 3] - X[:3, 3], wheels])
 
 
-def information_of(robot: SimulatedRobot, route: Route, believed: Selection | None = None) -> FloatArray:
+def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:
     """(P, P) Fisher information about the shared numbers at the truth, from readings without any noise."""
     extraction = ideal.ideal_extraction(robot, route)
-    problem = problem_of(extraction)
-    everything = Selection.everything(problem)
-    truth = state_at(problem, Parameters(robot.T_h_c, robot.wheels), closed_loops(extraction), everything)
-    covariance = leg_covariance(problem, robot.wheels, TRUE_NOISE)
-    return linearize(problem, truth, believed or everything, TRUE_NOISE, covariance).S
+    data, true = dataset_of(extraction), Parameters(robot.T_h_c, robot.wheels)
+    everything = Inliers.all_of(data)
+    state, priors = initial_state(data, true, everything), Priors.none(data.layout, true)
+    return Linearization.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S
 
 
 @cache

@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.noise import Selection
-from mobilecal_cli.likelihood.problem import problem_of
-from mobilecal_cli.likelihood.system import terms_at
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.loops import closed_loops
-from mobilecal_cli.solvers.placing import state_at
+from mobilecal_cli.solvers.initial_state import initial_state
+from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
-from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
+from tests.bench.simulated import DISTURBED, route_of
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +21,10 @@ def case():
     """Terms at a start, and all unknowns a little away from it."""
     robot = paper_robot()
     extraction = ideal_extraction(robot, route_of(5, 0), DISTURBED, 0)
-    problem = problem_of(extraction)
+    data = dataset_of(extraction)
     parameters = Parameters(robot.T_h_c, robot.wheels)
-    start = state_at(problem, parameters, closed_loops(extraction), Selection.everything(problem))
-    terms = Terms(problem, start)
+    start = initial_state(data, parameters, Inliers.all_of(data))
+    terms = Terms(data, start)
     random = np.random.default_rng(0)
     first = terms.first()
     near = replace(
@@ -44,19 +42,15 @@ def all_terms(terms, at):
     for station, (base, error) in enumerate(zip(at.bases, at.errors, strict=True)):
         yield terms.views, station, [at.head_eye, at.board, base, error]
         yield terms.reading, station, [error]
-    for leg, (i, j) in enumerate(terms.problem.legs):
+    for leg, (i, j) in enumerate(terms.data.legs):
         yield terms.leg, leg, [at.bases[i], at.bases[j], at.wheels]
 
 
 def test_the_sum_of_squares_is_the_products(case):
     terms, at = case
     total = sum(np.sum(term(False, number, *blocks)[0] ** 2) for term, number, blocks in all_terms(terms, at))
-    problem = terms.problem
-    covariance = leg_covariance(problem, terms.start.parameters.wheels, TRUE_NOISE)
-    everything = Selection.everything(problem)
-    assert terms_at(problem, terms.state(at), everything, TRUE_NOISE, covariance).cost == pytest.approx(
-        total, rel=1e-11
-    )
+    ours = replace(likelihood_at(terms.data, terms.start), state=terms.state(at)).cost
+    assert ours == pytest.approx(total, rel=1e-11)
 
 
 def test_derivatives_against_differences(case):

@@ -162,7 +162,7 @@ def test_fixed_prior_and_more_numbers(first, workplace):
     params = load(workplace / "asked/params.yaml")
     assert params["wheels"]["separation_m"] == 0.5
     assert params["uncertainty"]["observable"]["separation"] is False
-    assert params["uncertainty"]["std"]["separation"] is None
+    assert params["uncertainty"]["std"]["separation"] == 0
     assert params["uncertainty"]["std"]["radius_left"] < 0.00011
     report = json.loads((workplace / "asked/report.json").read_text())
     assert set(report["additional_parameters"]) >= {"pan_zero", "mount_x", "mount_y"}

@@ -304,7 +304,7 @@ def test_the_table_against_its_golden_copy(extraction, solution):
 def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
     solved = solve(extraction)
     moving = dataclasses.replace(
-        solved, extras={"time_joints": (0.00321, 5e-5), "time_wheels": (-0.0012, 2e-7)}
+        solved, constants={"time_joints": (0.00321, 5e-5), "time_wheels": (-0.0012, 2e-7)}
     )
     table = summary_table(moving, extraction)
     assert "Cameras to joints                    3.210 ± 0.050 ms" in table

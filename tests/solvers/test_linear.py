@@ -9,18 +9,18 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
+from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import WheelGeometry
-from mobilecal_cli.solvers.linear import linear_estimate
-from mobilecal_cli.solvers.loops import Loops
+from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.signs import check_signs
-from tests.solvers.world import WHEELS, make_loops, relative_errors
+from tests.solvers.world import WHEELS, make_pairs, relative_errors
 
 EXACT = 1e-9
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_exact_data_without_nominal_wheels(seed):
-    estimate = linear_estimate(make_loops(seed))
+    estimate = linear_estimate(make_pairs(seed))
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
     assert estimate.point_rms_m < 1e-12
     assert estimate.rounds_to_tolerance <= 3
@@ -33,7 +33,7 @@ def test_nominal_wheels_ten_percent_off(factor):
         WHEELS.radius_right_m * factor, WHEELS.radius_left_m, WHEELS.separation_m / factor
     )
     for long_way_round in (False, True):
-        estimate = linear_estimate(make_loops(1, long_way_round=long_way_round), nominal)
+        estimate = linear_estimate(make_pairs(1, long_way_round=long_way_round), nominal)
         assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
         assert estimate.start_from == "nominal"
 
@@ -41,18 +41,18 @@ def test_nominal_wheels_ten_percent_off(factor):
 @pytest.mark.parametrize("start", [(0.0, 0.0), (5.0, -5.0), (-0.44, 0.45), (0.01, -0.01), (0.45, 0.45)])
 @pytest.mark.parametrize("long_way_round", [False, True])
 def test_from_any_start(start, long_way_round):
-    loops = make_loops(2, long_way_round=long_way_round)
-    estimate = linear_estimate(loops, given=np.array(start))
+    pairs = make_pairs(2, long_way_round=long_way_round)
+    estimate = linear_estimate(pairs, given=np.array(start))
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_legs_that_turn_by_up_to_three_hundred_degrees_and_more(seed):
-    loops = make_loops(seed, long_way_round=True)
-    right, left = loops.steps.totals_rad.T
+    pairs = make_pairs(seed, long_way_round=True)
+    right, left = pairs.steps.totals_rad.T
     turns = (WHEELS.radius_right_m * right - WHEELS.radius_left_m * left) / WHEELS.separation_m
     assert np.degrees(np.abs(turns)).max() > 290
-    estimate = linear_estimate(loops)
+    estimate = linear_estimate(pairs)
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
     assert estimate.rival_point_rms_m > 0.1  # the wrongly unwrapped answers are far worse, and told so
 
@@ -60,16 +60,16 @@ def test_legs_that_turn_by_up_to_three_hundred_degrees_and_more(seed):
 # A start eleven times too large, (5, -5), unwraps wrongly on its own: it needs the grid, as the test above shows.
 @pytest.mark.parametrize("start", [(0.0, 0.0), (0.01, -0.01), (-0.44, 0.45), (1.0, -1.0)])
 def test_the_bare_iteration_needs_no_grid_when_legs_turn_little(start, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.solvers.linear.grid_of_starts", list)
-    monkeypatch.setattr("mobilecal_cli.solvers.linear._scouted", lambda loops, starts: [])
-    estimate = linear_estimate(make_loops(3), given=np.array(start))
+    monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", list)
+    monkeypatch.setattr("mobilecal_cli.solvers.initial._scouted", lambda pairs, starts: [])
+    estimate = linear_estimate(make_pairs(3), given=np.array(start))
     assert estimate.start_from == "given"
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
 
 
 def test_several_logs_join_no_leg_between_them():
-    one, two = make_loops(0, stations=7), make_loops(5, stations=6)
-    both = Loops(
+    one, two = make_pairs(0, stations=7), make_pairs(5, stations=6)
+    both = MotionPairs(
         np.concatenate([one.T_v_h, two.T_v_h]),
         np.concatenate([one.T_c_k, two.T_c_k]),
         np.concatenate([one.points_c, two.points_c]),
@@ -86,21 +86,21 @@ def test_several_logs_join_no_leg_between_them():
 
 
 def test_the_boards_frame_does_not_matter():
-    loops = make_loops(4)
+    pairs = make_pairs(4)
     random = np.random.default_rng(0)
     turned = np.linalg.qr(random.normal(size=(3, 3)))[0]
     turned *= np.sign(np.linalg.det(turned))
     T_k_other = np.eye(4)
     T_k_other[:3, :3], T_k_other[:3, 3] = turned, random.normal(size=3)
-    estimate = linear_estimate(replace(loops, T_c_k=loops.T_c_k @ T_k_other))
+    estimate = linear_estimate(replace(pairs, T_c_k=pairs.T_c_k @ T_k_other))
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
 
 
-def changed_wheels(loops, right_sign=1, left_sign=1, swapped=False):
-    right, left = right_sign * loops.steps.right_rad, left_sign * loops.steps.left_rad
+def changed_wheels(pairs, right_sign=1, left_sign=1, swapped=False):
+    right, left = right_sign * pairs.steps.right_rad, left_sign * pairs.steps.left_rad
     if swapped:
         right, left = left, right
-    return replace(loops, steps=Increments(right, left, loops.steps.leg, loops.steps.legs))
+    return replace(pairs, steps=Increments(right, left, pairs.steps.leg, pairs.steps.legs))
 
 
 @pytest.mark.parametrize(
@@ -118,8 +118,8 @@ def changed_wheels(loops, right_sign=1, left_sign=1, swapped=False):
 )
 @pytest.mark.parametrize("noise", [0.0, 0.2])
 def test_wrong_encoders_are_named(change, words, cure, noise):
-    loops = changed_wheels(make_loops(0, pixel_px=noise), **change)
-    estimate = linear_estimate(loops, WHEELS)
+    pairs = changed_wheels(make_pairs(0, pixel_px=noise), **change)
+    estimate = linear_estimate(pairs, WHEELS)
     with pytest.raises(SolveError) as caught:
         check_signs(estimate.parameters.wheels)
     assert words in caught.value.message
@@ -127,11 +127,11 @@ def test_wrong_encoders_are_named(change, words, cure, noise):
 
 
 def test_right_encoders_pass():
-    check_signs(linear_estimate(make_loops(0)).parameters.wheels)
+    check_signs(linear_estimate(make_pairs(0)).parameters.wheels)
 
 
 def test_history_tells_the_paper_rounds_and_the_fixed_point():
-    estimate = linear_estimate(make_loops(0, pixel_px=0.3))
+    estimate = linear_estimate(make_pairs(0, pixel_px=0.3))
     assert estimate.history[-1] is estimate.parameters
     assert 1 < estimate.rounds_to_tolerance < estimate.rounds
     before = estimate.history[estimate.rounds_to_tolerance - 2].wheels

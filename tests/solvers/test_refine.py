@@ -7,63 +7,64 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mobilecal_cli.solvers.carry import moved, point_rms_m, residuals_m, residuals_with_jacobian
-from mobilecal_cli.solvers.linear import linear_estimate
+from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from tests.solvers.world import TRUTH, make_loops, relative_errors
+from mobilecal_cli.solvers.transfer import point_rms_m, residuals_m, residuals_with_jacobian
+from tests.solvers.world import TRUTH, make_pairs, relative_errors
 
 
 def test_the_truth_carries_every_point_onto_itself():
     # The world itself loses digits where it drives nearly straight about a far-off centre.
-    assert np.abs(residuals_m(make_loops(0), TRUTH)).max() < 1e-12
+    assert np.abs(residuals_m(make_pairs(0), TRUTH)).max() < 1e-12
 
 
 def test_error_in_mm_by_hand():
     # Wheels as they are, but the camera 10 mm further along its own x axis than the truth.
-    loops = make_loops(0, motion="base_fixed")
-    shifted = moved(TRUTH, np.array([0, 0, 0, 0.01, 0, 0, 0, 0, 0]))
+    pairs = make_pairs(0, motion="base_fixed")
+    along_x = np.concatenate([np.zeros(3), TRUTH.T_h_c[:3, 0] * 0.01, np.zeros(3)])
+    shifted = TRUTH.plus(along_x)
     # p^ - p = (R_ci_cj - I) d for the shift d: only turned legs show it.
-    i, j = loops.legs.T
-    R = (loops.T_c_k[i] @ np.linalg.inv(loops.T_c_k[j]))[:, :3, :3]
+    i, j = pairs.legs.T
+    R = (pairs.T_c_k[i] @ np.linalg.inv(pairs.T_c_k[j]))[:, :3, :3]
     by_hand = np.sqrt(np.mean(np.sum(((R - np.eye(3)) @ [0.01, 0, 0]) ** 2, axis=1)))
-    assert point_rms_m(loops, shifted) == pytest.approx(by_hand, rel=1e-9)
+    assert point_rms_m(pairs, shifted) == pytest.approx(by_hand, rel=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10)
 def test_jacobian_against_differences(seed):
     random = np.random.default_rng(seed)
-    loops = make_loops(seed % 5, stations=5)
-    at = moved(TRUTH, random.normal(scale=0.02, size=9))
-    residuals, J = residuals_with_jacobian(loops, at)
-    assert residuals == pytest.approx(residuals_m(loops, at), abs=1e-13)
+    pairs = make_pairs(seed % 5, stations=5)
+    at = TRUTH.plus(random.normal(scale=0.02, size=9))
+    residuals, J = residuals_with_jacobian(pairs, at)
+    assert residuals == pytest.approx(residuals_m(pairs, at), abs=1e-13)
     for k in range(9):
         h = 1e-6 * np.eye(9)[k]
-        difference = (residuals_m(loops, moved(at, h)) - residuals_m(loops, moved(at, -h))) / 2e-6
+        difference = (residuals_m(pairs, at.plus(h)) - residuals_m(pairs, at.plus(-h))) / 2e-6
         assert J[..., k] == pytest.approx(difference, abs=2e-8)
 
 
 @pytest.mark.parametrize("refine", [refine_lm, refine_powell])
 def test_exact_data(refine):
-    loops = make_loops(1)
-    refined = refine(loops, linear_estimate(loops).parameters)
+    pairs = make_pairs(1)
+    refined = refine(pairs, linear_estimate(pairs).parameters)
     assert np.abs(relative_errors(refined.parameters)).max() < 1e-9
 
 
 def test_lm_finds_the_truth_from_far_off():
-    loops = make_loops(1)
-    start = moved(TRUTH, np.array([0.2, -0.15, 0.2, 0.05, -0.05, 0.05, 0.03, -0.02, 0.08]))
-    refined = refine_lm(loops, start)
+    pairs = make_pairs(1)
+    start = TRUTH.plus(np.array([0.2, -0.15, 0.2, 0.05, -0.05, 0.05, 0.03, -0.02, 0.08]))
+    refined = refine_lm(pairs, start)
     assert np.abs(relative_errors(refined.parameters)).max() < 1e-9
     assert np.all(np.diff(refined.point_rms_history_m) <= 0)
-    assert refined.point_rms_history_m[0] == pytest.approx(point_rms_m(loops, start))
+    assert refined.point_rms_history_m[0] == pytest.approx(point_rms_m(pairs, start))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_powell_and_lm_reach_the_same_minimum(seed):
-    loops = make_loops(seed, pixel_px=0.3)
-    start = linear_estimate(loops)
-    lm, powell = refine_lm(loops, start.parameters), refine_powell(loops, start.parameters)
+    pairs = make_pairs(seed, pixel_px=0.3)
+    start = linear_estimate(pairs)
+    lm, powell = refine_lm(pairs, start.parameters), refine_powell(pairs, start.parameters)
     assert powell.point_rms_m == pytest.approx(lm.point_rms_m, rel=1e-9)
     assert relative_errors(powell.parameters) == pytest.approx(relative_errors(lm.parameters), abs=1e-5)
     assert lm.point_rms_m <= start.point_rms_m

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.kinematics import Increments
+from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import Parameters, WheelGeometry
-from mobilecal_cli.solvers.loops import Loops
 
 WHEELS = WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870)
 _EULER_DEG = (-166.40, 89.38, -164.22)  # the paper's Table 1, optimised: z, y, x
@@ -70,8 +70,8 @@ class Base:
         return matrix(Rotation.from_euler("z", self.theta), (self.x, self.y, 0.0))
 
 
-def make_loops(seed=0, stations=12, long_way_round=False, motion="any", pixel_px=0.0):
-    """Loops of a drive in front of the board. pixel_px: noise of an ideal stereo pair (550 px, 0.12 m)."""
+def make_pairs(seed=0, stations=12, long_way_round=False, motion="any", pixel_px=0.0):
+    """Pairs of a drive in front of the board. pixel_px: noise of an ideal stereo pair (550 px, 0.12 m)."""
     random = np.random.default_rng(seed)
     base, T_w_v, T_v_h = Base(), [], []
     for station in range(stations):
@@ -114,7 +114,7 @@ def make_loops(seed=0, stations=12, long_way_round=False, motion="any", pixel_px
     steps = Increments(
         np.array(base.right), np.array(base.left), np.array(base.leg, dtype=np.int64), stations - 1
     )
-    return Loops(T_v_h, T_c_k, points_c, legs, np.zeros(stations - 1, dtype=np.int64), steps)
+    return MotionPairs(T_v_h, T_c_k, points_c, legs, np.zeros(stations - 1, dtype=np.int64), steps)
 
 
 def relative_errors(parameters):

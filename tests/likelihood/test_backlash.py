@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mobilecal_cli.likelihood.sides import joint_sides
+from mobilecal_cli.likelihood.backlash import approach_direction
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
@@ -41,14 +41,14 @@ def test_as_by_looking_at_every_value(seed, length):
         for o in EXTRACTION.observations
     )
     changed = dataclasses.replace(EXTRACTION, observations=observations, joint_tracks=(tuple(tracks),))
-    np.testing.assert_array_equal(joint_sides(changed), plain(changed))
+    np.testing.assert_array_equal(approach_direction(changed), plain(changed))
 
 
 def test_a_route_comes_from_both_sides():
-    sides = joint_sides(EXTRACTION)
+    sides = approach_direction(EXTRACTION)
     np.testing.assert_array_equal(sides, plain(EXTRACTION))
     assert {-1.0, 1.0} <= set(sides.ravel())
 
 
 def test_no_tracks_no_sides():
-    assert not joint_sides(dataclasses.replace(EXTRACTION, joint_tracks=())).any()
+    assert not approach_direction(dataclasses.replace(EXTRACTION, joint_tracks=())).any()

@@ -5,71 +5,68 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.likelihood.legs import leg_covariance, linearize_legs
-from mobilecal_cli.likelihood.noise import Noise, Selection
-from mobilecal_cli.likelihood.problem import moved, problem_of
-from mobilecal_cli.likelihood.shared import EXTRA_NAMES
-from mobilecal_cli.likelihood.system import leg_weights, linearize
-from mobilecal_cli.likelihood.views import board_in_camera, corner_residuals
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.legs import linearize_legs
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.likelihood.nuisance import CONSTANTS
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.state import Step, board_in_camera
+from mobilecal_cli.likelihood.views import corner_residuals
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers.loops import closed_loops
-from mobilecal_cli.solvers.placing import state_at
+from mobilecal_cli.solvers.initial_state import initial_state
 
 NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05))
 STATIONS = 6
 
 
 class Case:
-    """A problem at a random state, with dense normal equations in (shared, base and encoders, joints)."""
+    """A linearization at a random state, with dense normal equations in (shared, base and encoders, joints)."""
 
-    def __init__(self, motion):
+    def __init__(self, motion, constants=CONSTANTS):
         robot = paper_robot()
         route = plan_route(robot, motion, stations=STATIONS)
         disturbed = ideal.Noise(0.2, 0.003, 0.0, np.radians(0.05))
         extraction = ideal.ideal_extraction(robot, route, disturbed, seed=1)
         extraction = replace(extraction, observations=extraction.observations[:STATIONS])
-        self.problem = problem_of(extraction, EXTRA_NAMES)
-        everything = Selection.everything(self.problem)
+        self.data = dataset_of(extraction, constants)
+        everything = Inliers.all_of(self.data)
         legs, views, readings = (getattr(everything, name).copy() for name in ("legs", "views", "readings"))
         legs[2], views[3], readings[4, 0] = False, False, False
-        self.selection = replace(everything, legs=legs, views=views, readings=readings)
-        loops = closed_loops(extraction)
-        truth = state_at(self.problem, Parameters(robot.T_h_c, robot.wheels), loops, everything)
+        inliers = replace(everything, legs=legs, views=views, readings=readings)
+        truth = initial_state(self.data, Parameters(robot.T_h_c, robot.wheels), everything)
         random = np.random.default_rng(0)
-        self.sizes = (self.problem.layout.size, 5 * STATIONS, self.problem.joints.size)
+        self.sizes = (self.data.layout.size, 5 * STATIONS, self.data.joints.size)
         base = random.normal(size=(STATIONS, 5)) * 1e-2
-        base[self.problem.first, :3] = 0.0
+        base[self.data.first, :3] = 0.0
         shared = random.normal(size=self.sizes[0]) * 1e-3
-        self.state = moved(
-            self.problem, truth, shared, base, random.normal(size=self.problem.joints.shape) * 1e-2
+        step = Step(shared, base, random.normal(size=self.data.joints.shape) * 1e-2)
+        self.lin = Linearization.at(
+            self.data,
+            truth.plus(self.data, step),
+            inliers,
+            NOISE,
+            Priors.none(self.data.layout, truth.parameters),
         )
-        self.covariance = leg_covariance(self.problem, self.state.parameters.wheels, NOISE)
-        self.weight = leg_weights(self.covariance, self.selection)
 
     def displaced(self, x):
         shared, base, joints = np.split(x, np.cumsum(self.sizes)[:2])
-        return moved(
-            self.problem,
-            self.state,
-            shared,
-            base.reshape(-1, 5),
-            joints.reshape(self.problem.joints.shape),
-        )
+        step = Step(shared, base.reshape(-1, 5), joints.reshape(self.data.joints.shape))
+        return self.lin.state.plus(self.data, step)
 
     def residuals(self, x):
         state = self.displaced(x)
-        off, _ = corner_residuals(self.problem, state, board_in_camera(self.problem, state))
-        believed = self.selection.corners & self.selection.views[:, None, None]
-        whitened = np.einsum("ncmab,ncmb->ncma", self.problem.whitening, off) / NOISE.pixel_px
-        pixels = np.where(believed[..., None], whitened, 0.0)
-        root = np.zeros_like(self.weight)
-        on = self.selection.legs
-        root[on] = np.linalg.cholesky(self.weight[on])
-        legs = np.einsum("lba,lb->la", root, linearize_legs(self.problem, state, encoders=True).residual)
-        sigma = np.where(self.selection.readings, NOISE.joint_rad, 1.0)
+        off, _ = corner_residuals(self.data, state, board_in_camera(self.data, state))
+        whitened = np.einsum("ncmab,ncmb->ncma", self.data.whitening, off) / NOISE.pixel_px
+        pixels = np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
+        root = np.zeros_like(self.lin.leg_weight)
+        on = self.lin.inliers.legs
+        root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
+        legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, encoders=True).residual)
+        sigma = np.where(self.lin.inliers.readings, NOISE.joint_rad, 1.0)
         return np.concatenate(
             [
                 pixels.ravel(),
@@ -84,7 +81,7 @@ class Case:
         x = np.zeros(size)
         # A step in time far above the stamps' nanosecond, and small steps for all else.
         step = np.full(size, 1e-6)
-        for k, name in enumerate(self.problem.layout.names):
+        for k, name in enumerate(self.data.layout.names):
             if name.startswith("time_"):
                 step[k] = 2e-2
         columns = [
@@ -92,7 +89,7 @@ class Case:
             for h, e in zip(step, np.eye(size), strict=True)
         ]
         J = np.stack(columns, axis=1)
-        start = self.sizes[0] + 5 * int(np.flatnonzero(self.problem.first)[0])
+        start = self.sizes[0] + 5 * int(np.flatnonzero(self.data.first)[0])
         J[:, start : start + 3] = 0.0  # the world is the base at its first station
         H, g = J.T @ J, J.T @ self.residuals(x)
         H[range(start, start + 3), range(start, start + 3)] += 1.0
@@ -111,27 +108,25 @@ def reduced(case, H, g):
 
 
 def test_the_cost_is_the_sum_of_squares(case):
-    system = linearize(case.problem, case.state, case.selection, NOISE, case.covariance)
     residuals = case.residuals(np.zeros(sum(case.sizes)))
-    assert system.cost == pytest.approx(float(residuals @ residuals), rel=1e-10)
+    assert case.lin.cost == pytest.approx(float(residuals @ residuals), rel=1e-10)
 
 
 def test_elimination_is_exact(case):
-    """Schur complement and gradient of every shared number, extras included.
+    """Schur complement and gradient of every shared parameter, constants included.
 
     The derivative by a clock's offset is a secant over 40 ms, of curved motion: measured 1.2e-5 there, 2e-9 elsewhere.
     """
     H, g = case.dense()
     S, s = reduced(case, H, g)
-    system = linearize(case.problem, case.state, case.selection, NOISE, case.covariance)
     scale = np.sqrt(np.diag(H)[: case.sizes[0]])
     scale[scale == 0] = 1.0  # clocks' offsets at rests
-    off = np.abs((system.S - S) / np.outer(scale, scale))
-    clocks = [name.startswith("time_") for name in case.problem.layout.names]
+    off = np.abs((case.lin.normal.S - S) / np.outer(scale, scale))
+    clocks = [name.startswith("time_") for name in case.data.layout.names]
     clocks = np.pad(clocks, (0, len(off) - len(clocks)))
     assert off.max() < 1e-4
     assert off[np.ix_(~clocks, ~clocks)].max() < 1e-7
-    assert np.abs((system.s - s) / scale).max() < 1e-5 * np.abs(s / scale).max()
+    assert np.abs((case.lin.normal.s - s) / scale).max() < 1e-5 * np.abs(s / scale).max()
 
 
 def test_back_substitution_solves_the_dense_equations(case):
@@ -139,6 +134,8 @@ def test_back_substitution_solves_the_dense_equations(case):
     n = case.sizes[0]
     step = np.random.default_rng(1).normal(size=n) * 1e-3
     other = np.linalg.solve(H[n:, n:], -g[n:] - H[n:, :n] @ step)
-    system = linearize(case.problem, case.state, case.selection, NOISE, case.covariance)
-    base, errors = system.back(step)
-    assert np.abs(np.concatenate([base.ravel(), errors.ravel()]) - other).max() < 1e-5 * np.abs(other).max()
+    found = case.lin.normal.step(step)
+    assert (
+        np.abs(np.concatenate([found.base.ravel(), found.joints.ravel()]) - other).max()
+        < 1e-5 * np.abs(other).max()
+    )

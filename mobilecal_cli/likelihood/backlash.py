@@ -1,4 +1,4 @@
-"""Approach direction of each joint before each station, on which backlash depends."""
+"""Approach direction of each joint at each station: backlash depends on it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from mobilecal_cli.model import Extraction, FloatArray, IntArray, Track
 
-_MOVED_RAD = 0.002  # smaller changes are reading noise
+_MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 
 
-def joint_sides(extraction: Extraction) -> FloatArray:
-    """Direction of each joint's last motion before each station, (N, J): +1, -1, or 0 if it never moved."""
+def approach_direction(extraction: Extraction) -> FloatArray:
+    """(N, J) the direction of each joint's last motion before each station."""
     seen = extraction.observations
     log, joints = np.array([o.log for o in seen]), np.stack([o.joints for o in seen])
     times_ns = np.array([o.time_ns for o in seen], dtype=np.int64)
@@ -23,20 +23,20 @@ def joint_sides(extraction: Extraction) -> FloatArray:
 
 
 def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray) -> FloatArray:
-    """Direction of one joint's last motion before the given times, (n,): +1, -1, or 0 if it never moved."""
+    """(n,) from which side a joint last came to its readings at some times: +1, -1, or 0 where it never moved."""
     stops = np.searchsorted(track.time_ns, times_ns)
     ends = np.unique(stops[stops > 0])
     side = np.zeros(len(stops))
     if not len(ends):
         return side
-    # Minima and maxima between the stations, so that only one interval is searched value by value.
+    # The track's least and greatest value between the stations: only one stretch is searched value by value.
     starts = np.concatenate([[0], ends[:-1]])
     least = np.minimum.reduceat(track.value[: ends[-1]], starts)
     greatest = np.maximum.reduceat(track.value[: ends[-1]], starts)
-    counts = np.searchsorted(ends, stops, side="right")  # number of intervals before each station
+    counts = np.searchsorted(ends, stops, side="right")  # of the stretches before each station
     for i, (before, reading) in enumerate(zip(counts.tolist(), readings.tolist(), strict=True)):
         away, looked = np.zeros(0, dtype=np.bool_), 0
-        while not away.any() and looked < before:  # double the search range until a motion is found
+        while not away.any() and looked < before:  # mostly the stretch just before; else twice as far back
             looked = min(2 * looked + 1, before)
             near = slice(before - looked, before)
             away = np.maximum(greatest[near] - reading, reading - least[near]) > _MOVED_RAD

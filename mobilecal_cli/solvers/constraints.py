@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.shared import EXTRA_NAMES, EXTRAS, extras_of
+from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE
 
 _GROUPS = {
@@ -22,18 +22,18 @@ _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Constraints:
     """Fixed parameters, priors and additional parameters that the user requests.
 
     Attributes:
         fixed: name → value, None for the nominal value. Rotations are relative to the nominal rotation, rad.
         priors: name → (value, sigma).
-        extras: names of the additional parameters to estimate.
+        constants: names of the constants to estimate, see `nuisance.CONSTANTS`.
     """
 
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    extras: tuple[str, ...] = ()
+    constants: tuple[str, ...] = ()
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -50,7 +50,7 @@ def _value(flag: str, text: str, number: str) -> float:
     return float(number)
 
 
-def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Asked:
+def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Constraints:
     """Parse the values of --fix, --prior and --estimate.
 
     Args:
@@ -61,12 +61,13 @@ def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) 
     Raises:
         ConfigError: unknown name or wrong format.
     """
-    extras = [name.strip() for text in estimate for name in text.split(",") if name.strip()]
-    offered = [*dict.fromkeys(extra.group for extra in EXTRAS), *EXTRA_NAMES]
-    for name in extras:
+    requested = [name.strip() for text in estimate for name in text.split(",") if name.strip()]
+    table = nuisance.CONSTANTS
+    offered = list(dict.fromkeys([*(row.group for row in table), *(row.name for row in table)]))
+    for name in requested:
         if name not in offered:
-            raise _unknown("--estimate", name, list(dict.fromkeys(offered)))
-    free = extras_of(tuple(extras))
+            raise _unknown("--estimate", name, offered)
+    free = tuple(row.name for row in nuisance.rows(requested))
     known = [*NINE, *_GROUPS, *free]
     fixed: dict[str, float | None] = {}
     for text in fix:
@@ -92,4 +93,4 @@ def asked_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) 
                 f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad",
             )
         priors[name] = (float(match[1]), float(match[2]))
-    return Asked(fixed, priors, free)
+    return Constraints(fixed, priors, free)

@@ -1,0 +1,292 @@
+"""The measurements of all stations as arrays, and the legs between them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_step_rad, head_pose, join
+from mobilecal_cli.likelihood.backlash import approach_direction
+from mobilecal_cli.likelihood.nuisance import Constant, Layout, constant
+from mobilecal_cli.model import (
+    BoolArray,
+    Extraction,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    JointLink,
+    Observation,
+    StereoRig,
+    Track,
+    WheelTrack,
+)
+
+_RATE_INTERVAL_S = 0.04  # rates are differences over this time
+_LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
+_LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionPairs:
+    """Pairs of stations that a leg joins, and what cameras, joints and wheels measured there (eq. 3).
+
+    Attributes:
+        T_v_h: (N, 4, 4) head in the base, from the joint readings.
+        T_c_k: (N, 4, 4) board in the left camera.
+        points_c: (N, M, 3) triangulated corners, m.
+        legs: (L, 2) first and second station of each leg.
+        chain: (L,) first leg of the recording that the leg belongs to; legs of a recording are consecutive.
+        steps: wheel rotations along the legs.
+    """
+
+    T_v_h: FloatArray
+    T_c_k: FloatArray
+    points_c: FloatArray
+    legs: IntArray
+    chain: IntArray
+    steps: Increments
+
+    def select(self, legs: IntArray) -> MotionPairs:
+        """Some legs alone (increasing indices), each as a recording of its own."""
+        return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """The measurements of N stations of one or several recordings.
+
+    Attributes:
+        cameras, chain: the stated geometry.
+        points_k: (M, 3) corners on the board, m.
+        pixels: (N, 2, M, 2) corners in the left and right image, px.
+        seen: (N, 2, M) corners that were detected; the others are no measurements.
+        whitening: (N, 2, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
+            the noise level: the claims of all stations' usual corners have rms 1.
+        T_c_k, T_c_k_cov: (N, 4, 4) and (N, 6, 6) board pose of each station by itself, left perturbation.
+        points_c: (N, M, 3) triangulated corners, m.
+        joints: (N, J) readings.
+        joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
+        moving: (N,) stations that are not at rest: there, the offset of a clock matters.
+        approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
+        log: (N,) the recording of each station.
+        board: (N,) the board pose that each station sees.
+        legs: (L, 2) consecutive stations of one recording.
+        tracks: wheels of each recording.
+        times_ns: (N,) the stations' stamps.
+        encoder_step_rad: resolution of the encoders; 0 for none.
+        layout: columns of the parameters that all stations share.
+    """
+
+    cameras: StereoRig
+    chain: HeadChain
+    points_k: FloatArray
+    pixels: FloatArray
+    seen: BoolArray
+    whitening: FloatArray
+    T_c_k: FloatArray
+    T_c_k_cov: FloatArray
+    points_c: FloatArray
+    joints: FloatArray
+    joint_tracks: tuple[tuple[Track, ...], ...]
+    moving: BoolArray
+    approach_direction: FloatArray
+    log: IntArray
+    board: IntArray
+    legs: IntArray
+    tracks: tuple[WheelTrack, ...]
+    times_ns: IntArray
+    encoder_step_rad: float
+    layout: Layout
+
+    @property
+    def stations(self) -> int:
+        """Number of stations."""
+        return len(self.joints)
+
+    @property
+    def joint_units(self) -> FloatArray:
+        """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
+        kinds = {link.joint: link.kind for link in self.chain.links if isinstance(link, JointLink)}
+        return np.array([1.0 if kinds[name] == "revolute" else 0.1 for name in self.chain.joints])
+
+    def joint_with(self, role: str) -> int | None:
+        """Column of the joint with a role, "pan" or "tilt"; None where the chain has no such joint."""
+        name = {"pan": self.chain.pan, "tilt": self.chain.tilt}[role]
+        return self.chain.joints.index(name) if name in self.chain.joints else None
+
+    @property
+    def first(self) -> BoolArray:
+        """(N,) the first station of each recording, whose base pose is the world's origin."""
+        first = np.ones(self.stations, dtype=np.bool_)
+        first[self.legs[:, 1]] = False
+        return first
+
+    # -- stamps in motion -------------------------------------------------------------------------
+
+    def stamps_ns(self, time_offset_s: float) -> IntArray:
+        """(N,) stamps of the images by another clock. Stations at rest keep theirs."""
+        return np.asarray(self.times_ns + self.moving * round(time_offset_s * 1e9), dtype=np.int64)
+
+    def joint_shift(self, time_offset_s: float) -> FloatArray:
+        """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
+        shift = np.zeros_like(self.joints)
+        for number, tracks in enumerate(self.joint_tracks):
+            mine = self.log == number
+            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
+            for j, track in enumerate(tracks):
+                shift[mine, j] = track.at(after) - track.at(before)
+        return shift
+
+    def joint_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
+        late, early = time_offset_s + _RATE_INTERVAL_S / 2, time_offset_s - _RATE_INTERVAL_S / 2
+        return np.asarray((self.joint_shift(late) - self.joint_shift(early)) / _RATE_INTERVAL_S)
+
+    def wheel_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
+        rates = np.zeros((self.stations, 2))
+        for number, track in enumerate(self.tracks):
+            mine = self.log == number
+            late, early = (
+                self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
+            )
+            for k, value in enumerate((track.right_rad, track.left_rad)):
+                wheel = Track(track.time_ns, value)
+                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
+        return rates
+
+    # -- legs -------------------------------------------------------------------------------------
+
+    def steps(self, time_offset_s: float = 0.0) -> Increments:
+        """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
+        if time_offset_s == 0 or not self.moving.any():
+            return self._steps_as_stamped
+        return self._cut(self.stamps_ns(time_offset_s))
+
+    @cached_property
+    def _steps_as_stamped(self) -> Increments:
+        return self._cut(self.times_ns)
+
+    def _cut(self, stamps_ns: IntArray) -> Increments:
+        parts = []
+        for number, track in enumerate(self.tracks):
+            times = stamps_ns[self.log == number]
+            if len(times) > 1:
+                parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
+        return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+
+    @cached_property
+    def pairs(self) -> MotionPairs:
+        """The legs as the linear method and eqs. 18 and 19 take them."""
+        T_v_h = head_pose(self.chain, self.joints)
+        log = self.log[self.legs[:, 0]]
+        chain = np.searchsorted(log, log)
+        return MotionPairs(T_v_h, self.T_c_k, self.points_c, self.legs, chain, self.steps())
+
+    # -- parts ------------------------------------------------------------------------------------
+
+    def with_constants(self, constants: Sequence[Constant]) -> Dataset:
+        """The same measurements with other constants estimated."""
+        return replace(self, layout=Layout(tuple(constants), self.layout.boards))
+
+    def of_log(self, log: int) -> Dataset:
+        """The stations and legs of one recording."""
+        mine = self.log == log
+        legs = mine[self.legs[:, 0]]
+        number = np.cumsum(mine) - 1
+        boards = np.unique(self.board[mine])
+        return replace(
+            self,
+            **{name: getattr(self, name)[mine] for name in _BY_STATION},
+            joint_tracks=self.joint_tracks[log : log + 1],
+            log=np.zeros(int(mine.sum()), dtype=np.int64),
+            board=np.searchsorted(boards, self.board[mine]),
+            legs=number[self.legs[legs]],
+            tracks=self.tracks[log : log + 1],
+            layout=replace(self.layout, boards=len(boards)),
+        )
+
+
+_BY_STATION = (
+    "pixels",
+    "seen",
+    "whitening",
+    "T_c_k",
+    "T_c_k_cov",
+    "points_c",
+    "joints",
+    "moving",
+    "approach_direction",
+    "times_ns",
+)
+
+
+def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Dataset:
+    """Gather the measurements of an extraction.
+
+    Args:
+        extraction: at least one observation.
+        constants: rows of the constants to estimate; `square_scale` is added where the board states no square.
+    """
+    seen = extraction.observations
+    log = np.array([o.log for o in seen])
+    legs = [
+        pair
+        for number in range(len(extraction.wheels))
+        for pair in itertools.pairwise(np.flatnonzero(log == number).tolist())
+    ]
+    square_m = extraction.board.square_m
+    if square_m is None:
+        square_m = float(np.median([o.square_m for o in seen]))
+        if not any(row.name == "square_scale" for row in constants):
+            constants = (*constants, constant("square_scale"))
+    step = max(
+        (encoder_step_rad(side) for track in extraction.wheels for side in (track.right_rad, track.left_rad)),
+        default=0.0,
+    )
+    moving = np.array([not o.at_rest for o in seen])
+    tracks = extraction.wheels
+    if (
+        step and moving.any()
+    ):  # at rest a reading is as good as its step; in motion its changes are more exact
+        tracks = tuple(between_steps(track) for track in tracks)
+    logs, board = np.unique(log, return_inverse=True)
+    claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
+    return Dataset(
+        cameras=extraction.rig.cameras,
+        chain=extraction.rig.chain,
+        points_k=extraction.board.grid() * square_m,
+        pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
+        seen=np.stack([np.stack([o.left.seen, o.right.seen]) for o in seen]),
+        whitening=_whitening(seen, claims / np.sqrt(np.mean(claims**2))),
+        T_c_k=np.stack([o.T_c_k for o in seen]),
+        T_c_k_cov=np.stack([o.T_c_k_cov for o in seen]),
+        points_c=np.stack([o.points_c for o in seen]),
+        joints=np.stack([o.joints for o in seen]),
+        joint_tracks=extraction.joint_tracks,
+        moving=moving,
+        approach_direction=approach_direction(extraction),
+        log=log,
+        board=board.astype(np.int64),
+        legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
+        tracks=tracks,
+        times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
+        encoder_step_rad=step,
+        layout=Layout(tuple(constants), len(logs)),
+    )
+
+
+def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:
+    """Inverse Cholesky factors of the corners' covariances in units of the noise level, (N, 2, M, 2, 2)."""
+    cov = np.stack([np.stack([o.left.relative_cov, o.right.relative_cov]) for o in seen])
+    cov = cov * relative_sigma[..., None, None, None] ** 2
+    a = np.sqrt(np.maximum(cov[..., 0, 0], _LEAST_VARIANCE))
+    b = cov[..., 1, 0] / a
+    c = np.sqrt(np.maximum(cov[..., 1, 1] - b**2, _LEAST_VARIANCE))
+    W = np.zeros_like(cov)
+    W[..., 0, 0], W[..., 1, 0], W[..., 1, 1] = 1 / a, -b / (a * c), 1 / c
+    return W

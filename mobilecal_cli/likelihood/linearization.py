@@ -1,0 +1,224 @@
+"""The likelihood at one point: residuals, normal equations, and everything that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.budget import Influence, influences, shares
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.legs import Legs, leg_covariance, linearize_legs
+from mobilecal_cli.likelihood.marginals import Marginals, marginals
+from mobilecal_cli.likelihood.noise import Inliers, Noise, joint_sigmas
+from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
+from mobilecal_cli.likelihood.nuisance import Constant
+from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.residual_tests import ResidualTests
+from mobilecal_cli.likelihood.state import State, Step
+from mobilecal_cli.likelihood.views import Views, linearize_views
+from mobilecal_cli.model import Evidence, FloatArray
+
+
+@contextmanager
+def _solvable() -> Iterator[None]:
+    """Turn a singular matrix into an error that a user understands: the only place that meets one."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            "the inlier measurements do not determine all parameters",
+            "record more stations, with the whole board in both images",
+        ) from error
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A data set at a state, with everything that the likelihood depends on.
+
+    The legs' covariance depends on the wheels, but stays constant during an optimization: `at` computes it, `after`
+    keeps it.
+
+    Attributes:
+        data: the measurements.
+        state: a value of every unknown.
+        inliers: the measurements that are used.
+        noise: standard deviations of the measurements.
+        priors: what is known of the shared parameters.
+        leg_covariance: (L, 3, 3) of odometry's (x, y, heading), m and rad.
+    """
+
+    data: Dataset
+    state: State
+    inliers: Inliers
+    noise: Noise
+    priors: Priors
+    leg_covariance: FloatArray
+
+    @classmethod
+    def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
+        """The likelihood at a state, with the legs' covariance for the wheels of this state."""
+        covariance = leg_covariance(data, state.parameters.wheels, noise)
+        return cls(data, state, inliers, noise, priors, covariance)
+
+    def after(self, step: Step) -> Linearization:
+        """The likelihood after a step of all unknowns."""
+        return replace(self, state=self.state.plus(self.data, step))
+
+    def under(self, priors: Priors) -> Linearization:
+        """The same point with other priors."""
+        other = replace(self, priors=priors)
+        for name in (
+            "views",
+            "legs",
+            "leg_weight",
+            "joint_sigmas",
+            "normal",
+        ):  # these do not depend on priors
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other
+
+    def estimating(self, constants: tuple[Constant, ...]) -> Linearization:
+        """The same point with other constants among the unknowns. Its priors are for the old ones."""
+        return replace(self, data=self.data.with_constants(constants))
+
+    def of_log(self, log: int) -> Linearization:
+        """The part that belongs to one recording."""
+        data = self.data
+        return replace(
+            self,
+            data=data.of_log(log),
+            state=self.state.of_log(data, log),
+            inliers=self.inliers.of_log(data, log),
+            leg_covariance=self.leg_covariance[data.log[data.legs[:, 0]] == log],
+        )
+
+    # -- residuals --------------------------------------------------------------------------------
+
+    @cached_property
+    def views(self) -> Views:
+        """Residuals of the images."""
+        return linearize_views(self.data, self.state, self.inliers, self.noise)
+
+    @cached_property
+    def legs(self) -> Legs:
+        """Residuals of the wheels."""
+        return linearize_legs(self.data, self.state, self.noise.encoder_rad > 0)
+
+    @cached_property
+    def leg_weight(self) -> FloatArray:
+        """(L, 3, 3) inverse covariance of each leg, 0 for outliers."""
+        with _solvable():
+            inverse = np.linalg.inv(self.leg_covariance)
+        return np.asarray(inverse * self.inliers.legs[:, None, None], dtype=np.float64)
+
+    @cached_property
+    def joint_sigmas(self) -> FloatArray:
+        """(N, J) sigma of each joint reading, rad or m."""
+        return joint_sigmas(self.data, self.inliers, self.noise)
+
+    @cached_property
+    def cost(self) -> float:
+        """Sum of squares of all whitened residuals and of the priors."""
+        e, state = self.legs.residual, self.state
+        cost = float(self.views.cost.sum()) + float(np.einsum("la,lab,lb->", e, self.leg_weight, e))
+        cost += float(np.sum((state.joint_errors / self.joint_sigmas) ** 2))
+        if self.noise.encoder_rad:
+            cost += float(np.sum((state.encoder_errors / self.noise.encoder_rad) ** 2))
+        return cost + self.priors.cost(state)
+
+    # -- normal equations -------------------------------------------------------------------------
+
+    def eliminated(self, damping: float = 0.0) -> NormalEquations:
+        """Normal equations of the measurements, stations eliminated; see `normal.eliminated`.
+
+        Raises:
+            SolveError: a singular matrix.
+        """
+        with _solvable():
+            return eliminated(self, damping)
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        """The normal equations without damping."""
+        return self.eliminated()
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(P, P) information of the shared parameters, priors included."""
+        return np.asarray(self.normal.S + np.diag(self.priors.information))
+
+    @cached_property
+    def conditional_covariance(self) -> FloatArray:
+        """(P, P) covariance of the shared parameters for correct values along all directions that keep their mean."""
+        basis = self.priors.basis
+        reduced = basis.T @ self.information @ basis
+        with _solvable():
+            scale = 1 / np.sqrt(_positive(np.diag(reduced)))
+            inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
+        C: FloatArray = basis @ inverse @ basis.T
+        return C
+
+    @cached_property
+    def considered(self) -> FloatArray:
+        """(P, K) errors of the shared parameters by one prior sigma along each unobservable direction."""
+        return self.priors.considered(self.information, self.conditional_covariance)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(P, P) of the shared parameters. Unobservable directions keep their prior variance."""
+        return self.conditional_covariance + self.considered @ self.considered.T
+
+    def observable_directions(self, user_weight: FloatArray) -> Directions:
+        """Directions of the named parameters that the measurements show.
+
+        Args:
+            user_weight: (named,) inverse variances of priors that count as measurements.
+        """
+        with _solvable():
+            return directions(self, user_weight)
+
+    # -- what follows -----------------------------------------------------------------------------
+
+    @cached_property
+    def marginals(self) -> Marginals:
+        """Covariances of the predicted measurements."""
+        with _solvable():
+            return marginals(self)
+
+    @cached_property
+    def influences(self) -> tuple[Influence, ...]:
+        """How each kind of measurement moves the shared parameters."""
+        return tuple(influences(self))
+
+    @cached_property
+    def tests(self) -> ResidualTests:
+        """Test statistics of all measurements."""
+        return ResidualTests(self)
+
+    def evidence(self) -> tuple[Evidence, ...]:
+        """Score tests of the constants that are not estimated, and the significance of those that are."""
+        with _solvable():
+            return tuple(evidence(self))
+
+    def budget(self) -> Mapping[str, FloatArray]:
+        """Source → its share (P, P) of `covariance`: kinds of measurements, and groups of priors. They add up to it."""
+        return shares(self)
+
+
+def _positive(values: FloatArray) -> FloatArray:
+    """The values.
+
+    Raises:
+        LinAlgError: one is not positive.
+    """
+    if not np.all(values > 0):
+        raise np.linalg.LinAlgError("not positive definite")
+    return values

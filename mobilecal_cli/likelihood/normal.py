@@ -1,0 +1,193 @@
+"""The normal equations with the stations eliminated: the cost is linear in the number of stations.
+
+Joint errors belong to one station each and go first, station by station. Base poses and encoder errors form a chain
+along the legs: a banded matrix. A small dense system for the shared parameters is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from mobilecal_cli.likelihood.chain import banded, chain_covariance
+from mobilecal_cli.likelihood.noise import FREE_BASE, joint_sigmas
+from mobilecal_cli.likelihood.state import Step
+from mobilecal_cli.model import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from mobilecal_cli.likelihood.linearization import Linearization
+
+_B = 5  # base pose and encoder errors of one station
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Normal equations of the measurements, H d = -gradient, with stations eliminated.
+
+    Attributes:
+        S: (P, P) information of the shared parameters, all others eliminated.
+        s: (P,) their gradient, the same way.
+        gain: decrease of the cost, to second order, by the best step of the stations alone.
+    """
+
+    S: FloatArray
+    s: FloatArray
+    gain: float
+    _E_inverse: FloatArray
+    _E_base: FloatArray
+    _E_shared: FloatArray
+    _e: FloatArray
+    _Y: FloatArray
+    _y: FloatArray
+    _diagonal: FloatArray
+    _off: FloatArray
+
+    def step(self, shared: FloatArray) -> Step:
+        """The step of all unknowns that goes with a step (P,) of the shared parameters."""
+        base = (-self._y - self._Y @ shared).reshape(-1, _B)
+        coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
+        return Step(shared, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
+
+    def onto_shared(
+        self, station: IntArray, base: FloatArray, joints: FloatArray, shared: FloatArray
+    ) -> FloatArray:
+        """Gradients at single stations as gradients of the shared parameters, all else eliminated.
+
+        Args:
+            station: (n,) where each gradient acts.
+            base: (n, 5, m) by the station's base block.
+            joints: (n, J, m) by its joint errors.
+            shared: (n, P, m) by the shared parameters.
+
+        Returns:
+            (n, P, m).
+        """
+        E_inverse, E_base, E_shared = (
+            part[station] for part in (self._E_inverse, self._E_base, self._E_shared)
+        )
+        solved = E_inverse @ joints
+        follow = self._Y.reshape(-1, _B, self._Y.shape[1])[station]
+        left = base - np.swapaxes(E_base, 1, 2) @ solved
+        out: FloatArray = shared - np.swapaxes(E_shared, 1, 2) @ solved - np.swapaxes(follow, 1, 2) @ left
+        return out
+
+    def base_covariance(self) -> tuple[FloatArray, FloatArray]:
+        """Covariance of the stations' base block for known shared parameters.
+
+        Returns:
+            (N, 5, 5) of each station, and (N, 5, 5) of each station with the one after it (the last is empty).
+        """
+        return chain_covariance(self._diagonal, self._off)
+
+    def joint_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Joint errors for a known rest: covariance (N, J, J), slopes by base (N, J, 5) and shared (N, J, P)."""
+        return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
+
+    @property
+    def base_by_shared(self) -> FloatArray:
+        """(N, 5, P) derivative of the stations' base blocks by the shared parameters."""
+        return -self._Y.reshape(-1, _B, self._Y.shape[1])
+
+
+def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
+    """Build the normal equations of the measurements and eliminate the stations.
+
+    Args:
+        lin: where.
+        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+
+    Raises:
+        LinAlgError: a singular matrix.
+    """
+    data, state = lin.data, lin.state
+    views, legs, weight = lin.views, lin.legs, lin.leg_weight
+    count, P = data.stations, data.layout.size
+
+    # Joint errors, eliminated station by station.
+    sigma = joint_sigmas(data, lin.inliers, lin.noise)
+    GJ = views.information @ views.by_joints
+    JtG = np.swapaxes(GJ, 1, 2)
+    E = np.swapaxes(views.by_joints, 1, 2) @ GJ
+    diagonal = np.arange(E.shape[1])
+    E[:, diagonal, diagonal] += sigma**-2
+    E[:, diagonal, diagonal] *= 1 + damping
+    E_inverse: FloatArray = np.asarray(np.linalg.inv(E), dtype=np.float64)
+    e = np.einsum("nqj,nq->nj", views.by_joints, views.gradient) + state.joint_errors / sigma**2
+    E_base, E_shared = JtG @ views.by_base, JtG @ views.by_shared
+    GB, GS = views.information @ views.by_base, views.information @ views.by_shared
+    Bt = np.swapaxes(views.by_base, 1, 2)
+    D, C, H = Bt @ GB, Bt @ GS, np.einsum("nqp,nqr->pr", views.by_shared, GS)
+    b = np.einsum("nqb,nq->nb", views.by_base, views.gradient)
+    h = np.einsum("nqp,nq->p", views.by_shared, views.gradient)
+
+    # Legs.
+    off = np.zeros((count, _B, _B))
+    i, j = data.legs.T
+    shared = legs.by_shared(data.layout)
+    Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
+    Ws = weight @ shared
+    We = np.einsum("lab,lb->la", weight, legs.residual)
+    it, jt = np.swapaxes(legs.by_start, 1, 2), np.swapaxes(legs.by_end, 1, 2)
+    D[i] += it @ Wi  # a station starts one leg and ends one at most
+    D[j] += jt @ Wj
+    off[i] += it @ Wj
+    C[i] += it @ Ws
+    C[j] += jt @ Ws
+    b[i] += np.einsum("lab,la->lb", legs.by_start, We)
+    b[j] += np.einsum("lab,la->lb", legs.by_end, We)
+    H += np.einsum("lap,lar->pr", shared, Ws)
+    h += np.einsum("lap,la->p", shared, We)
+    _weak_terms(lin, D, b)
+
+    blocks = np.arange(_B)
+    D[:, blocks, blocks] *= 1 + damping
+    H[np.arange(P), np.arange(P)] *= 1 + damping
+
+    reduce = np.swapaxes(E_base, 1, 2) @ E_inverse
+    D -= reduce @ E_base
+    C -= reduce @ E_shared
+    b -= np.einsum("nbj,nj->nb", reduce, e)
+    solved = E_inverse @ E_shared
+    H -= np.einsum("njp,njr->pr", E_shared, solved)
+    h -= np.einsum("njp,nj->p", solved, e)
+    gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e))
+
+    factor = cholesky_banded(banded(D, off), lower=True, check_finite=False)
+    C_flat = C.reshape(-1, P)
+    right = np.concatenate([C_flat, b.reshape(-1, 1)], axis=1)
+    Yy = cho_solve_banded((factor, True), right, check_finite=False)
+    Y, y = Yy[:, :-1], Yy[:, -1]
+    gain += float(b.ravel() @ y)
+    return NormalEquations(
+        S=H - C_flat.T @ Y,
+        s=h - C_flat.T @ y,
+        gain=gain,
+        _E_inverse=E_inverse,
+        _E_base=E_base,
+        _E_shared=E_shared,
+        _e=e,
+        _Y=Y,
+        _y=y,
+        _diagonal=D,
+        _off=off,
+    )
+
+
+def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
+    """Keep the base blocks regular: the gauge, encoder errors, and bases that no measurement holds."""
+    data, inliers, encoder_rad = lin.data, lin.inliers, lin.noise.encoder_rad
+    first = data.first
+    gauge = np.arange(3)
+    D[np.ix_(first, gauge, gauge)] += np.eye(3)
+    lost = ~inliers.views
+    lost[data.legs[~inliers.legs].ravel()] = True
+    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
+    encoders = np.arange(3, _B)
+    if encoder_rad:
+        D[:, encoders, encoders] += encoder_rad**-2
+        b[:, 3:] += lin.state.encoder_errors / encoder_rad**2
+        return
+    D[:, encoders, encoders] = 1.0

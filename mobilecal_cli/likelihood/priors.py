@@ -1,0 +1,113 @@
+"""What is known of the shared parameters beside the measurements: nominal values, user priors, fixed values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.model import BoolArray, FloatArray, Parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """Gaussian priors of the named parameters (the nine and the constants), and what keeps its prior.
+
+    All speak of the displacement from an anchor: `Parameters.minus`, and the constants as they are.
+
+    Attributes:
+        layout: columns.
+        anchor: the point that displacements count from.
+        mean: (named,) expected displacement.
+        weight: (named,) inverse variance, 0 for no prior.
+        fixed: (named,) columns with an exactly known displacement, `mean`.
+        scales: (named,) prior sigmas of nominal values: units in which directions are orthonormal.
+        unobservable: (K, named) directions that the measurements do not show, orthonormal in units of `scales`. The
+            displacement keeps its mean along them, and its prior variance.
+    """
+
+    layout: Layout
+    anchor: Parameters
+    mean: FloatArray
+    weight: FloatArray
+    fixed: BoolArray
+    scales: FloatArray
+    unobservable: FloatArray
+
+    @classmethod
+    def none(cls, layout: Layout, anchor: Parameters) -> Priors:
+        """No prior: every parameter is free, from the measurements alone."""
+        zero = np.zeros(layout.named)
+        scales = layout.prior_sigmas(anchor.wheels)
+        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, layout.named)))
+
+    def displacement(self, state: State) -> FloatArray:
+        """(named,) rad, m, and the constants' units."""
+        constants = [state.value(row.name) for row in self.layout.constants]
+        return np.concatenate([state.parameters.minus(self.anchor), constants])
+
+    @cached_property
+    def _kept(self) -> FloatArray:
+        """(K, named) all directions along which the displacement keeps its mean, in units of `scales`."""
+        return np.concatenate([np.eye(self.layout.named)[self.fixed], self.unobservable])
+
+    @cached_property
+    def named_basis(self) -> FloatArray:
+        """(named, F) free directions of the named parameters, orthonormal in units of `scales`."""
+        if not len(self._kept):
+            return np.eye(self.layout.named)
+        _, _, Vt = np.linalg.svd(self._kept, full_matrices=True)
+        return np.asarray(Vt[len(self._kept) :].T)
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """(P, F) free directions of all shared parameters."""
+        named, size = self.layout.named, self.layout.size
+        free = self.named_basis.shape[1]
+        basis = np.zeros((size, size - named + free))
+        basis[:named, :free] = self.scales[:, None] * self.named_basis
+        basis[named:, free:] = np.eye(size - named)
+        return basis
+
+    def step_to_mean(self, state: State) -> FloatArray:
+        """(P,) shortest step after which the state has its mean along all directions that keep it."""
+        step = np.zeros(self.layout.size)
+        if len(self._kept):
+            off = self._kept @ ((self.mean - self.displacement(state)) / self.scales)
+            step[: self.layout.named] = self.scales * (self._kept.T @ off)
+        return step
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(P,) diagonal of the priors' information."""
+        return np.concatenate([self.weight, np.zeros(self.layout.size - self.layout.named)])
+
+    def gradient(self, state: State) -> FloatArray:
+        """(P,) gradient of half the priors' sum of squares."""
+        off = self.displacement(state) - self.mean
+        return np.concatenate([self.weight * off, np.zeros(self.layout.size - self.layout.named)])
+
+    def cost(self, state: State) -> float:
+        """Sum of squares of the whitened deviations from the priors."""
+        off = self.displacement(state) - self.mean
+        return float(np.sum(self.weight * off**2))
+
+    def considered(self, information: FloatArray, covariance: FloatArray) -> FloatArray:
+        """(P, K) how the estimate is wrong if the unobservable directions are wrong by their prior sigmas.
+
+        The other parameters follow a wrong value u as the normal equations make them, so the error is
+        u - C H u (the consider covariance of Schmidt, 1966).
+
+        Args:
+            information: (P, P) H, priors included.
+            covariance: (P, P) C for correct values along the unobservable directions.
+        """
+        along = np.zeros((self.layout.size, len(self.unobservable)))
+        U = self.unobservable
+        prior = np.sqrt(np.maximum(np.einsum("kn,n,kn->k", U, self.weight * self.scales**2, U), 1e-300))
+        along[: self.layout.named] = (U * self.scales).T / prior
+        error: FloatArray = along - covariance @ (information @ along)
+        return error

@@ -1,0 +1,217 @@
+"""Diagnosis of a recording that does not fit its robot: which single mistake in the description would explain it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters
+from mobilecal_cli.solvers.initial import few_rounds, linear_estimate, motion_seen, ratios_of
+from mobilecal_cli.solvers.transfer import point_rms_m
+
+_CLEARLY_BETTER = (
+    0.4  # a mistake explains the recording if correcting it shrinks the point error to this share
+)
+_FITS = 0.03  # point error over the distance to the board of a recording that fits
+_EQUAL = 1.5  # mistakes whose point errors differ by less cannot be distinguished
+_SAME_RAD = (
+    0.5  # mistakes are distinguished by the camera's rotation from its nominal one, if it differs by more
+)
+_FROZEN, _MOVED = 1e-4, 0.05  # rad or m
+_ROUNDS = 12  # of the linear method
+
+
+_Correction = Callable[[Extraction], Extraction]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mistake:
+    """A mistake in the description, and what gives the recording without it."""
+
+    cause: str
+    cure: str
+    corrected: _Correction
+
+
+def _with_joints(scale: FloatArray | float, order: IntArray | None = None) -> _Correction:
+    """A correction of all joint readings: (..., J) in another order, and scaled."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        observations = tuple(
+            replace(o, joints=scale * (o.joints if order is None else o.joints[order]))
+            for o in extraction.observations
+        )
+        return replace(extraction, observations=observations, joint_tracks=())
+
+    return corrected
+
+
+def _with_wheels(right: float, left: float, swapped: bool = False) -> _Correction:
+    """A correction of both wheels: swapped first, then scaled."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        wheels = []
+        for track in extraction.wheels:
+            of_right, of_left = track.right_rad, track.left_rad
+            if swapped:
+                of_right, of_left = of_left, of_right
+            wheels.append(replace(track, right_rad=right * of_right, left_rad=left * of_left))
+        return replace(extraction, wheels=tuple(wheels))
+
+    return corrected
+
+
+def _joint_mistakes(chain: HeadChain) -> Iterator[_Mistake]:
+    joints = chain.joints
+    for column, name in enumerate(joints):
+        yield _Mistake(
+            f"the sign of joint {name} is reversed",
+            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
+            _with_joints(np.where(np.arange(len(joints)) == column, -1.0, 1.0)),
+        )
+    if len(joints) > 1:
+        yield _Mistake(
+            "the signs of all head joints are reversed",
+            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
+            _with_joints(-1.0),
+        )
+    if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
+        order = np.arange(len(joints))
+        pan, tilt = joints.index(chain.pan), joints.index(chain.tilt)
+        order[[pan, tilt]] = tilt, pan
+        yield _Mistake(
+            f"the readings of {chain.pan} and {chain.tilt} are exchanged",
+            "exchange joints.pan and joints.tilt in rig.yaml, or the names in the recording",
+            _with_joints(1.0, order),
+        )
+    for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
+        yield _Mistake(
+            f"the joint readings are in {unit}",
+            "set the unit in joints.fields in rig.yaml, or correct the recording",
+            _with_joints(factor),
+        )
+
+
+def _wheel_mistakes() -> Iterator[_Mistake]:
+    swap, negate = "exchange wheels.left and wheels.right in rig.yaml", "negate wheels.{}.sign in rig.yaml"
+    for swapped in (False, True):
+        for right, left, sides in (
+            (1, 1, ()),
+            (-1, 1, ("right",)),
+            (1, -1, ("left",)),
+            (-1, -1, ("right", "left")),
+        ):
+            if not swapped and not sides:
+                continue
+            causes = ["the left and right wheels are swapped"] * swapped
+            causes += [f"the {side} wheel's encoder has the wrong sign" for side in sides]
+            cures = [swap] * swapped + [negate.format(side) for side in sides]
+            yield _Mistake(" and ".join(causes), ", then ".join(cures), _with_wheels(right, left, swapped))
+    yield _Mistake(
+        "the wheel readings are in degrees",
+        "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
+        _with_wheels(math.pi / 180, math.pi / 180),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    """Fit of the linear method: point error over the distance to the board, and rotation from the nominal camera."""
+
+    error: float
+    turned_rad: float
+
+
+def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
+    """Fit of the best of some starts, wheel ratios (2,); None where none gives positive wheels."""
+    pairs = dataset_of(extraction).pairs
+    found: list[tuple[float, Parameters]] = []
+    for ratios in starts:
+        try:
+            parameters = few_rounds(pairs, ratios, _ROUNDS)
+        except (SolveError, np.linalg.LinAlgError):
+            continue
+        if np.all(parameters.wheels.vector > 0):
+            found.append((point_rms_m(pairs, parameters), parameters))
+    if not found:
+        return None
+    rms, best = min(found, key=lambda item: item[0])
+    distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
+    nominal, turned = extraction.rig.nominal.T_h_reference, 0.0
+    if nominal is not None:
+        R = nominal[:3, :3] @ extraction.rig.cameras.T_c_reference[:3, :3].T
+        turned = float(np.linalg.norm(se3.log_so3(best.T_h_c[:3, :3] @ R.T)))
+    return _Score(rms / distance_m, turned)
+
+
+def _starts(extraction: Extraction) -> list[FloatArray]:
+    """Wheel ratios to start from: nominal ones, and those of the recording as it stands, with the right signs."""
+    nominal, starts = extraction.rig.nominal.wheels, []
+    if nominal is not None:
+        starts.append(ratios_of(nominal))
+    pairs = dataset_of(extraction).pairs
+    if len(pairs.legs) >= 3:
+        try:
+            as_is = linear_estimate(pairs, nominal).parameters
+        except (SolveError, np.linalg.LinAlgError):
+            return starts
+        starts.append(np.abs(ratios_of(as_is.wheels)) * [1.0, -1.0])
+    return starts
+
+
+def diagnose(extraction: Extraction) -> Diagnosis | None:
+    """The mistake in the description that explains a recording which does not fit; None if none of the known does.
+
+    Signs of every joint and wheel, exchanged joints and wheels, and units are tried one at a time with the linear
+    method. A joint without any motion is named where nothing else explains the recording.
+
+    Args:
+        extraction: a recording that could not be solved, or only badly.
+    """
+    seen = motion_seen(dataset_of(extraction).pairs)
+    if not (seen.tilts and seen.turns and seen.drives):
+        return _frozen(extraction)  # the linear method cannot tell the mistakes apart
+    starts = _starts(extraction)
+    as_is = _score(extraction, starts)
+    base = math.inf if as_is is None else as_is.error
+    found = []
+    for mistake in (*_joint_mistakes(extraction.rig.chain), *_wheel_mistakes()):
+        score = _score(mistake.corrected(extraction), starts)
+        if score is not None and score.error < min(_CLEARLY_BETTER * base, _FITS):
+            found.append((score, mistake))
+    if not found:
+        return _frozen(extraction)
+    least = min(score.error for score, _ in found)
+    equal = [(score, mistake) for score, mistake in found if score.error < _EQUAL * least]
+    nearest = min(score.turned_rad for score, _ in equal)
+    named = [mistake for score, mistake in equal if score.turned_rad < nearest + _SAME_RAD]
+    return Diagnosis(
+        " or ".join(mistake.cause for mistake in named),
+        ", or ".join(mistake.cure for mistake in named),
+        None if not math.isfinite(base) else base,
+        least,
+    )
+
+
+def _frozen(extraction: Extraction) -> Diagnosis | None:
+    """Joints that have the same reading at all stations while others move."""
+    readings = np.stack([o.joints for o in extraction.observations])
+    still = [
+        name
+        for name, extent in zip(extraction.rig.chain.joints, np.ptp(readings, axis=0), strict=True)
+        if extent < _FROZEN
+    ]
+    if not still or np.ptp(readings, axis=0).max() < _MOVED:
+        return None
+    return Diagnosis(
+        f"the reading of {', '.join(still)} never changes, and the images do not fit a joint at rest",
+        "check that this joint's state is recorded while it moves",
+        None,
+        None,
+    )

@@ -1,0 +1,119 @@
+"""Levenberg-Marquardt on the eliminated normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.state import Step
+from mobilecal_cli.model import FloatArray
+
+_MAX_STEPS = 120
+_LARGEST_DAMPING = 1e6
+_CONVERGED = 1e-10  # of the cost
+NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
+_SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
+# Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
+# for long: the optimization ends where they gain less than this, and no longer ever less by leaps.
+_KINKED, _LEAP = 1e-4, 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optimum:
+    """A minimum of the sum of squares.
+
+    Attributes:
+        lin: the likelihood there.
+        history: (n,) costs from the start on.
+    """
+
+    lin: Linearization
+    history: FloatArray
+
+
+def _stalls(history: list[float]) -> bool:
+    """Whether the last two steps gained little, and the last not much less than the one before."""
+    if len(history) < 3:
+        return False
+    before, last = history[-3] - history[-2], history[-2] - history[-1]
+    return last < _KINKED and last > _LEAP * before
+
+
+def _proposed(lin: Linearization, damping: float) -> tuple[Step, float]:
+    """The damped step of all unknowns, and the decrease of the cost that it promises.
+
+    Raises:
+        SolveError: a singular matrix.
+    """
+    priors = lin.priors
+    normal = lin.eliminated(damping) if damping else lin.normal
+    S = priors.basis.T @ (normal.S + np.diag(priors.information)) @ priors.basis
+    s = priors.basis.T @ (normal.s + priors.gradient(lin.state))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = 1 / np.sqrt(np.diag(S))
+    try:
+        along = -unit * np.asarray(cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise SolveError(
+            "the inlier measurements do not determine all parameters",
+            "record more stations, with the whole board in both images",
+        ) from error
+    return normal.step(priors.basis @ along), normal.gain - float(s @ along)
+
+
+def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], None] = lambda: None) -> Optimum:
+    """Minimize the sum of squares of all inliers and priors.
+
+    The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
+    values is moved onto them first. A trial that leads to a singular matrix counts as a step that does not help.
+
+    Args:
+        start: where to start.
+        near: a step that promises a smaller decrease of the cost is not taken. The result is about the root of this
+            from the minimum, in standard deviations.
+        on_step: called before each step.
+
+    Raises:
+        SolveError: no minimum within 120 steps, or a singular matrix even under the largest damping.
+    """
+    lin = start
+    shift = lin.priors.step_to_mean(lin.state)
+    if np.any(shift):
+        data = lin.data
+        still = Step(shift, np.zeros((data.stations, 5)), np.zeros(data.joints.shape))
+        lin = Linearization.at(data, lin.state.plus(data, still), lin.inliers, lin.noise, lin.priors)
+    damping, history, converged = 0.0, [lin.cost], False
+    while len(history) <= _MAX_STEPS + 1:
+        on_step()
+        try:
+            step, gain = _proposed(lin, damping)
+        except SolveError:
+            damping = max(damping * 10, 1e-6)
+            if damping > _LARGEST_DAMPING:
+                raise
+            continue
+        if converged or (damping == 0 and gain <= near + _ROUNDING * lin.cost):
+            return Optimum(lin, np.array(history))
+        trial = lin.after(step)
+        before = lin.cost
+        if trial.cost <= before * (1 + 1e-13) and trial.state.parameters.wheels.separation_m > 0:
+            converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
+            lin = trial
+            history.append(lin.cost)
+            converged |= len(history) > _MAX_STEPS and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= _stalls(history)
+            damping = damping / 10 if damping > 1e-9 and not converged else 0.0
+        else:
+            damping = max(damping * 10, 1e-6)
+            if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
+                converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
+                history.append(lin.cost)
+    raise SolveError(
+        f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
+        "check the residuals of --method linear",
+    )

@@ -1,0 +1,92 @@
+"""A mistake in the description is named: every sign, exchanges, units, frozen joints."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.diagnosis import diagnose
+
+ROBOT = tick_robot()
+PAN, TILT = 0, 1
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    return ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=4), Noise(0.2, 0.003, 0.0, 1e-3), 4)
+
+
+def with_joints(extraction, change):
+    observations = tuple(replace(o, joints=change(o.joints)) for o in extraction.observations)
+    return replace(extraction, observations=observations, joint_tracks=())
+
+
+def with_wheels(extraction, right, left, swapped=False):
+    (track,) = extraction.wheels
+    a, b = (track.left_rad, track.right_rad) if swapped else (track.right_rad, track.left_rad)
+    return replace(extraction, wheels=(replace(track, right_rad=right * a, left_rad=left * b),))
+
+
+def frozen(joint):
+    def change(q):
+        q = q.copy()
+        q[joint] = 0.1
+        return q
+
+    return change
+
+
+def said_of(extraction):
+    """The error's message, or the verdict's reason."""
+    try:
+        verdict = judge(solve(extraction), extraction)
+    except SolveError as error:
+        return error.message
+    return verdict.reason if verdict.level == "FAIL" else verdict.level
+
+
+MISTAKES = {
+    "pan sign": (lambda e: with_joints(e, lambda q: q * [-1, 1]), "the sign of joint pan_joint is reversed"),
+    "tilt sign": (
+        lambda e: with_joints(e, lambda q: q * [1, -1]),
+        "the sign of joint tilt_joint is reversed",
+    ),
+    "both signs": (lambda e: with_joints(e, lambda q: -q), "the signs of all head joints are reversed"),
+    "exchanged": (lambda e: with_joints(e, lambda q: q[::-1]), "pan_joint and tilt_joint are exchanged"),
+    "degrees": (lambda e: with_joints(e, np.degrees), "the joint readings are in degrees"),
+    "pan frozen": (lambda e: with_joints(e, frozen(PAN)), "the reading of pan_joint never changes"),
+    "tilt frozen": (lambda e: with_joints(e, frozen(TILT)), "the reading of tilt_joint never changes"),
+    "right": (lambda e: with_wheels(e, -1, 1), "the right wheel's encoder has the wrong sign"),
+    "left": (lambda e: with_wheels(e, 1, -1), "the left wheel's encoder has the wrong sign"),
+    "both wheels": (
+        lambda e: with_wheels(e, -1, -1),
+        "right wheel's encoder has the wrong sign and the left",
+    ),
+    "swapped": (lambda e: with_wheels(e, 1, 1, swapped=True), "the left and right wheels are swapped"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_the_mistake_is_named(recorded, name):
+    spoil, cause = MISTAKES[name]
+    spoilt = spoil(recorded)
+    assert cause in said_of(spoilt)
+
+
+def test_the_named_mistake_is_the_only_one(recorded):
+    """Wheels are not blamed for a joint: turned pan once said that both wheels were turned."""
+    spoilt = MISTAKES["pan sign"][0](recorded)
+    with pytest.raises(SolveError) as caught:
+        solve(spoilt)
+    assert "wheel" not in caught.value.message
+
+
+def test_a_good_recording_has_no_diagnosis(recorded):
+    assert diagnose(recorded) is None
+    assert solve(recorded).diagnosis is None

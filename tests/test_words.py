@@ -1,0 +1,23 @@
+"""Prose uses the field's terms and one spelling; `tests.words` has the list."""
+
+from tests import words
+
+
+def test_no_unwanted_term_in_the_projects_prose():
+    assert [line for path in words.files() for line in words.found_in(path)] == []
+
+
+def test_the_check_sees_docstrings_messages_comments_templates_and_pages(tmp_path, monkeypatch):
+    """Each kind of prose with one unwanted term; code in backticks and template expressions do not count."""
+    monkeypatch.setattr(words, "REPOSITORY", tmp_path)
+    texts = {
+        "a.py": '"""A held direction."""\n# what the log tells\nMESSAGE = "stations looked at"\nheld = "held"\n',
+        "b.md": "The log tells it.\n`held`\n```\nheld\n```\n",
+        "c.jinja": "<p>It is held.</p>{{ held }}{% if held %}{% endif %}",
+    }
+    found = {}
+    for name, text in texts.items():
+        path = tmp_path / name
+        path.write_text(text)
+        found[name] = sorted(line.split(": ")[1].split("'")[1] for line in words.found_in(path))
+    assert found == {"a.py": ["held", "looked at", "tells"], "b.md": ["tells"], "c.jinja": ["held"]}
