@@ -46,7 +46,7 @@ def hidden(solution: Solution) -> Iterator[Check]:
         f"{9 - len(fixed)} of 9 (not observable: {', '.join(fixed)})",
         "9 of 9",
         "short",
-        f"The recording does not determine {', '.join(fixed)}: the nominal value is kept, as uncertain as it is.",
+        f"The recording does not determine {', '.join(fixed)}. The nominal value is kept, with its own uncertainty.",
         f"Record again and {'; '.join(cures)}.",
     )
 
