@@ -41,7 +41,7 @@ class Plan:
 
     Attributes:
         stations: in order of time.
-        wheels: both wheels on common times.
+        wheels: both wheels.
         joints: the head's joints, in the order of `HeadChain.joints`.
         rejections: images that cannot be used, with the reason.
         notes: complete sentences for the report.
@@ -55,21 +55,18 @@ class Plan:
 
 
 def wheel_track(right: Track, left: Track) -> WheelTrack:
-    """Both wheels at the union of their sample times, within the time that both cover.
+    """Both wheels of a recording, each with its own readings.
 
     Raises:
         RecordingError: the two do not overlap in time.
     """
-    first = max(right.time_ns[0], left.time_ns[0])
-    last = min(right.time_ns[-1], left.time_ns[-1])
-    times = np.union1d(right.time_ns, left.time_ns)
-    times = times[(times >= first) & (times <= last)]
-    if len(times) < 2:
+    track = WheelTrack(right, left)
+    if len(track.time_ns) < 2:
         raise RecordingError(
             "the readings of the left and right wheel do not overlap in time",
             "record both wheels during the whole recording; check that both topics use the same clock",
         )
-    return WheelTrack(times, right.at(times), left.at(times))
+    return track
 
 
 def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[Shot, ...]:

@@ -27,7 +27,8 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
+_OLDEST_READ = 5  # both wheels at the same times
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -99,9 +100,9 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
                     [np.asarray(getattr(getattr(o, side), name), dtype) for o in seen]
                 )
     for i, track in enumerate(extraction.wheels):
-        arrays[f"wheels.{i}.time_ns"] = track.time_ns
-        arrays[f"wheels.{i}.right_rad"] = track.right_rad
-        arrays[f"wheels.{i}.left_rad"] = track.left_rad
+        for side, wheel in (("right", track.right), ("left", track.left)):
+            arrays[f"wheels.{i}.{side}.time_ns"] = wheel.time_ns
+            arrays[f"wheels.{i}.{side}.rad"] = wheel.value
     for i, tracks in enumerate(extraction.joint_tracks):
         for j, joint in enumerate(tracks):
             arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
@@ -146,10 +147,11 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
         raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
     if header.get("format") != _FORMAT:
         raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
-    if header.get("schema_version") != SCHEMA_VERSION:
-        found = header.get("schema_version")
+    found = header.get("schema_version")
+    if found not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
         raise RecordingError(
-            f"{name}: schema version {found!r}; this version of mobilecal reads {SCHEMA_VERSION}", _HINT
+            f"{name}: schema version {found!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
+            _HINT,
         )
     try:
         return _extraction(header, arrays)
@@ -197,10 +199,7 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
         rig=from_plain(Rig, header["rig"]),
         board=from_plain(Board, header["board"]),
         observations=tuple(_observation(arrays, i) for i in range(header["observations"])),
-        wheels=tuple(
-            WheelTrack(*(arrays[f"wheels.{i}.{name}"] for name in ("time_ns", "right_rad", "left_rad")))
-            for i in range(header["wheels"])
-        ),
+        wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
         rejections=tuple(from_plain(Rejection, item) for item in header["rejections"]),
         notes=tuple(str(note) for note in header["notes"]),
         logs=tuple(from_plain(LogSource, item) for item in header["logs"]),
@@ -213,6 +212,17 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
             for i, count in enumerate(header["joint_tracks"])
         ),
     )
+
+
+def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
+    if f"{name}.time_ns" in arrays:  # schema version 5
+        return WheelTrack.at_same_times(
+            *(arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
+        )
+    right, left = (
+        Track(arrays[f"{name}.{side}.time_ns"], arrays[f"{name}.{side}.rad"]) for side in ("right", "left")
+    )
+    return WheelTrack(right, left)
 
 
 def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:

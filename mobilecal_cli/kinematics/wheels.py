@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry, WheelTrack
+from mobilecal_cli.model import FloatArray, IntArray, Track, WheelGeometry, WheelTrack
 
 _ROUNDING_RAD = 1e-9
-_WHOLE_STEPS = 0.01
+_WHOLE_STEPS = 0.01  # a sound change is so near to a whole number of steps
+_ROUNDING_STEPS = 1e-6  # agreement in steps that says no more
+_CORRUPTED = 0.02  # share of the changes that may be anything
+_MOST_PARTS = 30  # steps in the smallest change
+_CHANGES_TRIED = 500
+_BY_CHANCE = 1e-3
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
 
@@ -56,53 +62,82 @@ class Increments:
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
-    """Resolution of an encoder: the smallest change, if all are multiples of it, (n,) → rad; 0 otherwise."""
+    """Resolution of an encoder: the greatest common divisor of its changes, (n,) → rad; 0 if there is none.
+
+    A few changes may be corrupted. The divisor is a whole part of the smallest sound change.
+    """
     changes = np.abs(np.diff(readings_rad))
     changes = changes[changes > _ROUNDING_RAD]
     if not len(changes):
         return 0.0
-    steps = changes / changes.min()
-    return float(changes.min()) if np.abs(steps - np.round(steps)).max() < _WHOLE_STEPS else 0.0
+    # A part of the changes decides whether there is a divisor at all: most smooth readings end here.
+    some = np.sort(changes[:: -(-len(changes) // _CHANGES_TRIED)])
+    smallest = some[: int(_CORRUPTED * len(some)) + 1]
+    smallest = smallest[np.append(True, np.diff(smallest) > _WHOLE_STEPS * smallest[:-1])]
+    candidates = np.unique(np.append(smallest[:, None] / np.arange(1, _MOST_PARTS + 1), changes.min()))
+    for step in candidates[::-1]:
+        if _divides(step, some, len(candidates)) and _divides(step, changes, len(candidates)):
+            return _adjusted(step, changes)
+    return 0.0
 
 
-def between_steps(track: WheelTrack) -> WheelTrack:
-    """A track without encoder quantization: linear between the changes of a reading.
+def _divides(step: float, changes: FloatArray, tried: int) -> bool:
+    """Whether the changes are multiples of a step, and not by chance, given the number of steps that were tried."""
+    multiples = np.round(changes / step)
+    off = np.abs(changes / step - multiples)
+    sound = (off < _WHOLE_STEPS) & (multiples > 0)
+    if sound.sum() < (1 - _CORRUPTED) * len(changes):
+        return False
+    different = len(np.unique(multiples[sound]))
+    if sound.all() and multiples.min() == 1:  # whole multiples of a change that was read
+        return True
+    by_chance = 2 * max(float(off[sound].max()), _ROUNDING_STEPS)
+    return bool(tried * by_chance ** (different - 1) < _BY_CHANCE)
+
+
+def _adjusted(step: float, changes: FloatArray) -> float:
+    """The step that fits all sound changes: readings may be rounded."""
+    multiples = np.round(changes / step)
+    sound = (np.abs(changes / step - multiples) < _WHOLE_STEPS) & (multiples > 0)
+    return float(np.median(changes[sound] / multiples[sound]))
+
+
+def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
+    """Resolution of the right and left wheel's encoder, the largest over the recordings, (2,)."""
+    steps = [[encoder_step_rad(wheel.value) for wheel in (track.right, track.left)] for track in tracks]
+    return np.asarray(np.array(steps).reshape(-1, 2).max(axis=0, initial=0.0), dtype=np.float64)
+
+
+def between_steps(track: Track) -> Track:
+    """A wheel without encoder quantization: linear between the changes of its reading.
 
     A reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
     same sign until the next change.
     """
-
-    def smooth(readings_rad: FloatArray) -> FloatArray:
-        changes = np.flatnonzero(np.diff(readings_rad))
-        middle_ns = (offsets[changes] + offsets[changes + 1]) / 2
-        middle_rad = (readings_rad[changes] + readings_rad[changes + 1]) / 2
-        at = np.concatenate([offsets[:1], middle_ns, offsets[-1:]])
-        values = np.concatenate([readings_rad[:1], middle_rad, readings_rad[-1:]])
-        return np.asarray(np.interp(offsets, at, values), dtype=np.float64)
-
-    offsets = (track.time_ns - track.time_ns[0]).astype(np.float64)
-    return WheelTrack(track.time_ns, smooth(track.right_rad), smooth(track.left_rad))
+    offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
+    changes = np.flatnonzero(np.diff(value))
+    middle_ns = (offsets[changes] + offsets[changes + 1]) / 2
+    middle_rad = (value[changes] + value[changes + 1]) / 2
+    at = np.concatenate([offsets[:1], middle_ns, offsets[-1:]])
+    values = np.concatenate([value[:1], middle_rad, value[-1:]])
+    return Track(track.time_ns, np.interp(offsets, at, values))
 
 
 def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
-    """Increments of a wheel track, split at the stations' times.
+    """Increments of a wheel track, split at the stations' times and at the readings of either wheel.
 
     Args:
         track: both wheels of one recording.
-        times_ns: (N,) increasing, inside the track's span.
+        times_ns: (N,) increasing, inside the time that both wheels cover.
 
     Returns:
         Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
     """
-    start = track.time_ns[0]
     place = np.searchsorted(track.time_ns, times_ns)
     between = track.time_ns[np.minimum(place, len(track.time_ns) - 1)] != times_ns
     moments = np.insert(track.time_ns, place[between], times_ns[between])
     moments = moments[(moments >= times_ns[0]) & (moments <= times_ns[-1])]
-    # Offsets from the start are small enough to be exact nanoseconds in float64.
-    at, samples = (moments - start).astype(np.float64), (track.time_ns - start).astype(np.float64)
-    right = np.diff(np.interp(at, samples, track.right_rad))
-    left = np.diff(np.interp(at, samples, track.left_rad))
+    right, left = np.diff(track.right.at(moments)), np.diff(track.left.at(moments))
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
     return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1)

@@ -101,11 +101,11 @@ def influences(lin: Linearization) -> Iterator[Influence]:
             np.swapaxes(root, 1, 2) @ marginal.legs @ root,
         )
     if lin.noise.encoder_rad:
-        one = np.broadcast_to(np.eye(2) / lin.noise.encoder_rad, (count, 2, 2))
+        one = np.broadcast_to(np.diag(1 / lin.encoder_sigmas), (count, 2, 2))
         base = np.concatenate([np.zeros((count, 3, 2)), one], axis=1)
         onto = normal.onto_shared(np.arange(count), base, np.zeros((count, J, 2)), np.zeros((count, P, 2)))
-        leverage = marginal.encoders[:, :, None] * np.eye(2) / lin.noise.encoder_rad**2
-        yield Influence("encoder_rad", C @ onto, state.encoder_errors / lin.noise.encoder_rad, leverage)
+        leverage = marginal.encoders[:, :, None] * np.diag(lin.encoder_sigmas**-2)
+        yield Influence("encoder_rad", C @ onto, state.encoder_errors / lin.encoder_sigmas, leverage)
 
 
 def shares(lin: Linearization) -> Mapping[str, FloatArray]:

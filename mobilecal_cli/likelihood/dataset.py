@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_step_rad, head_pose, join
+from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_steps_rad, head_pose, join
 from mobilecal_cli.likelihood.backlash import approach_direction
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, constant
 from mobilecal_cli.model import (
@@ -27,6 +27,7 @@ from mobilecal_cli.model import (
 
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
+_LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 
 
@@ -77,7 +78,7 @@ class Dataset:
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         times_ns: (N,) the stations' stamps.
-        encoder_step_rad: resolution of the encoders; 0 for none.
+        encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         layout: columns of the parameters that all stations share.
     """
 
@@ -99,7 +100,7 @@ class Dataset:
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
     times_ns: IntArray
-    encoder_step_rad: float
+    encoder_step_rad: FloatArray
     layout: Layout
 
     @property
@@ -112,6 +113,14 @@ class Dataset:
         """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
         kinds = {link.joint: link.kind for link in self.chain.links if isinstance(link, JointLink)}
         return np.array([1.0 if kinds[name] == "revolute" else 0.1 for name in self.chain.joints])
+
+    @property
+    def encoder_shares(self) -> FloatArray:
+        """(2,) encoder noise of the right and left wheel in units of the coarser one's: as their steps."""
+        coarser = self.encoder_step_rad.max()
+        if coarser == 0:
+            return np.ones(2)
+        return np.asarray(np.maximum(self.encoder_step_rad / coarser, _LEAST_ENCODER_SHARE))
 
     def joint_with(self, role: str) -> int | None:
         """Column of the joint with a role, "pan" or "tilt"; None where the chain has no such joint."""
@@ -154,8 +163,7 @@ class Dataset:
             late, early = (
                 self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
             )
-            for k, value in enumerate((track.right_rad, track.left_rad)):
-                wheel = Track(track.time_ns, value)
+            for k, wheel in enumerate((track.right, track.left)):
                 rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
         return rates
 
@@ -244,16 +252,16 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         square_m = float(np.median([o.square_m for o in seen]))
         if not any(row.name == "square_scale" for row in constants):
             constants = (*constants, constant("square_scale"))
-    step = max(
-        (encoder_step_rad(side) for track in extraction.wheels for side in (track.right_rad, track.left_rad)),
-        default=0.0,
-    )
+    steps = encoder_steps_rad(extraction.wheels)
     moving = np.array([not o.at_rest for o in seen])
     tracks = extraction.wheels
-    if (
-        step and moving.any()
-    ):  # at rest a reading is as good as its step; in motion its changes are more exact
-        tracks = tuple(between_steps(track) for track in tracks)
+    if moving.any():  # at rest a reading is as good as its step; in motion its changes are more exact
+        tracks = tuple(
+            WheelTrack(
+                *(between_steps(w) if step else w for w, step in zip((t.right, t.left), steps, strict=True))
+            )
+            for t in tracks
+        )
     logs, board = np.unique(log, return_inverse=True)
     claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
     return Dataset(
@@ -275,7 +283,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
-        encoder_step_rad=step,
+        encoder_step_rad=steps,
         layout=Layout(tuple(constants), len(logs)),
     )
 

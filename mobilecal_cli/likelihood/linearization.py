@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import Legs, leg_covariance, linearize_legs
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
-from mobilecal_cli.likelihood.noise import Inliers, Noise, joint_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, joint_sigmas
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.nuisance import Constant
 from mobilecal_cli.likelihood.observability import Directions, directions
@@ -125,13 +125,18 @@ class Linearization:
         return joint_sigmas(self.data, self.inliers, self.noise)
 
     @cached_property
+    def encoder_sigmas(self) -> FloatArray:
+        """(2,) sigma of the right and left wheel's encoder reading, rad; 0 where the encoders have no steps."""
+        return encoder_sigmas(self.data, self.noise)
+
+    @cached_property
     def cost(self) -> float:
         """Sum of squares of all whitened residuals and of the priors."""
         e, state = self.legs.residual, self.state
         cost = float(self.views.cost.sum()) + float(np.einsum("la,lab,lb->", e, self.leg_weight, e))
         cost += float(np.sum((state.joint_errors / self.joint_sigmas) ** 2))
         if self.noise.encoder_rad:
-            cost += float(np.sum((state.encoder_errors / self.noise.encoder_rad) ** 2))
+            cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
         return cost + self.priors.cost(state)
 
     # -- normal equations -------------------------------------------------------------------------

@@ -23,7 +23,7 @@ class Noise:
     Attributes:
         pixel_px: of one corner coordinate (root mean square over the stations, whose images differ).
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading; 0 where the encoders have no steps.
+        encoder_rad: of one encoder reading of the wheel with the coarser encoder; 0 where the encoders have no steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
     """
 
@@ -81,6 +81,11 @@ class Inliers:
     def count(self) -> int:
         """How many numbers were measured: two per corner, three per leg, one per joint reading."""
         return 2 * int(self.used_corners.sum()) + 3 * int(self.legs.sum()) + int(self.readings.sum())
+
+
+def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
+    """(2,) sigma of the right and left wheel's encoder reading, rad; 0 where the encoders have no steps."""
+    return noise.encoder_rad * data.encoder_shares
 
 
 def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:

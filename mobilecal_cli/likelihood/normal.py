@@ -178,7 +178,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 
 def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
     """Keep the base blocks regular: the gauge, encoder errors, and bases that no measurement holds."""
-    data, inliers, encoder_rad = lin.data, lin.inliers, lin.noise.encoder_rad
+    data, inliers = lin.data, lin.inliers
     first = data.first
     gauge = np.arange(3)
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
@@ -186,8 +186,9 @@ def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
     encoders = np.arange(3, _B)
-    if encoder_rad:
-        D[:, encoders, encoders] += encoder_rad**-2
-        b[:, 3:] += lin.state.encoder_errors / encoder_rad**2
+    if lin.noise.encoder_rad:
+        information = lin.encoder_sigmas**-2
+        D[:, encoders, encoders] += information
+        b[:, 3:] += lin.state.encoder_errors * information
         return
     D[:, encoders, encoders] = 1.0

@@ -157,7 +157,7 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> tuple[FloatArra
     end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
     one = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
     pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), one)
-    track = WheelTrack(times, np.array(right), np.array(left))
+    track = WheelTrack.at_same_times(times, np.array(right), np.array(left))
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     legs = linearize_legs(pair, there, noise.encoder_rad > 0)
     by_start = legs.by_start[0].copy()
@@ -186,7 +186,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
         H += A.T @ views.information[c + 1] @ A
         H[: P + 10, : P + 10] += driven.T @ weight @ driven
         encoders, readings = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + J)
-        H[encoders, encoders] += (noise.encoder_rad or 1.0) ** -2
+        H[encoders, encoders] += lin.encoder_sigmas**-2 if noise.encoder_rad else 1.0
         H[readings, readings] += (noise.joint_rad * data.joint_units) ** -2
         kept = P + 5
         out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -98,23 +99,44 @@ class Observation:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WheelTrack:
-    """Rotations of both wheels since the start of one recording, at common times.
+    """Rotations of both wheels since the start of one recording.
+
+    Each wheel keeps its own readings: interpolated ones would no longer show the step of its encoder.
 
     Attributes:
-        time_ns: (n,) strictly increasing.
-        right_rad, left_rad: (n,) unwrapped rotation, positive when driving forward. Both wheels turn at constant rates
-            between two samples, so the base moves on an arc.
+        right, left: unwrapped rotation, rad, positive when driving forward. A wheel turns at a constant rate between
+            two readings, so the base moves on arcs.
     """
 
-    time_ns: IntArray
-    right_rad: FloatArray
-    left_rad: FloatArray
+    right: Track
+    left: Track
 
-    def __post_init__(self) -> None:
-        n = freeze(self, np.int64, time_ns=("n",))["n"]
-        freeze(self, right_rad=(n,), left_rad=(n,))
+    @classmethod
+    def at_same_times(cls, time_ns: IntArray, right_rad: FloatArray, left_rad: FloatArray) -> WheelTrack:
+        """Both wheels read at the same times, (n,) each."""
+        return cls(Track(time_ns, right_rad), Track(time_ns, left_rad))
+
+    @cached_property
+    def time_ns(self) -> IntArray:
+        """(n,) stamps of both wheels within the time that both cover, strictly increasing."""
+        right, left = self.right.time_ns, self.left.time_ns
+        if not (len(right) and len(left)):
+            return np.zeros(0, dtype=np.int64)
+        times = right if np.array_equal(right, left) else np.union1d(right, left)
+        shared = (times >= max(right[0], left[0])) & (times <= min(right[-1], left[-1]))
+        return np.asarray(times[shared], dtype=np.int64)
+
+    @cached_property
+    def right_rad(self) -> FloatArray:
+        """(n,) rotation of the right wheel at `time_ns`, interpolated."""
+        return self.right.at(self.time_ns)
+
+    @cached_property
+    def left_rad(self) -> FloatArray:
+        """(n,) rotation of the left wheel at `time_ns`, interpolated."""
+        return self.left.at(self.time_ns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -156,8 +156,10 @@ def _motion(
         low, high = float(track.value.min()), float(track.value.max())
         scale, unit = (1e3, "mm") if name in sliding else (180 / np.pi, "deg")
         joints[name] = JointRange(low * scale, high * scale, unit)
-    turned = {"right": wheels.right_rad, "left": wheels.left_rad}
-    wheels_deg = {side: float(np.degrees(np.abs(np.diff(values)).sum())) for side, values in turned.items()}
+    turned = {"right": wheels.right, "left": wheels.left}
+    wheels_deg = {
+        side: float(np.degrees(np.abs(np.diff(wheel.value)).sum())) for side, wheel in turned.items()
+    }
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:
         legs = integrate(cut_at(wheels, _seconds(wheels)), rig.nominal.wheels)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_step_rad
+from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
 #: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.
@@ -219,10 +219,8 @@ def board_distance_m(extraction: Extraction) -> float:
 def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
     """Heading error if both encoders are off by one step, rad."""
     wheels = solution.parameters.wheels
-    tracks = extraction.wheels
-    right = max((encoder_step_rad(track.right_rad) for track in tracks), default=0.0)
-    left = max((encoder_step_rad(track.left_rad) for track in tracks), default=0.0)
-    return (wheels.radius_right_m * right + wheels.radius_left_m * left) / wheels.separation_m
+    right, left = encoder_steps_rad(extraction.wheels).tolist()
+    return float(wheels.radius_right_m * right + wheels.radius_left_m * left) / wheels.separation_m
 
 
 def stations_looked_at(extraction: Extraction) -> int:

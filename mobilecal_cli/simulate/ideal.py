@@ -72,7 +72,7 @@ def _wheel_track(
         angles = angles + np.concatenate([np.zeros((1, 2)), np.cumsum(error, axis=0)])
     if noise.encoder_step_rad:
         angles = np.floor(angles / noise.encoder_step_rad) * noise.encoder_step_rad
-    return WheelTrack(nanoseconds(moments), angles[:, 0], angles[:, 1])
+    return WheelTrack.at_same_times(nanoseconds(moments), angles[:, 0], angles[:, 1])
 
 
 def _joint_tracks(route: Route) -> tuple[Track, ...]:

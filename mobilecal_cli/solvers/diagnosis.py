@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters, WheelTrack
 from mobilecal_cli.solvers.initial import few_rounds, linear_estimate, motion_seen, ratios_of
 from mobilecal_cli.solvers.transfer import point_rms_m
 
@@ -58,10 +58,12 @@ def _with_wheels(right: float, left: float, swapped: bool = False) -> _Correctio
     def corrected(extraction: Extraction) -> Extraction:
         wheels = []
         for track in extraction.wheels:
-            of_right, of_left = track.right_rad, track.left_rad
-            if swapped:
-                of_right, of_left = of_left, of_right
-            wheels.append(replace(track, right_rad=right * of_right, left_rad=left * of_left))
+            of_right, of_left = (track.left, track.right) if swapped else (track.right, track.left)
+            scaled = (
+                replace(of_right, value=right * of_right.value),
+                replace(of_left, value=left * of_left.value),
+            )
+            wheels.append(WheelTrack(*scaled))
         return replace(extraction, wheels=tuple(wheels))
 
     return corrected

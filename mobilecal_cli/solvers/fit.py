@@ -148,7 +148,7 @@ class Fitter:
         self.given = frozenset(self._levels)
         #: Tolerances while outliers are searched for.
         self.coarse = _QUICK if self.data.stations >= LONG_RECORDING else _COARSE
-        self._guess = replace(GUESS, encoder_rad=self.data.encoder_step_rad * UNIFORM)
+        self._guess = replace(GUESS, encoder_rad=float(self.data.encoder_step_rad.max()) * UNIFORM)
 
     # -- initial parameters -----------------------------------------------------------------------
 

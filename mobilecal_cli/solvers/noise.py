@@ -63,8 +63,8 @@ def components(lin: Linearization) -> dict[str, Component]:
     result["joint_rad"] = Component(float(ratio.sum()), float(left.sum()))
 
     if lin.noise.encoder_rad:
-        ratio = (state.encoder_errors / lin.noise.encoder_rad) ** 2
-        left = 1 - marginal.encoders / lin.noise.encoder_rad**2
+        ratio = (state.encoder_errors / lin.encoder_sigmas) ** 2
+        left = 1 - marginal.encoders / lin.encoder_sigmas**2
         result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
     return result
 

@@ -128,7 +128,7 @@ def spoiled(
         middle = (seen[leg].time_ns + seen[leg + 1].time_ns) // 2
         right = wheels.right_rad.copy()
         right[wheels.time_ns > middle] += random.choice([-1, 1]) * random.uniform(0.08, 0.4)
-        wheels = WheelTrack(wheels.time_ns, right, wheels.left_rad)
+        wheels = WheelTrack.at_same_times(wheels.time_ns, right, wheels.left_rad)
     return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
 
 

@@ -122,12 +122,10 @@ def observations(m, j):
     )
 
 
-tracks = st.integers(0, 5).flatmap(
-    lambda n: st.builds(WheelTrack, hnp.arrays(np.int64, n, elements=int64), arrays(n), arrays(n))
-)
 joint_tracks = st.integers(0, 5).flatmap(
     lambda n: st.builds(Track, hnp.arrays(np.int64, n, elements=int64), arrays(n))
 )
+tracks = st.builds(WheelTrack, joint_tracks, joint_tracks)
 extractions = st.builds(
     Extraction,
     rig=rigs,
@@ -179,11 +177,26 @@ def test_a_usual_one_comes_back_from_a_file(tmp_path):
     assert_same(extraction, extraction_from_npz(tmp_path / "extraction.npz"))
 
 
+def test_a_file_with_both_wheels_at_the_same_times_is_read():
+    """Schema version 5, as it was written: one array of stamps for both wheels."""
+    extraction = make_extraction(n=2)
+    (track,) = extraction.wheels
+    with np.load(io.BytesIO(extraction_to_npz(extraction))) as archive:
+        content = {name: archive[name] for name in archive.files if not name.startswith("wheels.")}
+    header = json.loads(content["header"].tobytes()) | {"schema_version": 5}
+    content["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    for name in ("time_ns", "right_rad", "left_rad"):
+        content[f"wheels.0.{name}"] = getattr(track, name)
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    assert_same(extraction, extraction_from_npz(stream.getvalue()))
+
+
 def test_numpy_alone_can_read_it():
     extraction = make_extraction(n=3)
     with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
         assert archive["observations.points_c"].shape == (3, 54, 3)
-        assert archive["wheels.0.time_ns"].dtype == np.int64
+        assert archive["wheels.0.right.time_ns"].dtype == np.int64
         header = json.loads(archive["header"].tobytes())
     assert (header["schema_version"], header["made_by"]) == (SCHEMA_VERSION, __version__)
     assert [set(log) for log in header["logs"]] == [{"path", "sha256"}] * len(header["logs"])
@@ -219,7 +232,7 @@ def with_header(change):
         (lambda h: h["rig"]["cameras"]["left"].update(K=[[1]]), "Camera.K: shape"),
         (lambda h: h["rig"]["chain"]["links"][0].clear(), "match none of"),
         (lambda h: h.update(observations=3), "out of bounds"),
-        (lambda h: h.update(wheels=2), "wheels.1.time_ns"),
+        (lambda h: h.update(wheels=2), "wheels.1.right.time_ns"),
     ],
 )
 def test_a_changed_header_is_said(change, said):

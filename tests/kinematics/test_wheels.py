@@ -16,11 +16,12 @@ from mobilecal_cli.kinematics import (
     between_steps,
     cut_at,
     encoder_step_rad,
+    encoder_steps_rad,
     integrate,
     integrate_with_jacobian,
     join,
 )
-from mobilecal_cli.model import WheelGeometry, WheelTrack
+from mobilecal_cli.model import Track, WheelGeometry, WheelTrack
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
 
@@ -129,7 +130,9 @@ def test_an_arc_in_pieces_is_the_same_arc(right, left):
 
 def test_cut_at_interpolates_and_keeps_nanoseconds():
     start = 1_700_000_000_000_000_000
-    track = WheelTrack(start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0])
+    track = WheelTrack.at_same_times(
+        start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0]
+    )
     steps = cut_at(track, start + np.array([5, 15, 25]))
     assert steps.legs == 2
     assert steps.totals_rad == pytest.approx(np.array([[0.5, 1.0], [1.0, 0.0]]))
@@ -159,14 +162,14 @@ def test_between_its_steps_a_reading_runs_on():
     true_rad = np.clip(0.73 * (np.arange(400) * 0.01 - 1), 0, 1.5)
     step = 0.05
     read = np.floor(true_rad / step) * step + step / 2
-    smooth = between_steps(WheelTrack(time_ns, read, read[::-1].copy()))
+    smooth, back = between_steps(Track(time_ns, read)).value, between_steps(Track(time_ns, read[::-1])).value
     running = (time_ns > 1.1e9) & (time_ns < 3.0e9)
     assert np.abs(read - true_rad)[running].max() > 0.9 * step / 2
-    assert np.abs(smooth.right_rad - true_rad)[running].max() < 0.73 * 0.01 / 2 + 1e-9  # half a sample
-    assert np.allclose(smooth.left_rad, smooth.right_rad[::-1])
-    assert np.abs(smooth.right_rad - true_rad).max() < step
-    assert smooth.right_rad[0] == read[0]
-    assert smooth.right_rad[-1] == read[-1]
+    assert np.abs(smooth - true_rad)[running].max() < 0.73 * 0.01 / 2 + 1e-9  # half a sample
+    assert np.allclose(back, smooth[::-1])
+    assert np.abs(smooth - true_rad).max() < step
+    assert smooth[0] == read[0]
+    assert smooth[-1] == read[-1]
 
 
 def test_the_step_of_an_encoder():
@@ -175,3 +178,60 @@ def test_the_step_of_an_encoder():
     assert encoder_step_rad(np.floor(smooth / 0.021) * 0.021) == pytest.approx(0.021)
     assert encoder_step_rad(smooth) == 0.0
     assert encoder_step_rad(np.zeros(5)) == 0.0
+
+
+def readings(ticks, step=0.0021):
+    """Readings of an encoder whose changes are these numbers of ticks."""
+    return step * np.cumsum(np.append(7, ticks))
+
+
+def test_the_step_is_the_greatest_common_divisor_of_the_changes():
+    random = np.random.default_rng(1)
+    for ticks in ((2, 3, 5), (6, 10, 15), (4, 9), (20, 21, 23, 26)):
+        found = encoder_step_rad(readings(random.choice(ticks, 300)))
+        assert found == pytest.approx(0.0021 * np.gcd.reduce(ticks), rel=1e-6), ticks
+    assert encoder_step_rad(readings([2, -3, 5])) == pytest.approx(0.0021, rel=1e-6)
+
+
+def test_the_step_survives_corrupted_changes_and_rounding():
+    random = np.random.default_rng(2)
+    changes = 0.0021 * random.choice([0, 1, 2, 3, 5, 8], 400)
+    changes[random.choice(400, 3, replace=False)] = 0.0021 * np.array([0.37, 1.61, 12.4])
+    assert encoder_step_rad(np.cumsum(changes)) == pytest.approx(0.0021, rel=1e-6)
+    ticks = np.cumsum(random.choice([2, 3, 5, 7], 400))
+    assert encoder_step_rad(np.round(0.021 * ticks, 4)) == pytest.approx(0.021, rel=1e-3)
+    assert encoder_step_rad((0.021 * ticks).astype(np.float32)) == pytest.approx(0.021, rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [5, 10, 30, 100, 5000])
+def test_smooth_readings_have_no_step(count):
+    random = np.random.default_rng(count)
+    for _ in range(50):
+        assert encoder_step_rad(np.cumsum(random.uniform(0.01, 0.1, count))) == 0.0
+        assert encoder_step_rad(np.cumsum(random.normal(0.05, 0.002, count))) == 0.0
+
+
+def test_wheels_with_stamps_of_their_own_are_cut_at_the_readings_of_both():
+    """The increments between any two stations are those of each wheel's own line."""
+    start = 1_700_000_000_000_000_000
+    right = Track(start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0])
+    left = Track(start + np.array([-3, 5, 17, 40]), [0.0, 8.0, 8.0, 31.0])
+    track = WheelTrack(right, left)
+    assert (track.time_ns - start).tolist() == [0, 5, 10, 17, 20, 30]
+    steps = cut_at(track, start + np.array([2, 15, 30]))
+    assert steps.totals_rad == pytest.approx(np.array([[0.8, 3.0], [2.0, 13.0]]))
+    assert steps.right_rad == pytest.approx([0.3, 0.5, 0.0, 2.0])
+    assert steps.leg.tolist() == [0, 0, 1, 1]
+
+
+def test_each_wheel_keeps_the_step_of_its_encoder():
+    """Two topics: readings at common times would be between the steps."""
+    moments = np.arange(0, 20, 0.02)
+    right, left = (
+        Track(np.round((moments + late) * 1e9).astype(np.int64), np.floor(3 * np.sin(moments) / step) * step)
+        for late, step in ((0.0, 0.0466), (0.007, 0.0211))
+    )
+    track = WheelTrack(right, left)
+    assert encoder_steps_rad([track]) == pytest.approx([0.0466, 0.0211])
+    assert encoder_step_rad(track.right_rad) < 0.01
+    assert encoder_steps_rad([]).tolist() == [0.0, 0.0]

@@ -32,7 +32,9 @@ class Case:
         disturbed = ideal.Noise(0.2, 0.003, 0.0, np.radians(0.05))
         extraction = ideal.ideal_extraction(robot, route, disturbed, seed=1)
         extraction = replace(extraction, observations=extraction.observations[:STATIONS])
-        self.data = dataset_of(extraction, constants)
+        # The left wheel's encoder is four times finer.
+        steps = {"encoder_step_rad": np.array([0.02, 0.005])}
+        self.data = replace(dataset_of(extraction, constants), **steps)
         everything = Inliers.all_of(self.data)
         legs, views, readings = (getattr(everything, name).copy() for name in ("legs", "views", "readings"))
         legs[2], views[3], readings[4, 0] = False, False, False
@@ -72,7 +74,7 @@ class Case:
                 pixels.ravel(),
                 legs.ravel(),
                 (state.joint_errors / sigma).ravel(),
-                (state.encoder_errors / NOISE.encoder_rad).ravel(),
+                (state.encoder_errors / (NOISE.encoder_rad * np.array([1, 0.25]))).ravel(),
             ]
         )
 

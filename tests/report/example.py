@@ -162,7 +162,7 @@ def _track(poses: list[FloatArray], log: int) -> WheelTrack:
             turns.append(turns[-1] + turn)
             ways.append(ways[-1] + way)
     turned, driven, b = np.array(turns), np.array(ways), WHEELS.separation_m
-    return WheelTrack(
+    return WheelTrack.at_same_times(
         np.array(times),
         (driven + turned * b / 2) / WHEELS.radius_right_m,
         (driven - turned * b / 2) / WHEELS.radius_left_m,

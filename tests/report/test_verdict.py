@@ -202,7 +202,7 @@ class TestWithTheSolver:
     def test_coarse_encoders_pass(self, seed):
         extraction, step = make_extraction(seed=seed), math.radians(1.2)
         (track,) = extraction.wheels
-        coarse = WheelTrack(
+        coarse = WheelTrack.at_same_times(
             track.time_ns, np.round(track.right_rad / step) * step, np.round(track.left_rad / step) * step
         )
         assert solved(extraction, wheels=(coarse,)).level == "PASS"
@@ -210,7 +210,8 @@ class TestWithTheSolver:
     def test_half_the_ticks_on_one_side(self, seed):
         extraction = make_extraction(seed=seed)
         (track,) = extraction.wheels
-        verdict = solved(extraction, wheels=(dataclasses.replace(track, left_rad=2 * track.left_rad),))
+        doubled = WheelTrack.at_same_times(track.time_ns, track.right_rad, 2 * track.left_rad)
+        verdict = solved(extraction, wheels=(doubled,))
         assert verdict.level == "FAIL"
         assert "ticks_per_revolution" in verdict.next_step
 
@@ -218,7 +219,8 @@ class TestWithTheSolver:
         extraction = make_extraction(seed=seed)
         (track,) = extraction.wheels
         slip = 0.1 * (track.time_ns > extraction.observations[5].time_ns + 10**9)
-        verdict = solved(extraction, wheels=(dataclasses.replace(track, right_rad=track.right_rad + slip),))
+        slipped = WheelTrack.at_same_times(track.time_ns, track.right_rad + slip, track.left_rad)
+        verdict = solved(extraction, wheels=(slipped,))
         assert verdict.level == "PASS"  # found, named and left out
         assert "between stations 5 and 6" in verdict.next_step
 

@@ -34,7 +34,7 @@ def driven(exact, right_rad, left_rad, T_w_v):
         replace(o, joints=joints, T_c_k=T)
         for o, T in zip(exact.observations[:3], se3.inverse(T_w_c) @ T_w_k, strict=True)
     )
-    track = WheelTrack(np.array([o.time_ns for o in seen]), right_rad, left_rad)
+    track = WheelTrack.at_same_times(np.array([o.time_ns for o in seen]), right_rad, left_rad)
     return replace(exact, observations=seen, wheels=(track,))
 
 
