@@ -80,7 +80,7 @@ class NoiseLevels:
     Attributes:
         pixel_px: of one corner coordinate.
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading; 0 for encoders without steps.
+        encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
         joint_rad: of one joint reading.
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.

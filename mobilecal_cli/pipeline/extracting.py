@@ -29,6 +29,12 @@ from mobilecal_cli.model import (
 from mobilecal_cli.pipeline.looking import Crew, look
 from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_log
 from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.repeated import (
+    refuse_equal_files,
+    refuse_equal_recordings,
+    refuse_same,
+    same_signals,
+)
 from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
 from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
@@ -40,6 +46,7 @@ from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_s
 class Seen:
     """Data extracted from one recording."""
 
+    name: str
     rig: Rig
     board: Board
     plan: Plan
@@ -61,21 +68,25 @@ def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple
 
 
 def _see(
-    log: int,
+    earlier: Sequence[Seen],
     recording: Recording,
     crew: Crew,
     config: RigConfig,
     flags: frozenset[str],
-    board: Board | None,
     progress: Progress,
 ) -> Seen:
     progress("reading", 0, None)
+    name = str(recording.paths[0])
+    board = earlier[-1].board if earlier else board_of(config)
     settled = settle_rig(config, read_prelude(recording), read_urdf(config), flags)
     rig = settled.rig
     everything = config.stations == "all"
     if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
         crew.call()
     plan, notes = _plan(recording, rig, everything)
+    for one in earlier:
+        if same_signals((one.plan.wheels, one.plan.joints), (plan.wheels, plan.joints)):
+            refuse_same(one.name, name, "wheel and joint readings")
     if board is None:
         progress("finding the board's size", 0, None)
         size = board_size(recording, rig.sources, plan.stations)
@@ -92,8 +103,9 @@ def _see(
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plan, board)
     progress("measuring", 0, None)
-    measured = crew.measure_at(log, scene, plan.stations, looks)
-    return Seen(rig, board, plan, looks, measured, snapshots, (*settled.notes, *notes, *recording.damage))
+    measured = crew.measure_at(len(earlier), scene, plan.stations, looks)
+    notes = (*settled.notes, *notes, *recording.damage)
+    return Seen(name, rig, board, plan, looks, measured, snapshots, notes)
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board) -> None:
@@ -150,13 +162,13 @@ def extract(
     Raises:
         MobilecalError: see `errors`.
     """
-    board = board_of(config)
     seen: list[Seen] = []
-    sources: list[LogSource] = []
-    for parts in join_parts(logs):
+    recordings = join_parts(logs)
+    sources = [LogSource(str(path), sha256_of(path)) for parts in recordings for path in parts]
+    refuse_equal_files(sources)
+    for parts in recordings:
         with open_recording(parts) as recording, Crew(recording, jobs) as crew:
-            one = _see(len(seen), recording, crew, config, flags, board, progress)
-        board = one.board
+            one = _see(seen, recording, crew, config, flags, progress)
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(
                 f"{parts[0]}: the head's joints are {', '.join(one.rig.chain.joints)}, but those of {logs[0]} are "
@@ -164,8 +176,9 @@ def extract(
                 "give recordings of one robot only",
             )
         seen.append(one)
-        sources += [LogSource(str(path), sha256_of(path)) for path in parts]
-    return _assembled(seen, sources)
+    extraction, snapshots = _assembled(seen, sources)
+    refuse_equal_recordings(extraction, [one.name for one in seen])
+    return extraction, snapshots
 
 
 def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:

@@ -13,6 +13,7 @@ from mobilecal_cli.export import extraction_from_npz
 from mobilecal_cli.model import Extraction, Snapshot
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.progress import Progress
+from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
 
 
 def _is_extraction(path: Path) -> bool:
@@ -39,7 +40,7 @@ def load(
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
-        ConfigError: an extraction was given together with recordings or with settings.
+        ConfigError: an extraction was given together with recordings or with settings, or a recording twice.
     """
     given = frozenset(key for key, value in flags.items() if value is not None)
     if not any(_is_extraction(path) for path in logs):
@@ -51,6 +52,7 @@ def load(
         )
     extraction = extraction_from_npz(logs[0])
     _check(extraction, logs[0])
+    _refuse_repeated(extraction)
     return extraction, ()
 
 
@@ -62,12 +64,25 @@ def _check(extraction: Extraction, path: Path) -> None:
     """
     tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
     if (
-        logs != tracks
+        logs < tracks  # a recording may consist of several files
         or joints not in (0, tracks)
-        or any(not 0 <= o.log < logs for o in extraction.observations)
+        or any(not 0 <= o.log < tracks for o in extraction.observations)
     ):
         raise RecordingError(
-            f"{path}: damaged: {logs} recordings, {tracks} wheel tracks, {joints} joint tracks, or observations "
+            f"{path}: damaged: {logs} recorded files, {tracks} wheel tracks, {joints} joint tracks, or observations "
             "without a recording",
             "calibrate again from the recordings",
         )
+
+
+def _refuse_repeated(extraction: Extraction) -> None:
+    """Reject an extraction that contains a recording twice, as earlier versions wrote it.
+
+    Raises:
+        ConfigError: naming both recordings.
+    """
+    refuse_equal_files(extraction.logs)
+    names = [log.path for log in extraction.logs]
+    if len(names) != len(extraction.wheels):
+        names = [f"recording {number}" for number in range(1, len(extraction.wheels) + 1)]
+    refuse_equal_recordings(extraction, names)

@@ -114,7 +114,7 @@ def on_two_topics(seed, steps_rad):
 
 @pytest.mark.parametrize("finer_deg", [2.67, 0.9, 0.0])
 def test_encoders_on_two_topics_keep_their_steps(finer_deg):
-    """Measured with equal steps, seeds 0 to 5: at most 1.8 of the stated standard deviation; see below for without."""
+    """Measured with equal steps, seeds 0 to 5: 0.5 to 4.2 mm, stated 1.3 to 2.1; without the steps 0.1 to 13 mm."""
     steps = np.radians([2.67, finer_deg])
     extraction = on_two_topics(0, steps)
     data = dataset_of(extraction)
