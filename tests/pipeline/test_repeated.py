@@ -1,0 +1,74 @@
+"""The same measurements twice are found by content; other recordings of the same robot are not mistaken for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
+from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+
+ROBOT = paper_robot()
+
+
+def recorded(route_seed=0, noise_seed=0, noise=Noise(0.2, 0.003, np.radians(1.2), np.radians(0.05))):  # noqa: B008
+    return ideal_extraction(ROBOT, plan_route(ROBOT, seed=route_seed), noise, noise_seed)
+
+
+def both(one: Extraction, other: Extraction) -> Extraction:
+    second = tuple(replace(o, log=1) for o in other.observations)
+    return replace(
+        one,
+        observations=(*one.observations, *second),
+        wheels=(*one.wheels, *other.wheels),
+        joint_tracks=(*one.joint_tracks, *other.joint_tracks),
+    )
+
+
+def cut(track: Track, first: int) -> Track:
+    return Track(track.time_ns[first:], track.value[first:] - track.value[first])
+
+
+def refused(extraction: Extraction) -> str:
+    with pytest.raises(ConfigError) as caught:
+        refuse_equal_recordings(extraction, ["a.mcap", "b.bag"])
+    return caught.value.message
+
+
+def test_equal_readings():
+    one = recorded()
+    assert refused(both(one, one)).endswith("wheel and joint readings")
+    # A part of the recording, whose wheels count from its own start.
+    part = WheelTrack(*(cut(wheel, 400) for wheel in (one.wheels[0].right, one.wheels[0].left)))
+    assert refused(both(one, replace(one, wheels=(part,)))).startswith(
+        "a.mcap and b.bag are the same recording"
+    )
+
+
+def test_equal_images():
+    one = recorded()
+    late = Track(one.wheels[0].right.time_ns + 1000, one.wheels[0].right.value)
+    other = replace(one, wheels=(WheelTrack(late, late),))
+    assert refused(both(one, other)).endswith("images")
+
+
+@pytest.mark.parametrize(("route", "noise"), [(1, 0), (0, 1)])
+def test_other_recordings_at_the_same_times(route, noise):
+    """Simulated recordings all begin at the same time."""
+    refuse_equal_recordings(both(recorded(), recorded(route, noise)), ["a.mcap", "b.mcap"])
+
+
+def test_other_drives_without_noise():
+    refuse_equal_recordings(both(recorded(noise=None), recorded(1, noise=None)), ["a.mcap", "b.mcap"])
+
+
+def test_equal_files():
+    refuse_equal_files([LogSource("a", "1"), LogSource("b", "2")])
+    with pytest.raises(ConfigError, match=r"^a and c have the same content$"):
+        refuse_equal_files([LogSource("a", "1"), LogSource("b", "2"), LogSource("c", "1")])
