@@ -10,7 +10,8 @@ import numpy as np
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Extraction, LogSource, Observation, Track, WheelTrack
 
-_SAME_SHARE = 0.5  # of the shorter recording; recordings of different times share nothing
+_SAME_SHARE = 0.9  # of the readings while both were recorded
+_LEAST_OVERLAP = 0.05  # of the shorter recording
 _SAME_VALUE = 1e-9  # rad, m or px
 _HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
 
@@ -58,26 +59,28 @@ def refuse_same(one: str, other: str, what: str) -> None:
 
 
 def same_signals(one: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]) -> bool:
-    """Whether both wheels and all joints of two recordings were read at the same times, with the same values."""
+    """Whether all readings of both wheels and all joints are the same while both were recorded."""
     tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (one, other))
-    return all(_same_share(a, b) >= _SAME_SHARE for a, b in zip(tracks, others, strict=False))
+    return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
 
 
-def _same_share(one: Track, other: Track) -> float:
-    """Share of the shorter track's readings that the other contains; unwrapped rotations may start elsewhere."""
-    _, i, j = np.intersect1d(one.time_ns, other.time_ns, assume_unique=True, return_indices=True)
-    if not len(i):
-        return 0.0
+def _same_readings(one: Track, other: Track) -> bool:
+    """Whether two tracks overlap and are the same there; unwrapped rotations may start elsewhere."""
+    stamps, i, j = np.intersect1d(one.time_ns, other.time_ns, return_indices=True)
+    shorter = min(len(one.time_ns), len(other.time_ns))
+    if not len(stamps) or len(stamps) < _LEAST_OVERLAP * shorter:
+        return False
+    begin, end = max(one.time_ns[0], other.time_ns[0]), min(one.time_ns[-1], other.time_ns[-1])
+    overlap = min(int(np.sum((track.time_ns >= begin) & (track.time_ns <= end))) for track in (one, other))
     apart = one.value[i] - other.value[j]
     same = np.abs(apart - np.median(apart)) < _SAME_VALUE
-    return float(same.sum()) / min(len(one.time_ns), len(other.time_ns))
+    return int(same.sum()) >= _SAME_SHARE * overlap
 
 
 def _same_images(one: Sequence[Observation], other: Sequence[Observation]) -> bool:
-    """Whether half of the shorter recording's stations have the times and corners of stations of the other."""
+    """Whether a station of one recording has the time and the corners of a station of the other."""
     at = {o.time_ns: o for o in one}
-    same = sum(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in other)
-    return same > 0 and same >= _SAME_SHARE * min(len(one), len(other))
+    return any(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in other)
 
 
 def _same_corners(one: Observation, other: Observation) -> bool:
