@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.model import WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -29,8 +30,9 @@ def with_joints(extraction, change):
 
 def with_wheels(extraction, right, left, swapped=False):
     (track,) = extraction.wheels
-    a, b = (track.left_rad, track.right_rad) if swapped else (track.right_rad, track.left_rad)
-    return replace(extraction, wheels=(replace(track, right_rad=right * a, left_rad=left * b),))
+    a, b = (track.left, track.right) if swapped else (track.right, track.left)
+    wheels = (WheelTrack(replace(a, value=right * a.value), replace(b, value=left * b.value)),)
+    return replace(extraction, wheels=wheels)
 
 
 def frozen(joint):
