@@ -13,6 +13,7 @@ SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm 
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
+FREE_BOARD = 1.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
 
 

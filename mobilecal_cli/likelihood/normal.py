@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
-from mobilecal_cli.likelihood.noise import FREE_BASE, joint_sigmas
+from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD, joint_sigmas
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
 
@@ -141,6 +141,8 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     H += np.einsum("lap,lar->pr", shared, Ws)
     h += np.einsum("lap,la->p", shared, We)
     _weak_terms(lin, D, b)
+    unseen = _unseen_boards(lin)
+    H[unseen, unseen] += FREE_BOARD**-2
 
     blocks = np.arange(_B)
     D[:, blocks, blocks] *= 1 + damping
@@ -174,6 +176,13 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         _diagonal=D,
         _off=off,
     )
+
+
+def _unseen_boards(lin: Linearization) -> IntArray:
+    """Columns of the boards that no used image shows."""
+    data = lin.data
+    unseen = np.setdiff1d(np.arange(data.layout.boards), data.board[lin.inliers.used_corners.any(axis=(1, 2))])
+    return np.asarray(data.layout.named + (6 * unseen[:, None] + np.arange(6)).ravel(), dtype=np.int64)
 
 
 def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:

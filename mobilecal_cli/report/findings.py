@@ -171,13 +171,21 @@ def log_rows(solution: Solution, extraction: Extraction) -> tuple[tuple[str, tup
     factors = [SHOWN[name][1] for name in NINE]
     present = sorted({o.log for o in extraction.observations})
     rows = []
-    for number, shift, std in zip(present, between.shift, between.std, strict=True):
+    fixed = solution.uncertainty.fixed if solution.uncertainty is not None else np.zeros(9, dtype=np.bool_)
+    without = ["fixed" if by_user else "unobservable" for by_user in fixed]
+    for number, shift, std, shown in zip(
+        present, between.shift, between.std, between.shown, strict=True
+    ):
         cells = (
-            f"{value_text(s * f, d * f, 3, '+')} ± {std_text(d * f)}" if np.isfinite(s) else "unobservable"
-            for s, d, f in zip(shift, std, factors, strict=True)
+            f"{value_text(s * f, d * f, 3, '+')} ± {std_text(d * f)}" if ok else otherwise
+            for s, d, f, ok, otherwise in zip(shift, std, factors, shown, without, strict=True)
         )
         rows.append((f"recording {number}", tuple(cells)))
-    spread = tuple(std_text(s * f) for s, f in zip(between.between_std, factors, strict=True))
+    compared = between.shown.sum(axis=0) > 1
+    spread = tuple(
+        std_text(s * f) if ok else otherwise
+        for s, f, ok, otherwise in zip(between.between_std, factors, compared, without, strict=True)
+    )
     return (*rows, ("spread between recordings", spread))
 
 

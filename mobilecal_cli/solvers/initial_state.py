@@ -50,6 +50,8 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
         if not known[board] and len(seeing):
             boards[board] = _median_pose(T_w_v[seeing] @ T_v_k[seeing])
             known[board] = True
+    for board in np.flatnonzero(~known):
+        boards[board] = _median_pose((T_w_v @ T_v_k)[data.board == board])
     return State(
         parameters,
         {},

@@ -82,11 +82,14 @@ class OutlierSearch:
                 legs[leg], one_taken = True, one_taken or blind
         return None if np.array_equal(legs, inliers.legs) else legs
 
+    def _usable(self, inliers: Inliers) -> BoolArray:
+        """(N,) stations most of whose corners fit the board's shape."""
+        return np.all(inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2), axis=1)
+
     def _restored_views(self, fit: Fit, redundancy: float) -> Inliers | None:
         """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
         inliers = fit.inliers
-        usable = np.all(inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2), axis=1)
-        out = ~inliers.views & usable
+        out = ~inliers.views & self._usable(inliers)
         if not out.any():
             return None
         as_read, freed = fit.lin.tests.predicted_views
@@ -148,7 +151,7 @@ class OutlierSearch:
     def swapped(self, fit: Fit) -> Fit | None:
         """A fit with a station's images restored and a leg beside it rejected instead: a slip looks like both."""
         inliers, legs = fit.inliers, self._data.legs
-        for station in np.flatnonzero(~inliers.views):
+        for station in np.flatnonzero(~inliers.views & self._usable(inliers)):
             beside = np.flatnonzero((legs == station).any(axis=1))
             neighbors = np.setdiff1d(legs[beside], [station])
             if len(beside) == 2 and inliers.legs[beside].all() and inliers.views[neighbors].all():
@@ -180,6 +183,10 @@ class OutlierSearch:
             agreeing = self._some(np.argwhere(~inliers.legs & (self._external(fit, "legs") < 1)))
             if agreeing:
                 return self._refitted(fit, _changed(inliers, kind="legs", places=agreeing, to=True))
+        if not inliers.readings.all():
+            agreeing = self._some(np.argwhere(~inliers.readings & (self._external(fit, "readings") < 1)))
+            if agreeing:
+                return self._refitted(fit, _changed(inliers, kind="readings", places=agreeing, to=True))
         for _, kind, places in self._candidates(fit):
             without = _changed(inliers, kind, places, to=False)
             if without.views.sum() < _FEWEST_VIEWS:
