@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.kinematics import cut_at, head_pose
-from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
-FEWEST_STATIONS = 4  # three legs give nine equations in translation and nine in rotation for nine unknowns
+FEWEST_STATIONS, FEWEST_LEGS = 4, 3  # nine equations in translation and nine in rotation for nine unknowns
 _TILTED_RAD = np.radians(3.0)  # in a smaller range, the rotation axes are practically parallel for Tsai-Lenz
 _TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels
 _DRIVEN_RAD = 0.1  # wheel rotation: about 2 cm with typical wheels
@@ -25,11 +25,13 @@ class Gap:
         parameters: the unobservable parameters.
         because: the reason, with the amount of motion.
         cure: the motion that makes them observable.
+        closed_by: any of these parameters of `NINE`, if fixed, makes the others observable without that motion.
     """
 
     parameters: tuple[str, ...]
     because: str
     cure: str
+    closed_by: frozenset[str]
 
 
 def _vertical_range_rad(R_v_h: FloatArray) -> float:
@@ -38,15 +40,21 @@ def _vertical_range_rad(R_v_h: FloatArray) -> float:
     return float(np.arccos(np.clip(vertical_h @ vertical_h.T, -1, 1)).max())
 
 
-def motion_gaps(extraction: Extraction) -> tuple[Gap, ...]:
-    """Gaps in the motion that leave some of the nine parameters unobservable (`method.md`, last table)."""
+def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Gap, ...]:
+    """Gaps in the motion that leave some of the nine parameters unobservable (`method.md`, last table).
+
+    Args:
+        extraction: the stations.
+        fixed: names of the parameters, of `NINE`, that need no motion.
+    """
     observations = extraction.observations
     times = [
         np.array([o.time_ns for o in observations if o.log == log]) for log in range(len(extraction.wheels))
     ]
-    return gaps_between(
+    gaps = gaps_between(
         extraction.rig.chain, np.stack([o.joints for o in observations]), extraction.wheels, times
     )
+    return tuple(gap for gap in gaps if not gap.closed_by & set(fixed))
 
 
 def gaps_between(
@@ -70,6 +78,7 @@ def gaps_between(
                 f"the head's tilt spans only {np.degrees(tilted):.2f} degrees "
                 f"(at least {np.degrees(_TILTED_RAD):.0f} needed)",
                 "tilt the head up and down by 15 degrees or more between stations, and pan it",
+                frozenset(NINE[3:6]),
             )
         )
     Phi = [np.zeros((0, 2))]
@@ -85,6 +94,7 @@ def gaps_between(
                 f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
                 f"between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive and turn the base between stations",
+                frozenset(NINE[6:]),
             )
         )
     elif turned < _TURNED_RAD:
@@ -94,6 +104,7 @@ def gaps_between(
                 f"the base only drives straight: the rotations of the two wheels differ by at most "
                 f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(_TURNED_RAD):.1f} needed)",
                 "turn the base by 20 degrees or more between some stations",
+                frozenset(NINE[8:]),
             )
         )
     elif driven < _DRIVEN_RAD:
@@ -103,27 +114,34 @@ def gaps_between(
                 f"the base only turns in place: the mean rotation of the two wheels is at most "
                 f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive forward or back by 20 cm or more between some stations",
+                frozenset(NINE[6:]),
             )
         )
     return tuple(gaps)
 
 
 def require_stations(extraction: Extraction) -> None:
-    """Refuse an extraction with too few stations.
+    """Refuse an extraction with too few stations, or too few legs between consecutive stations of one recording.
 
     Raises:
-        ObservationError: fewer than four stations; gives their number, and the rejections by reason.
+        ObservationError: fewer than four stations or three legs; gives the numbers, and the rejections by reason.
     """
     have = len(extraction.observations)
-    if have < FEWEST_STATIONS:
+    logs = len({o.log for o in extraction.observations})
+    if have < FEWEST_STATIONS or have - logs < FEWEST_LEGS:
         reasons: dict[str, int] = {}
         for rejection in extraction.rejections:
             reasons[rejection.reason] = reasons.get(rejection.reason, 0) + 1
         counted = ", ".join(f"{n} x {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1]))
+        rejected = f"; rejected: {counted}" if counted else ""
+        found = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
+        cure = "keep the whole board in both images, at rest, in good light, with squares of 7 pixels or more"
+        if have < FEWEST_STATIONS:
+            raise ObservationError(f"{found} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(
-            f"the board was found at {have} of {extraction.counts.get('stations', have)} stations "
-            f"(at least {FEWEST_STATIONS} needed)" + (f"; rejected: {counted}" if counted else ""),
-            "keep the whole board in both images, at rest, in good light, with squares of 7 pixels or more",
+            f"{found} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
+            f"(at least {FEWEST_LEGS} needed){rejected}",
+            f"record more stations in each recording; {cure}",
         )
 
 

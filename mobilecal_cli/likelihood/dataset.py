@@ -18,7 +18,6 @@ from mobilecal_cli.model import (
     FloatArray,
     HeadChain,
     IntArray,
-    JointLink,
     Observation,
     StereoRig,
     Track,
@@ -111,8 +110,7 @@ class Dataset:
     @property
     def joint_units(self) -> FloatArray:
         """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
-        kinds = {link.joint: link.kind for link in self.chain.links if isinstance(link, JointLink)}
-        return np.array([1.0 if kinds[name] == "revolute" else 0.1 for name in self.chain.joints])
+        return np.array(self.chain.joint_units)
 
     @property
     def encoder_shares(self) -> FloatArray:

@@ -158,6 +158,18 @@ class HeadChain:
         """Names of the joints, each once, in order from the base."""
         return tuple(dict.fromkeys(link.joint for link in self.links if isinstance(link, JointLink)))
 
+    @property
+    def prismatic(self) -> frozenset[str]:
+        """Names of the prismatic joints, with readings in m."""
+        return frozenset(
+            link.joint for link in self.links if isinstance(link, JointLink) and link.kind == "prismatic"
+        )
+
+    @property
+    def joint_units(self) -> tuple[float, ...]:
+        """What one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
+        return tuple(0.1 if name in self.prismatic else 1.0 for name in self.joints)
+
 
 @dataclass(frozen=True, slots=True)
 class Markers:

@@ -88,7 +88,7 @@ def _solved(
             on_step=lambda: progress("solving", next(steps), None),
         )
     except SolveError as error:
-        gaps = motion_gaps(extraction)
+        gaps = motion_gaps(extraction, constraints.fixed if constraints is not None else ())
         if not gaps:
             raise
         because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)

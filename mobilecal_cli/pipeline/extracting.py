@@ -58,9 +58,7 @@ class Seen:
 
 def sliding_joints(chain: HeadChain) -> frozenset[str]:
     """Names of the head's prismatic joints, with readings in m."""
-    return frozenset(
-        link.joint for link in chain.links if isinstance(link, JointLink) and link.kind == "prismatic"
-    )
+    return chain.prismatic
 
 
 def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple[str, ...]]:

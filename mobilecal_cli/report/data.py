@@ -253,8 +253,9 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
             "consistent": not scale.apart,
         },
         "logs": {
-            "shift": _finite(between.shift.tolist()),
-            "std": _finite(between.std.tolist()),
+            "shift": np.where(between.shown, between.shift, None).tolist(),
+            "std": np.where(between.shown, between.std, None).tolist(),
+            "shown": between.shown.tolist(),
             "between_std": between.between_std,
         }
         if between is not None

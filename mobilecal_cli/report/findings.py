@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.predict import predicted
-from mobilecal_cli.model import NINE, Evidence, Extraction, ScaleCheck, Solution, Suggestion
+from mobilecal_cli.model import NINE, Evidence, Extraction, HeadChain, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.units import SHOWN, value_text
 
@@ -26,7 +26,7 @@ _LEVELS = {
     "pixel_px": ("corner coordinate", "px"),
     "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad"),
     "encoder_rad": ("encoder reading", "rad"),
-    "joint_rad": ("joint reading", "rad"),
+    "joint_rad": ("joint reading", "deg"),
 }
 # Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
 _JACKKNIFE_SCATTER = 3.6
@@ -67,7 +67,7 @@ def predicted_rows(solution: Solution) -> tuple[Row, ...]:
     )
 
 
-def noise_rows(solution: Solution) -> tuple[Row, ...]:
+def noise_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
     """Measurement noise: in `value`, how each level was obtained; none for methods that give none."""
     if solution.uncertainty is None:
         return ()
@@ -82,8 +82,22 @@ def noise_rows(solution: Solution) -> tuple[Row, ...]:
             if not std:
                 continue
             source = "given, or derived from the encoder step"
-        rows.append(Row("", meaning, source, std_text(std), unit))
+        if level != "joint_rad":
+            rows.append(Row("", meaning, source, std_text(std), unit))
+            continue
+        for kind, factor, kind_unit in joint_kinds(extraction.rig.chain):
+            rows.append(Row("", f"{meaning}{kind}", source, std_text(std * factor), kind_unit))
     return tuple(rows)
+
+
+def joint_kinds(chain: HeadChain) -> tuple[tuple[str, float, str], ...]:
+    """Kinds of joints of a head: (suffix of the label, factor from units of joint noise, display unit)."""
+    units = dict(zip(chain.joints, chain.joint_units, strict=True))
+    both = 0 < len(chain.prismatic) < len(units)
+    revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
+    kinds = [(revolute, 180 / math.pi, "deg")] if len(chain.prismatic) < len(units) or not units else []
+    kinds += [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
+    return tuple(kinds)
 
 
 def jackknife_sentence(solution: Solution) -> str:
@@ -202,12 +216,13 @@ def _path(suggestion: Suggestion) -> str:
 
 def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[str, ...]:
     """What to record next, most useful first: base motion, head angles and expected standard deviation."""
-    names = extraction.rig.chain.joints
+    names, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     sentences = []
     for suggestion in solution.suggestions:
         unit, factor = SHOWN[suggestion.worst]
         head = ", ".join(
-            f"{name} to {round(math.degrees(at))}°" for name, at in zip(names, suggestion.joints, strict=True)
+            f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
+            for name, at in zip(names, suggestion.joints, strict=True)
         )
         now, then = suggestion.std_now * factor, suggestion.std_then * factor
         path, worst = _path(suggestion), suggestion.worst

@@ -95,7 +95,7 @@ def report_html(
         "euler": _euler(rotation),
         "linear": solution.linear,
         "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
-        "noise": noise_rows(solution),
+        "noise": noise_rows(solution, extraction),
         "outliers": solution.outliers,
         "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),

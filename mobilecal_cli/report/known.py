@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mobilecal_cli.model import NINE, Extraction, Solution
+from mobilecal_cli.model import NINE, Extraction, HeadChain, Solution
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
 from mobilecal_cli.report.findings import scale_sentence
 from mobilecal_cli.report.numbers import std_text
@@ -14,7 +14,7 @@ from mobilecal_cli.report.numbers import std_text
 # Stated square size against the stereo measurement; a difference scales all lengths.
 SQUARE_LOOK, SQUARE_BAD = 0.01, 0.03
 # Share of outliers that a robust estimate tolerates. Noise levels that only a defective robot has.
-LEFT_OUT_BAD, JOINT_NOISE_BAD_DEG, WHEEL_NOISE_BAD = 0.3, 0.4, 0.03
+LEFT_OUT_BAD, JOINT_NOISE_BAD_DEG, JOINT_NOISE_BAD_MM, WHEEL_NOISE_BAD = 0.3, 0.4, 0.7, 0.03
 # Standard deviations: recommended, and as inaccurate as a ruler.
 SIGMA_ROTATION_DEG, SIGMA_TRANSLATION_MM, SIGMA_WHEELS = (0.3, 1.5), (6.0, 25.0), (0.01, 0.04)
 STRONG_EVIDENCE = 10.0  # delta BIC, "very strong" on the scale of Kass and Raftery
@@ -77,6 +77,11 @@ def sigmas(solution: Solution) -> Iterator[Check]:
         )
 
 
+def _slides(chain: HeadChain) -> bool:
+    """Whether all joints of the head are prismatic."""
+    return bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
+
+
 def believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     """Outliers, and noise levels of joints and wheels."""
     found = solution.uncertainty
@@ -93,10 +98,13 @@ def believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         f"{first}" + (f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""),
         "Find the cause. The result uses the remaining measurements.",
     )
-    joints, wheels = float(np.degrees(found.noise.joint_rad)), found.noise.wheel_rad_per_sqrt_rad
+    chain = extraction.rig.chain
+    joints, unit, joints_bad = float(np.degrees(found.noise.joint_rad)), "degrees", JOINT_NOISE_BAD_DEG
+    if _slides(chain):
+        joints, unit, joints_bad = 1e3 * chain.joint_units[0] * found.noise.joint_rad, "mm", JOINT_NOISE_BAD_MM
     for name, level, unit, bad, cause in (
-        ("joint readings", joints, "degrees", JOINT_NOISE_BAD_DEG, "the head joints for play"),
-        ("wheels", wheels, "rad per sqrt(rad)", WHEEL_NOISE_BAD, "the wheels for slip"),
+        ("joint readings", joints, unit, joints_bad, "the head joints for play"),
+        ("wheels", found.noise.wheel_rad_per_sqrt_rad, "rad per sqrt(rad)", WHEEL_NOISE_BAD, "the wheels for slip"),
     ):
         yield Check(
             f"noise of the {name}",

@@ -116,7 +116,7 @@ def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = (
 
 
 def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
-    yield _stations(extraction)
+    yield from _stations(extraction)
     yield from _diagnosis(solution)
     yield from hidden(solution)
     yield from _motion(solution)
@@ -138,9 +138,9 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _rejected(extraction)
 
 
-def _stations(extraction: Extraction) -> Check:
-    have = len(extraction.observations)
-    return Check(
+def _stations(extraction: Extraction) -> Iterator[Check]:
+    have, logs = len(extraction.observations), len({o.log for o in extraction.observations})
+    yield Check(
         "stations with the board in both images",
         str(have),
         f"at least {MIN_STATIONS}",
@@ -148,6 +148,16 @@ def _stations(extraction: Extraction) -> Check:
         f"The board is in both images at {have} stations only (limit {MIN_STATIONS}, recommended 12).",
         "Record again with more stops where both cameras see the whole board.",
     )
+    if logs > 1:
+        legs, least = have - logs, MIN_STATIONS - 1
+        yield Check(
+            "legs between consecutive stations",
+            f"{legs} in {logs} recordings",
+            f"at least {least}",
+            "good" if legs >= least else "short",
+            f"The {logs} recordings have only {legs} legs between consecutive stations (limit {least}).",
+            "Record again with more stops in each recording.",
+        )
 
 
 def _diagnosis(solution: Solution) -> Iterator[Check]:
@@ -167,6 +177,12 @@ def _diagnosis(solution: Solution) -> Iterator[Check]:
 
 
 def _motion(solution: Solution) -> Iterator[Check]:
+    """Motion of the head, unless head-eye parameters are fixed, and of the base, unless wheel parameters are.
+
+    Where some are fixed, less motion determines the others: their standard deviations decide.
+    """
+    fixed = solution.uncertainty.fixed if solution.uncertainty is not None else np.zeros(9, dtype=np.bool_)
+    of = {"pan_range_deg": fixed[:6], "tilt_range_deg": fixed[:6], "turned_deg": fixed[6:], "driven_m": fixed[6:]}
     for key, name, unit, least, more in (
         (
             "pan_range_deg",
@@ -185,7 +201,7 @@ def _motion(solution: Solution) -> Iterator[Check]:
         ("turned_deg", "rotation of the base", "degrees", MIN_TURNED_DEG, "turn the base between stops"),
         ("driven_m", "path length of the base", "m", MIN_DRIVEN_M, "drive the base further between stops"),
     ):
-        if key in solution.motion:
+        if key in solution.motion and not of[key].any():
             value = solution.motion[key]
             yield Check(
                 name,
@@ -279,6 +295,12 @@ def _methods(solution: Solution) -> Check:
         abs(a.radius_left_m / b.radius_left_m - 1),
         abs(a.separation_m / b.separation_m - 1),
     )
+    found = solution.uncertainty
+    if found is not None:  # the linear method knows no fixed values, and unobservable ones only roughly
+        known = [bool(found.observable[part].all()) for part in (slice(3), slice(3, 6), slice(6, 9))]
+        angle_deg, shift_m, wheels = (
+            value if ok else 0.0 for value, ok in zip((angle_deg, shift_m, wheels), known, strict=True)
+        )
     far = angle_deg > METHODS_ROTATION_DEG or shift_m > METHODS_TRANSLATION_M or wheels > METHODS_WHEELS
     apart_by = f"{angle_deg:.1f} degrees, {shift_m * 1e3:.0f} mm and {100 * wheels:.1f} % of the wheels"
     return Check(

@@ -46,12 +46,11 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         )
         found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
     excluded = fit.data.seen & ~inliers.corners
-    joints = extraction.rig.chain.joints
+    joints, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     for i, j in ((int(a), int(b)) for a, b in np.argwhere(~inliers.readings)):
-        text = (
-            f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by "
-            f"{math.degrees(-state.joint_errors[i, j]):+.2f} degrees. It is excluded."
-        )
+        error = -state.joint_errors[i, j]
+        by = f"{error * 1e3:+.1f} mm" if joints[j] in prismatic else f"{math.degrees(error):+.2f} degrees"
+        text = f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by {by}. It is excluded."
         found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
     for i in (int(k) for k in np.flatnonzero(excluded.any(axis=(1, 2)) & inliers.views)):
         left, right = (int(n) for n in excluded[i].sum(axis=1))

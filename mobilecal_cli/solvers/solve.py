@@ -41,6 +41,7 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
 OBSERVABLE_SHARE = 1 / 3
+FEWEST_LEGS = 3  # nine equations in translation and nine in rotation for nine unknowns
 # Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 
@@ -54,7 +55,7 @@ def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[
     motion = {
         f"{role}_range_deg": float(ranges[name])
         for role, name in (("pan", chain.pan), ("tilt", chain.tilt))
-        if name in ranges
+        if name in ranges and name not in chain.prismatic
     }
     return {
         **motion,
@@ -74,7 +75,7 @@ def solve(
     """Solution for all nine parameters.
 
     Args:
-        extraction: at least four observations; for all methods but "ml", the motion must make all nine parameters
+        extraction: at least three legs; for all methods but "ml", the motion must make all nine parameters
             observable (see `uncertainty`).
         method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
             (eq. 19 by Levenberg-Marquardt).
@@ -83,10 +84,16 @@ def solve(
         on_step: called before each optimization step, for "ml" only.
 
     Raises:
-        SolveError: did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
+        SolveError: fewer than three legs, did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
             parameter has no nominal value.
     """
     constraints = constraints or Constraints()
+    legs = len(dataset_of(extraction).legs)
+    if legs < FEWEST_LEGS:
+        raise SolveError(
+            f"{len(extraction.observations)} stations with {legs} legs between them (at least {FEWEST_LEGS} legs needed)",
+            "record more stations in each recording",
+        )
     try:
         solution = _solved(extraction, method, start_ratios, constraints, on_step)
     except SolveError as error:
