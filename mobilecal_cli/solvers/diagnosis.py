@@ -12,7 +12,14 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters, WheelTrack
-from mobilecal_cli.solvers.initial import few_rounds, linear_estimate, motion_seen, ratios_of
+from mobilecal_cli.solvers.initial import (
+    InitialPrior,
+    few_rounds,
+    initial_with_prior,
+    linear_estimate,
+    motion_seen,
+    ratios_of,
+)
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 _CLEARLY_BETTER = (
@@ -133,10 +140,13 @@ class _Score:
 def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     """Fit of the best of some starts, wheel ratios (2,); None where none gives positive wheels."""
     pairs = dataset_of(extraction).pairs
+    seen, prior = motion_seen(pairs), InitialPrior(None, extraction.rig.nominal.wheels)
+    full = seen.tilts and seen.turns and seen.drives
     found: list[tuple[float, Parameters]] = []
-    for ratios in starts:
+    for ratios in starts if full else starts[:1]:
         try:
-            parameters = few_rounds(pairs, ratios, _ROUNDS)
+            # Without full motion, the linear method alone finds any wheels, those of a mistake or none at all.
+            parameters = few_rounds(pairs, ratios, _ROUNDS) if full else initial_with_prior(pairs, prior, seen)
         except (SolveError, np.linalg.LinAlgError):
             continue
         if np.all(parameters.wheels.vector > 0):
@@ -176,9 +186,6 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
     Args:
         extraction: a recording that could not be solved, or only badly.
     """
-    seen = motion_seen(dataset_of(extraction).pairs)
-    if not (seen.tilts and seen.turns and seen.drives):
-        return _frozen(extraction)  # the linear method cannot tell the mistakes apart
     starts = _starts(extraction)
     as_is = _score(extraction, starts)
     base = math.inf if as_is is None else as_is.error
