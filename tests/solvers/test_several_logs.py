@@ -1,0 +1,159 @@
+"""Several recordings, one of which alone does not determine all nine parameters."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.model import NINE, Corners, Provenance, WheelGeometry
+from mobilecal_cli.report import judge, report_json
+from mobilecal_cli.report.findings import log_rows
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import constraints_of, solve
+from tests.bench.simulated import errors
+
+ROBOT = paper_robot()
+NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
+RADIUS = NINE.index("radius_right")
+
+
+def recorded(motion, seed, robot=ROBOT, noise=NOISE, stations=12, grown_m=0.0):
+    wheels = robot.wheels
+    radii = wheels.radius_right_m + grown_m, wheels.radius_left_m + grown_m
+    robot = replace(robot, wheels=WheelGeometry(*radii, wheels.separation_m))
+    whole = ideal_extraction(robot, plan_route(robot, motion, seed=seed), noise, seed)
+    return replace(whole, observations=whole.observations[:stations])
+
+
+def joined(*parts):
+    """Several extractions as the recordings of one."""
+    return replace(
+        parts[0],
+        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
+        wheels=tuple(part.wheels[0] for part in parts),
+        joint_tracks=tuple(part.joint_tracks[0] for part in parts),
+    )
+
+
+def nees(solution):
+    e = errors(solution.parameters, ROBOT)
+    return e @ np.linalg.solve(solution.uncertainty.covariance, e) / 9
+
+
+def misread(extraction, station, seed=0, size_px=300.0):
+    """The same with all corners of a station wrong by hundreds of pixels."""
+    random, seen = np.random.default_rng(seed), list(extraction.observations)
+
+    def wrong(corners):
+        return Corners(corners.pixels + size_px * random.normal(size=corners.pixels.shape), corners.sigma_px, 1)
+
+    seen[station] = replace(seen[station], left=wrong(seen[station].left), right=wrong(seen[station].right))
+    return replace(extraction, observations=tuple(seen))
+
+
+@pytest.mark.parametrize(
+    ("motion", "stations", "hidden"),
+    [
+        ("straight", 12, ("separation",)),
+        ("spin", 12, NINE[6:]),
+        ("base_fixed", 12, NINE[6:]),
+        ("head_fixed", 12, ("t_y",)),
+        ("standard", 1, NINE),
+        ("standard", 2, NINE[1:]),
+    ],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, first):
+    parts = [recorded("standard", 1), recorded(motion, 2, stations=stations)]
+    poor = 0 if first else 1
+    extraction = joined(*(reversed(parts) if first else parts))
+    found = solve(extraction)
+    assert found.uncertainty.observable.all()
+    assert nees(found) < 3
+    assert np.all(np.isfinite(found.between.shift))
+    assert np.all(np.isfinite(found.between.std))
+    assert found.between.shown[1 - poor].all()
+    assert {name for name, ok in zip(NINE, found.between.shown[poor], strict=True) if not ok} >= set(hidden)
+    if stations == 12:
+        assert found.between.shown[poor].sum() == 9 - len(hidden)
+
+    rows = dict(log_rows(found, extraction))
+    said = dict(zip(NINE, rows[f"recording {poor}"], strict=True))
+    assert all(said[name] == "unobservable" for name in hidden)
+    assert "nan" not in str(rows)
+    assert rows["spread between recordings"][NINE.index(hidden[0])] == "unobservable"
+    text = report_json(
+        found, extraction, Provenance("0", "2026-01-01", "ml", (), {}), judge(found, extraction)
+    )
+    logs = json.loads(text, parse_constant=lambda name: pytest.fail(name))["logs"]
+    assert logs["shift"][poor][NINE.index(hidden[0])] is None
+    assert logs["shown"][poor] == found.between.shown[poor].tolist()
+
+
+def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
+    extraction = joined(recorded("straight", 2), recorded("straight", 3))
+    found = solve(extraction, constraints=constraints_of(["t_x"], [], []))
+    assert found.between.shown.tolist() == [[name not in ("separation", "t_x") for name in NINE]] * 2
+    rows = dict(log_rows(found, extraction))
+    assert rows["recording 0"][NINE.index("separation")] == "unobservable"
+    assert rows["recording 1"][NINE.index("t_x")] == "fixed"
+
+
+def test_radii_that_differ_by_20_mm():
+    found = solve(joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.02)))
+    assert found.between.shown.all()
+    assert found.between.between_std[RADIUS] == pytest.approx(0.02 / np.sqrt(2), rel=0.2)
+    assert found.parameters.wheels.radius_right_m == pytest.approx(
+        ROBOT.wheels.radius_right_m + 0.01, abs=0.002
+    )
+
+
+@pytest.mark.parametrize("off_m", [0.0, -0.001, 0.004])
+def test_a_prior_weighs_against_the_spread_between_recordings(off_m):
+    """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
+    extraction = joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.004))
+    free = solve(extraction)
+    value, std = free.parameters.vector[RADIUS], free.uncertainty.std[RADIUS]
+    stated, sigma = ROBOT.wheels.radius_right_m + off_m, 0.0003
+    found = solve(extraction, constraints=constraints_of([], [f"radius_right={stated!r}±{sigma}"], []))
+    weights = np.array([std, sigma]) ** -2
+    assert std > 0.001
+    assert found.parameters.vector[RADIUS] == pytest.approx(
+        weights @ [value, stated] / weights.sum(), abs=0.2 * sigma
+    )
+    assert found.uncertainty.std[RADIUS] == pytest.approx(weights.sum() ** -0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("stations", [1, 2])
+def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
+    extraction = joined(recorded("standard", 1), recorded("standard", 2, stations=stations))
+    for k in range(stations):
+        extraction = misread(extraction, 12 + k, seed=k)
+    found = solve(extraction)
+    assert [(o.kind, o.observations) for o in found.outliers] == [
+        ("station", (12 + k,)) for k in range(stations)
+    ]
+    assert not found.between.shown[1].any()
+    assert nees(found) < 3
+
+
+def test_corners_nine_times_noisier_than_claimed_in_one_recording():
+    noisy = recorded("standard", 2, noise=replace(NOISE, pixel_px=1.8))
+    claimed = tuple(
+        replace(o, left=Corners(o.left.pixels, 0.2, 1), right=Corners(o.right.pixels, 0.2, 1))
+        for o in noisy.observations
+    )
+    found = solve(joined(recorded("standard", 1), replace(noisy, observations=claimed)))
+    assert nees(found) < 3
+
+
+@pytest.mark.parametrize("method", ["ml", "linear", "lm"])
+@pytest.mark.parametrize(("recordings", "stations"), [(4, 1), (2, 2)])
+def test_too_few_legs(recordings, stations, method):
+    extraction = joined(*(recorded("standard", seed, stations=stations) for seed in range(recordings)))
+    with pytest.raises(SolveError, match=rf"with {recordings * (stations - 1)} legs .* \(at least 3 legs"):
+        solve(extraction, method)
