@@ -25,13 +25,13 @@ class Gap:
         parameters: the unobservable parameters.
         because: the reason, with the amount of motion.
         cure: the motion that makes them observable.
-        closed_by: any of these parameters of `NINE`, if fixed, makes the others observable without that motion.
+        closed_by: sets of parameters of `NINE`; if all of one set are fixed, no such motion is needed.
     """
 
     parameters: tuple[str, ...]
     because: str
     cure: str
-    closed_by: frozenset[str]
+    closed_by: tuple[tuple[str, ...], ...]
 
 
 def _vertical_range_rad(R_v_h: FloatArray) -> float:
@@ -45,7 +45,7 @@ def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Ga
 
     Args:
         extraction: the stations.
-        fixed: names of the parameters, of `NINE`, that need no motion.
+        fixed: names of the fixed parameters, of `NINE`.
     """
     observations = extraction.observations
     times = [
@@ -54,7 +54,7 @@ def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Ga
     gaps = gaps_between(
         extraction.rig.chain, np.stack([o.joints for o in observations]), extraction.wheels, times
     )
-    return tuple(gap for gap in gaps if not gap.closed_by & set(fixed))
+    return tuple(gap for gap in gaps if not any(set(fixed).issuperset(s) for s in gap.closed_by))
 
 
 def gaps_between(
@@ -78,7 +78,7 @@ def gaps_between(
                 f"the head's tilt spans only {np.degrees(tilted):.2f} degrees "
                 f"(at least {np.degrees(_TILTED_RAD):.0f} needed)",
                 "tilt the head up and down by 15 degrees or more between stations, and pan it",
-                frozenset(NINE[3:6]),
+                (NINE[3:6],),
             )
         )
     Phi = [np.zeros((0, 2))]
@@ -94,7 +94,7 @@ def gaps_between(
                 f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
                 f"between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive and turn the base between stations",
-                frozenset(NINE[6:]),
+                (NINE[6:],),
             )
         )
     elif turned < _TURNED_RAD:
@@ -104,7 +104,7 @@ def gaps_between(
                 f"the base only drives straight: the rotations of the two wheels differ by at most "
                 f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(_TURNED_RAD):.1f} needed)",
                 "turn the base by 20 degrees or more between some stations",
-                frozenset(NINE[8:]),
+                (("separation",),),
             )
         )
     elif driven < _DRIVEN_RAD:
@@ -114,7 +114,7 @@ def gaps_between(
                 f"the base only turns in place: the mean rotation of the two wheels is at most "
                 f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
                 "drive forward or back by 20 cm or more between some stations",
-                frozenset(NINE[6:]),
+                tuple((name,) for name in NINE[6:]),
             )
         )
     return tuple(gaps)

@@ -181,7 +181,9 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 def _unseen_boards(lin: Linearization) -> IntArray:
     """Columns of the boards that no used image shows."""
     data = lin.data
-    unseen = np.setdiff1d(np.arange(data.layout.boards), data.board[lin.inliers.used_corners.any(axis=(1, 2))])
+    unseen = np.setdiff1d(
+        np.arange(data.layout.boards), data.board[lin.inliers.used_corners.any(axis=(1, 2))]
+    )
     return np.asarray(data.layout.named + (6 * unseen[:, None] + np.arange(6)).ravel(), dtype=np.int64)
 
 

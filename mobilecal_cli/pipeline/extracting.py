@@ -17,7 +17,6 @@ from mobilecal_cli.model import (
     Board,
     Extraction,
     HeadChain,
-    JointLink,
     LogSource,
     Markers,
     Observation,

@@ -12,7 +12,17 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.predict import predicted
-from mobilecal_cli.model import NINE, Evaluation, Extraction, Parameters, Provenance, Solution, StereoRig
+from mobilecal_cli.model import (
+    NINE,
+    BoolArray,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Provenance,
+    Solution,
+    StereoRig,
+)
 from mobilecal_cli.report.changes import Change
 from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.evaluation import evaluation_data
@@ -230,6 +240,14 @@ def _finite(values: Any) -> Any:  # noqa: ANN401  (nested lists)
     return values if math.isfinite(values) else None
 
 
+def _where(known: BoolArray, values: FloatArray) -> list[list[float | None]]:
+    """Rows of a matrix, with None where a value is not known."""
+    return [
+        [value if ok else None for ok, value in zip(oks, row, strict=True)]
+        for oks, row in zip(known.tolist(), values.tolist(), strict=True)
+    ]
+
+
 def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
     between, scale = solution.between, solution.scale
     return {
@@ -253,8 +271,8 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
             "consistent": not scale.apart,
         },
         "logs": {
-            "shift": np.where(between.shown, between.shift, None).tolist(),
-            "std": np.where(between.shown, between.std, None).tolist(),
+            "shift": _where(between.shown, between.shift),
+            "std": _where(between.shown, between.std),
             "shown": between.shown.tolist(),
             "between_std": between.between_std,
         }

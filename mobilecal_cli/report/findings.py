@@ -187,9 +187,7 @@ def log_rows(solution: Solution, extraction: Extraction) -> tuple[tuple[str, tup
     rows = []
     fixed = solution.uncertainty.fixed if solution.uncertainty is not None else np.zeros(9, dtype=np.bool_)
     without = ["fixed" if by_user else "unobservable" for by_user in fixed]
-    for number, shift, std, shown in zip(
-        present, between.shift, between.std, between.shown, strict=True
-    ):
+    for number, shift, std, shown in zip(present, between.shift, between.std, between.shown, strict=True):
         cells = (
             f"{value_text(s * f, d * f, 3, '+')} ± {std_text(d * f)}" if ok else otherwise
             for s, d, f, ok, otherwise in zip(shift, std, factors, shown, without, strict=True)

@@ -99,12 +99,22 @@ def believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         "Find the cause. The result uses the remaining measurements.",
     )
     chain = extraction.rig.chain
-    joints, unit, joints_bad = float(np.degrees(found.noise.joint_rad)), "degrees", JOINT_NOISE_BAD_DEG
+    joints, joints_unit, joints_bad = float(np.degrees(found.noise.joint_rad)), "degrees", JOINT_NOISE_BAD_DEG
     if _slides(chain):
-        joints, unit, joints_bad = 1e3 * chain.joint_units[0] * found.noise.joint_rad, "mm", JOINT_NOISE_BAD_MM
+        joints, unit, joints_bad = (
+            1e3 * chain.joint_units[0] * found.noise.joint_rad,
+            "mm",
+            JOINT_NOISE_BAD_MM,
+        )
     for name, level, unit, bad, cause in (
-        ("joint readings", joints, unit, joints_bad, "the head joints for play"),
-        ("wheels", found.noise.wheel_rad_per_sqrt_rad, "rad per sqrt(rad)", WHEEL_NOISE_BAD, "the wheels for slip"),
+        ("joint readings", joints, joints_unit, joints_bad, "the head joints for play"),
+        (
+            "wheels",
+            found.noise.wheel_rad_per_sqrt_rad,
+            "rad per sqrt(rad)",
+            WHEEL_NOISE_BAD,
+            "the wheels for slip",
+        ),
     ):
         yield Check(
             f"noise of the {name}",

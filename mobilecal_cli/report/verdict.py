@@ -182,7 +182,12 @@ def _motion(solution: Solution) -> Iterator[Check]:
     Where some are fixed, less motion determines the others: their standard deviations decide.
     """
     fixed = solution.uncertainty.fixed if solution.uncertainty is not None else np.zeros(9, dtype=np.bool_)
-    of = {"pan_range_deg": fixed[:6], "tilt_range_deg": fixed[:6], "turned_deg": fixed[6:], "driven_m": fixed[6:]}
+    of = {
+        "pan_range_deg": fixed[:6],
+        "tilt_range_deg": fixed[:6],
+        "turned_deg": fixed[6:],
+        "driven_m": fixed[6:],
+    }
     for key, name, unit, least, more in (
         (
             "pan_range_deg",

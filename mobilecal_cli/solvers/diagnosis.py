@@ -146,7 +146,9 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     for ratios in starts if full else starts[:1]:
         try:
             # Without full motion, the linear method alone finds any wheels, those of a mistake or none at all.
-            parameters = few_rounds(pairs, ratios, _ROUNDS) if full else initial_with_prior(pairs, prior, seen)
+            parameters = (
+                few_rounds(pairs, ratios, _ROUNDS) if full else initial_with_prior(pairs, prior, seen)
+            )
         except (SolveError, np.linalg.LinAlgError):
             continue
         if np.all(parameters.wheels.vector > 0):

@@ -84,7 +84,8 @@ class OutlierSearch:
 
     def _usable(self, inliers: Inliers) -> BoolArray:
         """(N,) stations most of whose corners fit the board's shape."""
-        return np.all(inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2), axis=1)
+        most = inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2)
+        return np.asarray(most.all(axis=1), dtype=np.bool_)
 
     def _restored_views(self, fit: Fit, redundancy: float) -> Inliers | None:
         """The inliers with a station's images restored, as read or with one joint reading rejected instead."""

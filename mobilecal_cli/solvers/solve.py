@@ -84,14 +84,15 @@ def solve(
         on_step: called before each optimization step, for "ml" only.
 
     Raises:
-        SolveError: fewer than three legs, did not converge, an encoder has the wrong sign, the wheels are swapped, or an unobservable
-            parameter has no nominal value.
+        SolveError: fewer than three legs, did not converge, an encoder has the wrong sign, the wheels are swapped,
+            or an unobservable parameter has no nominal value.
     """
     constraints = constraints or Constraints()
     legs = len(dataset_of(extraction).legs)
     if legs < FEWEST_LEGS:
         raise SolveError(
-            f"{len(extraction.observations)} stations with {legs} legs between them (at least {FEWEST_LEGS} legs needed)",
+            f"{len(extraction.observations)} stations with {legs} legs between them "
+            f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )
     try:

@@ -49,7 +49,9 @@ def misread(extraction, station, seed=0, size_px=300.0):
     random, seen = np.random.default_rng(seed), list(extraction.observations)
 
     def wrong(corners):
-        return Corners(corners.pixels + size_px * random.normal(size=corners.pixels.shape), corners.sigma_px, 1)
+        return Corners(
+            corners.pixels + size_px * random.normal(size=corners.pixels.shape), corners.sigma_px, 1
+        )
 
     seen[station] = replace(seen[station], left=wrong(seen[station].left), right=wrong(seen[station].right))
     return replace(extraction, observations=tuple(seen))
