@@ -373,7 +373,7 @@ class KnownNoise:
         pixel_px: of one corner coordinate.
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
         encoder_rad: of one encoder reading.
-        joint_rad: of one joint reading.
+        joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
     """
 
     pixel_px: float | None = None

@@ -164,6 +164,11 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     return _Score(rms / distance_m, turned)
 
 
+def _has_full_motion(extraction: Extraction) -> bool:
+    seen = motion_seen(dataset_of(extraction).pairs)
+    return seen.tilts and seen.turns and seen.drives
+
+
 def _starts(extraction: Extraction) -> list[FloatArray]:
     """Wheel ratios to start from: nominal ones, and those of the recording as it stands, with the right signs."""
     nominal, starts = extraction.rig.nominal.wheels, []
@@ -192,8 +197,12 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
     as_is = _score(extraction, starts)
     base = math.inf if as_is is None else as_is.error
     found = []
+    full = _has_full_motion(extraction)
     for mistake in (*_joint_mistakes(extraction.rig.chain), *_wheel_mistakes()):
-        score = _score(mistake.corrected(extraction), starts)
+        corrected = mistake.corrected(extraction)
+        if not (full or _has_full_motion(corrected)):
+            continue  # such motion does not tell mistakes apart
+        score = _score(corrected, starts)
         if score is not None and score.error < min(_CLEARLY_BETTER * base, _FITS):
             found.append((score, mistake))
     if not found:

@@ -27,7 +27,7 @@ def test_large_turns_with_bad_stations(seed):
     found = solve(extraction)
     assert {o.observations[0] for o in found.outliers if o.kind == "station"} == set(bad)
     excluded = [o.observations for o in found.outliers if o.kind == "slip"]
-    # The slip cannot be told from one in the next leg where the station between them is bad.
+    # The slip is indistinguishable from one in the next leg where the station between them is bad.
     possible = {slip} | ({slip - 1} if slip in bad else set()) | ({slip + 1} if slip + 1 in bad else set())
     assert len(excluded) <= 1
     assert {i for i, _ in excluded} <= possible
