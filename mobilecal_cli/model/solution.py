@@ -77,18 +77,13 @@ class Refinement:
 class NoiseLevels:
     """Standard deviations of the measurements.
 
-        Attributes:
-            pixel_px: of one corner coordinate.
-            wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-    <<<<<<< HEAD
-            encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
-            joint_rad: of one joint reading.
-    =======
-            encoder_rad: of one encoder reading; 0 for encoders without steps.
-            joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-    >>>>>>> fe89c37 (Document the unit of joint noise for prismatic joints)
-            estimated: names of the levels that were estimated from the residuals; the others were given.
-            redundancy: estimated level → number of redundant residuals.
+    Attributes:
+        pixel_px: of one corner coordinate.
+        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
+        encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
+        joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
+        estimated: names of the levels that were estimated from the residuals; the others were given.
+        redundancy: estimated level → number of redundant residuals.
     """
 
     pixel_px: float

@@ -32,6 +32,7 @@ _SAME_RAD = (
 )
 _FROZEN, _MOVED = 1e-4, 0.05  # rad or m
 _ROUNDS = 12  # of the linear method
+_TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
 
 
 _Correction = Callable[[Extraction], Extraction]
@@ -166,7 +167,7 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
 
 def _has_full_motion(extraction: Extraction) -> bool:
     seen = motion_seen(dataset_of(extraction).pairs)
-    return seen.tilts and seen.turns and seen.drives
+    return seen.tilts and seen.drives and seen.turned_rad > _TURNED_RAD
 
 
 def _starts(extraction: Extraction) -> list[FloatArray]:
