@@ -20,7 +20,7 @@ SIGMA_ROTATION_DEG, SIGMA_TRANSLATION_MM, SIGMA_WHEELS = (0.3, 1.5), (6.0, 25.0)
 STRONG_EVIDENCE = 10.0  # delta BIC, "very strong" on the scale of Kass and Raftery
 
 
-def hidden(solution: Solution) -> Iterator[Check]:
+def unobservable(solution: Solution) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would."""
     found, motion = solution.uncertainty, solution.motion
     if found is None:
@@ -82,7 +82,7 @@ def _slides(chain: HeadChain) -> bool:
     return bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
 
 
-def believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+def outliers_and_noise(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     """Outliers, and noise levels of joints and wheels."""
     found = solution.uncertainty
     if found is None:
@@ -126,7 +126,7 @@ def believed(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         )
 
 
-def wanting(solution: Solution) -> Iterator[Check]:
+def additional(solution: Solution) -> Iterator[Check]:
     """Whether the data supports additional parameters."""
     wanted = [e for e in solution.evidence if e.state == "offered" and e.bic > STRONG_EVIDENCE]
     if solution.evidence:

@@ -16,7 +16,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
-from mobilecal_cli.report.known import believed, hidden, sigmas, square, wanting
+from mobilecal_cli.report.known import additional, outliers_and_noise, sigmas, square, unobservable
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -118,7 +118,7 @@ def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = (
 def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield from _stations(extraction)
     yield from _diagnosis(solution)
-    yield from hidden(solution)
+    yield from unobservable(solution)
     yield from _motion(solution)
     if not extraction.observations:
         return
@@ -127,14 +127,14 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield from _nominal(solution, extraction)
     yield from _stereo(extraction)
     yield from square(solution, extraction)
-    yield from wanting(solution)
+    yield from additional(solution)
     if len(solution.residuals.legs):
         yield from _legs(solution, extraction)
         yield from _errors(solution, extraction)
     if solution.refinement is not None:
         yield _methods(solution)
     yield from sigmas(solution)
-    yield from believed(solution, extraction)
+    yield from outliers_and_noise(solution, extraction)
     yield _rejected(extraction)
 
 
