@@ -101,7 +101,7 @@ def weigh_logs(lin: Linearization) -> Pooled:
 
     Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.
     Else each recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations
-    of one recording do not count for more than one robot's worth of evidence. The covariance is then wider by
+    of one recording do not count for more than one robot's worth of evidence. What they say is then wider by
     `few_logs_factor`.
 
     Args:
@@ -131,12 +131,18 @@ def weigh_logs(lin: Linearization) -> Pooled:
             few_logs_factor(step[shown[:, k], k], std[shown[:, k], k], variance[k]) for k in range(len(NINE))
         ]
     T = basis.T @ (variance[:, None] * basis)
-    total = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
-    right = basis.T @ (lin.priors.gradient(lin.state)[:named] * scales)
+    data, right = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1])
     for A, a in parts:
         shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
-        total += shrink @ A
+        data += shrink @ A
         right += shrink @ a
+    # The factor widens what the recordings say, not the priors.
+    narrow = basis.T @ (basis / factor[:, None])
+    wide = narrow @ data @ narrow
+    right = wide @ (np.linalg.pinv(data) @ right) + basis.T @ (
+        lin.priors.gradient(lin.state)[:named] * scales
+    )
+    total = wide + basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
     inverse = np.linalg.inv((total + total.T) / 2)
     pooled = basis @ (-inverse @ right) if variance.any() else np.zeros(named)
     between = BetweenLogs(
@@ -145,5 +151,4 @@ def weigh_logs(lin: Linearization) -> Pooled:
         shown,
         np.sqrt(variance[nine]) * scales[nine],
     )
-    scales_wide = scales * factor
-    return Pooled(between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales_wide, scales_wide))
+    return Pooled(between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales))

@@ -161,7 +161,9 @@ def extract(
     """
     seen: list[Seen] = []
     recordings = join_parts(logs)
-    sources = [LogSource(str(path), sha256_of(path)) for parts in recordings for path in parts]
+    paths = [path for parts in recordings for path in parts]
+    # A file that does not exist is refused where it is opened.
+    sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.exists()]
     refuse_equal_files(sources)
     for parts in recordings:
         with open_recording(parts) as recording, Crew(recording, jobs) as crew:

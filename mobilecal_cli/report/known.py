@@ -101,7 +101,7 @@ def outliers_and_noise(solution: Solution, extraction: Extraction) -> Iterator[C
     chain = extraction.rig.chain
     joints, joints_unit, joints_bad = float(np.degrees(found.noise.joint_rad)), "degrees", JOINT_NOISE_BAD_DEG
     if _slides(chain):
-        joints, unit, joints_bad = (
+        joints, joints_unit, joints_bad = (
             1e3 * chain.joint_units[0] * found.noise.joint_rad,
             "mm",
             JOINT_NOISE_BAD_MM,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import JointLink, Nominal, Parameters
+from mobilecal_cli.model import JointLink, Nominal, Parameters, WheelTrack
 from mobilecal_cli.report import judge
 from mobilecal_cli.report.findings import noise_rows
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
@@ -71,10 +71,9 @@ def with_principal_point(extraction, by_px):
 def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
     extraction = with_principal_point(recorded("base_fixed", 1), by_px)
     track = extraction.wheels[0]
-    still = replace(
-        track,
-        right_rad=np.full_like(track.right_rad, 1.234),
-        left_rad=np.full_like(track.left_rad, -3.3),
+    still = WheelTrack(
+        replace(track.right, value=np.full_like(track.right.value, 1.234)),
+        replace(track.left, value=np.full_like(track.left.value, -3.3)),
     )
     extraction = replace(extraction, wheels=(still,))
     found = solve(extraction)
