@@ -136,15 +136,13 @@ def weigh_logs(lin: Linearization) -> Pooled:
         shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
         data += shrink @ A
         right += shrink @ a
-    # The factor widens what the recordings say, not the priors.
+    right += basis.T @ (lin.priors.gradient(lin.state)[:named] * scales)
+    prior = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
+    pooled = -basis @ np.linalg.solve(data + prior, right) if variance.any() else np.zeros(named)
+    # The factor widens the standard deviation of what the recordings say, not the priors.
     narrow = basis.T @ (basis / factor[:, None])
-    wide = narrow @ data @ narrow
-    right = wide @ (np.linalg.pinv(data) @ right) + basis.T @ (
-        lin.priors.gradient(lin.state)[:named] * scales
-    )
-    total = wide + basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
+    total = narrow @ data @ narrow + prior
     inverse = np.linalg.inv((total + total.T) / 2)
-    pooled = basis @ (-inverse @ right) if variance.any() else np.zeros(named)
     between = BetweenLogs(
         np.where(shown, step - pooled[nine], 0.0) * scales[nine],
         np.where(shown, std, 0.0) * scales[nine],

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import NINE, Corners, Provenance, WheelGeometry
@@ -123,9 +124,11 @@ def test_a_prior_weighs_against_the_spread_between_recordings(off_m):
     stated, sigma = ROBOT.wheels.radius_right_m + off_m, 0.0003
     found = solve(extraction, constraints=constraints_of([], [f"radius_right={stated!r}±{sigma}"], []))
     weights = np.array([std, sigma]) ** -2
+    # The estimate weighs the recordings by their spread; the stated sigma is wider by the factor for two recordings.
+    spread = np.array([std / float(stdtrit(1, 0.97725) / 2), sigma]) ** -2
     assert std > 0.001
     assert found.parameters.vector[RADIUS] == pytest.approx(
-        weights @ [value, stated] / weights.sum(), abs=0.2 * sigma
+        spread @ [value, stated] / spread.sum(), abs=0.2 * sigma
     )
     assert found.uncertainty.std[RADIUS] == pytest.approx(weights.sum() ** -0.5, rel=0.05)
 
