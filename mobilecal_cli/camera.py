@@ -14,6 +14,7 @@ from mobilecal_cli.model import BoolArray, Camera, FloatArray
 _NEWTON_STEPS = 60
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
 _EXACT = 5e-16
+_CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
 
@@ -107,6 +108,62 @@ def _distorted(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArr
     return scale[..., None] * XY, J
 
 
+def lens_terms(camera: Camera, center_px: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Displacements of pixels by a lens correction of one, term by term, and their Jacobians.
+
+    With p the offset from the center in shares of half the image's diagonal, the terms are p |p|^2, p |p|^4,
+    (3x^2 + y^2, 2xy) and (2xy, x^2 + 3y^2), each with the length of the image's width at the image corner.
+
+    Args:
+        camera: gives the image size.
+        center_px: (2,) where the terms are zero.
+        pixels: (..., 2) pixels without the correction.
+
+    Returns:
+        (..., 4, 2) px, and (..., 4, 2, 2) by the pixels.
+    """
+    diagonal = float(np.hypot(camera.width, camera.height))
+    p = (pixels - center_px) * (2 / diagonal)
+    x, y = p[..., 0], p[..., 1]
+    cx, cy = camera.width / diagonal, camera.height / diagonal
+    unit = np.array(
+        [1.0, 1.0, np.hypot(3 * cx**2 + cy**2, 2 * cx * cy), np.hypot(2 * cx * cy, cx**2 + 3 * cy**2)]
+    )
+    q = x * x + y * y
+    terms, J = np.empty((*x.shape, 4, 2)), np.empty((*x.shape, 4, 2, 2))
+    terms[..., 0, :], terms[..., 1, :] = p * q[..., None], p * (q**2)[..., None]
+    terms[..., 2, 0], terms[..., 2, 1] = 3 * x * x + y * y, 2 * x * y
+    terms[..., 3, 0], terms[..., 3, 1] = 2 * x * y, x * x + 3 * y * y
+    across = p[..., :, None] * p[..., None, :]
+    J[..., 0, :, :] = q[..., None, None] * np.eye(2) + 2 * across
+    J[..., 1, :, :] = q[..., None, None] * (q[..., None, None] * np.eye(2) + 4 * across)
+    J[..., 2, 0, 0], J[..., 2, 0, 1], J[..., 2, 1, 0], J[..., 2, 1, 1] = 6 * x, 2 * y, 2 * y, 2 * x
+    J[..., 3, 0, 0], J[..., 3, 0, 1], J[..., 3, 1, 0], J[..., 3, 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
+    return terms * (camera.width / unit)[:, None], J * (camera.width * 2 / diagonal / unit)[:, None, None]
+
+
+def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Pixels (..., 2) after the camera's lens correction, and their Jacobian (..., 2, 2), None for the identity."""
+    if camera.correction is None:
+        return pixels, None
+    terms, J = lens_terms(camera, camera.correction.center_px, pixels)
+    shares = camera.correction.shares
+    return pixels + np.einsum("...ka,k->...a", terms, shares), np.eye(2) + np.einsum(
+        "...kab,k->...ab", J, shares
+    )
+
+
+def _uncorrected(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Pixels before the camera's lens correction: the inverse of `corrected`."""
+    before = pixels
+    for _ in range(_CORRECTION_ROUNDS):
+        after, J = corrected(camera, before)
+        if J is None:
+            return pixels
+        before = before + np.linalg.solve(J, (pixels - after)[..., None])[..., 0]
+    return before
+
+
 def project_with_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pixels of points in the camera's optical frame, and their derivatives.
 
@@ -121,8 +178,11 @@ def project_with_jacobian(camera: Camera, points: FloatArray) -> tuple[FloatArra
     distorted, J = _distorted(camera, points)
     A = camera.K[:2, :2]
     if A[0, 1] == 0 == A[1, 0]:
-        return distorted * np.diag(A) + camera.K[:2, 2], np.diag(A)[:, None] * J
-    return distorted @ A.T + camera.K[:2, 2], A @ J
+        at, J = distorted * np.diag(A) + camera.K[:2, 2], np.diag(A)[:, None] * J
+    else:
+        at, J = distorted @ A.T + camera.K[:2, 2], A @ J
+    at, through = corrected(camera, at)
+    return at, J if through is None else through @ J
 
 
 def project(camera: Camera, points: FloatArray) -> FloatArray:
@@ -202,7 +262,9 @@ def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArr
         that far (wrong coefficients for this image, or a pixel far outside it).
     """
     A = camera.K[:2, :2]
-    target = (pixels - camera.K[:2, 2]) @ np.asarray(np.linalg.inv(A), dtype=np.float64).T
+    target = (_uncorrected(camera, pixels) - camera.K[:2, 2]) @ np.asarray(
+        np.linalg.inv(A), dtype=np.float64
+    ).T
     if camera.distortion == "equidistant":
         return _undistort_equidistant(camera.D, target)
     if camera.distortion == "none" or not np.any(camera.D):

@@ -1,6 +1,6 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import head_jacobian, head_pose
+from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose
 from mobilecal_cli.kinematics.wheels import (
     Arcs,
     Increments,
@@ -17,6 +17,7 @@ from mobilecal_cli.kinematics.wheels import (
 __all__ = [
     "Arcs",
     "Increments",
+    "JointFrames",
     "LegMotion",
     "between_steps",
     "cut_at",

@@ -40,8 +40,8 @@ class _Own:
     """The estimate from one recording alone, in scaled units.
 
     Attributes:
-        step, std: (named,) from the common optimum; 0 where the recording does not show a parameter.
-        shown: (named,) whether it does.
+        step, std: (9,) from the common optimum; 0 where the recording does not show a parameter.
+        shown: (9,) whether it does.
         distance: chi-squared of the common optimum, with `rank` degrees of freedom.
         rank: number of directions that the recording shows.
     """
@@ -54,6 +54,12 @@ class _Own:
 
 
 def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
+    """The estimate of the nine from one recording, for the common values of all constants.
+
+    Args:
+        A, a: (F, F) information about the free directions of the nine, and (F,) its gradient.
+        basis: (9, F) these directions.
+    """
     values, vectors = np.linalg.eigh(A)
     seen = values > _SHOWN**2
     inverse = np.where(seen, 1 / np.where(seen, values, 1.0), 0.0)
@@ -116,13 +122,12 @@ def weigh_logs(lin: Linearization) -> Pooled:
         reduced = S[:named, :named] - S[:named, named:] @ onto[:, :-1]
         gradient = s[:named] - S[:named, named:] @ onto[:, -1]
         parts.append((basis.T @ (reduced * np.outer(scales, scales)) @ basis, basis.T @ (gradient * scales)))
-    logs = [_own(A, a, basis) for A, a in parts]
-    nine = slice(len(NINE))
-    step, std, shown = (
-        np.array([getattr(log, name)[nine] for log in logs]) for name in ("step", "std", "shown")
-    )
+    nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
+    own = slice(own_basis.shape[1])
+    logs = [_own(A[own, own], a[own], own_basis) for A, a in parts]
+    step, std, shown = (np.array([getattr(log, name) for log in logs]) for name in ("step", "std", "shown"))
     variance, factor = np.zeros(named), np.ones(named)
-    spare = sum(log.rank for log in logs) - basis.shape[1]
+    spare = sum(log.rank for log in logs) - own_basis.shape[1]
     if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
         variance[nine] = [
             between_variance(step[shown[:, k], k], std[shown[:, k], k]) for k in range(len(NINE))

@@ -21,21 +21,20 @@ class Influence:
     """One kind of measurement in units whose noise is independent: stations, or legs.
 
     Attributes:
-        level: its noise level, see `noise.Noise`.
         by_unit: (n, P, m) derivative of the shared parameters by each unit's m whitened residuals.
         residual: (n, m) those residuals.
         leverage: (n, m, m) each unit's block of the hat matrix.
+        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
     """
 
-    level: str
     by_unit: FloatArray
     residual: FloatArray
     leverage: FloatArray
+    parts: Mapping[str, FloatArray]
 
-    @property
-    def covariance(self) -> FloatArray:
-        """(P, P) covariance of the shared parameters due to this kind's noise, for a correct noise level."""
-        return np.asarray(np.einsum("npm,nqm->pq", self.by_unit, self.by_unit))
+    def covariance(self, level: str) -> FloatArray:
+        """(P, P) covariance of the shared parameters due to one noise level, if it is correct."""
+        return np.asarray(np.einsum("npm,nqm->pq", self.by_unit @ self.parts[level], self.by_unit))
 
     @property
     def spread(self) -> FloatArray:
@@ -58,54 +57,82 @@ def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def influences(lin: Linearization) -> Iterator[Influence]:
-    """Images, joint readings, wheels and encoder readings at an optimum."""
-    data, state, normal, marginal = lin.data, lin.state, lin.normal, lin.marginals
-    views, legs, C = lin.views, lin.legs, lin.conditional_covariance
-    root, inverse = _roots(views.information)
-    yield Influence(
-        "pixel_px",
-        C
-        @ normal.onto_shared(
-            np.arange(data.stations),
-            np.swapaxes(views.by_base, 1, 2) @ root,
-            np.swapaxes(views.by_joints, 1, 2) @ root,
-            np.swapaxes(views.by_shared, 1, 2) @ root,
-        ),
-        (inverse @ views.gradient[..., None])[..., 0],
-        np.swapaxes(root, 1, 2) @ marginal.views @ root,
-    )
-
-    sigma = lin.joint_sigmas
-    read = lin.inliers.readings & lin.inliers.views[:, None]
-    count, J = sigma.shape
-    one = np.where(read, 1 / sigma, 0.0)[:, :, None] * np.eye(J)
-    none, P = np.zeros((count, 5, J)), C.shape[0]
-    yield Influence(
-        "joint_rad",
-        C @ normal.onto_shared(np.arange(count), none, one, np.zeros((count, P, J))),
-        np.where(read, state.joint_errors / sigma, 0.0),
-        one @ marginal.joints @ one,
-    )
-
+    """Images, joint readings, floor, wheels, encoder readings and stamps at an optimum."""
+    yield _of_images(lin)
+    data, marginal = lin.data, lin.marginals
+    errors, sigma = lin.own_errors, lin.own_sigmas
+    joints = data.joints.shape[1]
+    one = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
+    one[:, :joints] *= lin.inliers.readings
+    for columns, parts in (
+        (slice(0, joints), {"joint_rad": np.eye(joints)}),
+        (slice(joints, None), {"floor_rad": np.diag([1.0, 1.0, 0.0]), "floor_m": np.diag([0.0, 0.0, 1.0])}),
+    ):
+        at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
+        at[:, columns] = one[:, columns, None] * np.eye(at.shape[2])
+        leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
+        yield _of_stations(lin, None, at, (errors * one)[:, columns], leverage, parts)
     if len(data.legs):
-        i, j = data.legs.T
-        root, _ = _roots(lin.leg_weight)
-        shared = np.swapaxes(legs.by_shared(data.layout), 1, 2) @ root
-        empty = np.zeros((len(i), J, 3))
-        onto = normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, empty, shared)
-        onto += normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root, empty, np.zeros_like(shared))
-        yield Influence(
-            "wheel_rad_per_sqrt_rad",
-            C @ onto,
-            (np.swapaxes(root, 1, 2) @ legs.residual[..., None])[..., 0],
-            np.swapaxes(root, 1, 2) @ marginal.legs @ root,
-        )
+        yield _of_legs(lin)
     if lin.noise.encoder_rad:
-        one = np.broadcast_to(np.diag(1 / lin.encoder_sigmas), (count, 2, 2))
-        base = np.concatenate([np.zeros((count, 3, 2)), one], axis=1)
-        onto = normal.onto_shared(np.arange(count), base, np.zeros((count, J, 2)), np.zeros((count, P, 2)))
+        base = np.zeros((data.stations, data.base_width, 2))
+        base[:, 3:5] = np.diag(1 / lin.encoder_sigmas)
         leverage = marginal.encoders[:, :, None] * np.diag(lin.encoder_sigmas**-2)
-        yield Influence("encoder_rad", C @ onto, state.encoder_errors / lin.encoder_sigmas, leverage)
+        off = lin.state.encoder_errors / lin.encoder_sigmas
+        yield _of_stations(lin, base, None, off, leverage, {"encoder_rad": np.eye(2)})
+    if data.base_width > 5:
+        base = np.zeros((data.stations, data.base_width, 1))
+        base[:, 5] = 1 / lin.noise.stamp_s
+        leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
+        off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
+        yield _of_stations(lin, base, None, off, leverage, {"stamp_s": np.eye(1)})
+
+
+def _of_stations(
+    lin: Linearization,
+    base: FloatArray | None,
+    own: FloatArray | None,
+    residual: FloatArray,
+    leverage: FloatArray,
+    parts: Mapping[str, FloatArray],
+) -> Influence:
+    """Measurements of a station's base block (N, B, m) or of its own errors (N, E, m)."""
+    data, m = lin.data, residual.shape[1]
+    count, P = data.stations, data.layout.size
+    base = np.zeros((count, data.base_width, m)) if base is None else base
+    own = np.zeros((count, data.own_width, m)) if own is None else own
+    onto = lin.normal.onto_shared(np.arange(count), base, own, np.zeros((count, P, m)))
+    return Influence(lin.conditional_covariance @ onto, residual, leverage, parts)
+
+
+def _of_images(lin: Linearization) -> Influence:
+    views = lin.views
+    root, inverse = _roots(views.information)
+    by = (np.swapaxes(part, 1, 2) @ root for part in (views.by_base, views.by_own, views.by_shared))
+    onto = lin.normal.onto_shared(np.arange(lin.data.stations), *by)
+    return Influence(
+        lin.conditional_covariance @ onto,
+        (inverse @ views.gradient[..., None])[..., 0],
+        np.swapaxes(root, 1, 2) @ lin.marginals.views @ root,
+        {"pixel_px": np.eye(root.shape[2])},
+    )
+
+
+def _of_legs(lin: Linearization) -> Influence:
+    data, legs = lin.data, lin.legs
+    i, j = data.legs.T
+    root, _ = _roots(lin.leg_weight)
+    shared = np.swapaxes(legs.by_shared(data.layout), 1, 2) @ root
+    none = np.zeros((len(i), data.own_width, 3))
+    onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, none, shared)
+    onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root, none, np.zeros_like(shared))
+    transposed = np.swapaxes(root, 1, 2)
+    return Influence(
+        lin.conditional_covariance @ onto,
+        (transposed @ legs.residual[..., None])[..., 0],
+        transposed @ lin.marginals.legs @ root,
+        {level: transposed @ share @ root for level, share in lin.leg_covariances.items()},
+    )
 
 
 def shares(lin: Linearization) -> Mapping[str, FloatArray]:
@@ -119,7 +146,7 @@ def shares(lin: Linearization) -> Mapping[str, FloatArray]:
         the prior variance of unobservable directions, and "free".
     """
     C, layout = lin.conditional_covariance, lin.data.layout
-    result: dict[str, FloatArray] = {i.level: i.covariance for i in lin.influences}
+    result = {level: i.covariance(level) for i in lin.influences for level in i.parts}
     for k, name in enumerate(layout.names):
         if lin.priors.weight[k]:
             result[f"prior {name}"] = lin.priors.weight[k] * np.outer(C[:, k], C[:, k])

@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_steps_rad, head_pose, join
 from mobilecal_cli.likelihood.backlash import approach_direction
-from mobilecal_cli.likelihood.nuisance import Constant, Layout, constant
+from mobilecal_cli.likelihood.nuisance import Constant, Layout
 from mobilecal_cli.model import (
     BoolArray,
     Extraction,
@@ -106,6 +106,16 @@ class Dataset:
     def stations(self) -> int:
         """Number of stations."""
         return len(self.joints)
+
+    @property
+    def base_width(self) -> int:
+        """Unknowns of a station that legs couple: base pose (3), encoder errors (2), in motion the stamp's error."""
+        return 6 if self.moving.any() and self.joint_tracks else 5
+
+    @property
+    def own_width(self) -> int:
+        """Unknowns of a station that nothing couples to others: its joint errors, and the floor under it (3)."""
+        return int(self.joints.shape[1]) + 3
 
     @property
     def joint_units(self) -> FloatArray:
@@ -236,7 +246,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
 
     Args:
         extraction: at least one observation.
-        constants: rows of the constants to estimate; `square_scale` is added where the board states no square.
+        constants: rows of the constants to estimate.
     """
     seen = extraction.observations
     log = np.array([o.log for o in seen])
@@ -248,8 +258,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     square_m = extraction.board.square_m
     if square_m is None:
         square_m = float(np.median([o.square_m for o in seen]))
-        if not any(row.name == "square_scale" for row in constants):
-            constants = (*constants, constant("square_scale"))
     steps = encoder_steps_rad(extraction.wheels)
     moving = np.array([not o.at_rest for o in seen])
     tracks = extraction.wheels

@@ -1,7 +1,7 @@
 """What a constant of the robot changes, and the derivative of the prediction by it.
 
-There is one base class for each place where a constant enters: joint positions, the head's pose, the cameras, the
-board, and the wheels' stamps. `nuisance.CONSTANTS` has the rows.
+There is one base class for each place where a constant enters: joint positions, the head's chain, the cameras, the
+board, and the wheels' stamps. `nuisance` has the rows.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli import se3
-from mobilecal_cli.model import FloatArray, Side, StereoRig
+from mobilecal_cli import camera, se3
+from mobilecal_cli.kinematics import JointFrames
+from mobilecal_cli.model import Camera, FloatArray, HeadChain, JointLink, LensCorrection, Side, StereoRig
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.dataset import Dataset
@@ -63,72 +64,115 @@ class JointClock(JointEffect):
 
 @dataclass(frozen=True, slots=True)
 class JointZero(JointEffect):
-    """Zero offset of the joint with a role ("pan" or "tilt"), rad."""
+    """Zero offset of a joint, by its column, rad or m."""
 
-    role: str
-
-    def offered(self, data: Dataset) -> bool:
-        """Wherever the head has this joint."""
-        return data.joint_with(self.role) is not None
+    joint: int
 
     def rate(self, data: Dataset, value: float) -> FloatArray:
         """(N, J) 1 in this joint's column."""
         rate = np.zeros_like(data.joints)
-        if (joint := data.joint_with(self.role)) is not None:
-            rate[:, joint] = 1.0
+        rate[:, self.joint] = 1.0
+        return rate
+
+
+@dataclass(frozen=True, slots=True)
+class JointScale(JointEffect):
+    """Relative error of a joint's reading, by its column."""
+
+    joint: int
+
+    def rate(self, data: Dataset, value: float) -> FloatArray:
+        """(N, J) the reading in this joint's column."""
+        rate = np.zeros_like(data.joints)
+        rate[:, self.joint] = data.joints[:, self.joint]
         return rate
 
 
 @dataclass(frozen=True, slots=True)
 class JointPlay(JointEffect):
-    """Backlash of the joint with a role, rad: the whole play between its two approach directions."""
+    """Backlash of a joint, by its column, rad or m: the whole play between its two approach directions."""
 
-    role: str
+    joint: int
 
     def offered(self, data: Dataset) -> bool:
         """Only a joint that was approached from both directions shows its play."""
-        joint = data.joint_with(self.role)
-        return joint is not None and bool(np.ptp(data.approach_direction[:, joint]))
+        return bool(np.ptp(data.approach_direction[:, self.joint]))
 
     def rate(self, data: Dataset, value: float) -> FloatArray:
         """(N, J) half of the approach direction, negative, in this joint's column."""
         rate = np.zeros_like(data.joints)
-        if (joint := data.joint_with(self.role)) is not None:
-            rate[:, joint] = -data.approach_direction[:, joint] / 2
+        rate[:, self.joint] = -data.approach_direction[:, self.joint] / 2
         return rate
 
 
-class HeadEffect(Effect, ABC):
-    """Changes the head's pose in the base."""
+@dataclass
+class ChainChange:
+    """The sum of what all chain constants change, by the index of the link.
+
+    Attributes:
+        turn: rotation vector that turns a joint's axis, in the joint's own frame, rad.
+        shift: displacement of a joint's origin, in the joint's own frame, m.
+    """
+
+    turn: dict[int, FloatArray] = field(default_factory=dict)
+    shift: dict[int, FloatArray] = field(default_factory=dict)
+
+    def apply(self, chain: HeadChain) -> HeadChain:
+        """The chain after the change."""
+        links = list(chain.links)
+        for index in {*self.turn, *self.shift}:
+            link = links[index]
+            assert isinstance(link, JointLink)
+            turn = se3.exp_so3(self.turn.get(index, np.zeros(3)))
+            links[index] = replace(link, axis=turn @ link.axis, shift_m=self.shift.get(index, np.zeros(3)))
+        return replace(chain, links=tuple(links))
+
+
+class ChainEffect(Effect, ABC):
+    """Changes the head's chain."""
 
     __slots__ = ()
 
     @abstractmethod
-    def apply(self, T_v_h: FloatArray, value: float) -> FloatArray:
-        """(N, 4, 4) head poses with the change."""
+    def add(self, change: ChainChange, value: float) -> None:
+        """Add a value to the change."""
 
     @abstractmethod
-    def twist(self, T_v_h: FloatArray) -> FloatArray:
-        """(N, 6) derivative of head poses (N, 4, 4) by the value: left twists in the base's frame."""
+    def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
+        """(N, 6) derivative of the head poses by the value: left twists in the base's frame."""
 
 
 @dataclass(frozen=True, slots=True)
-class MountShift(HeadEffect):
-    """Shift of the head's mount along an axis of the base, m."""
+class AxisTurn(ChainEffect):
+    """Rotation of a joint's axis about a direction in the joint's own frame, rad: nothing moves at the joint's zero."""
 
-    axis: int
+    link: int
+    about: tuple[float, float, float]
 
-    def apply(self, T_v_h: FloatArray, value: float) -> FloatArray:
-        """(N, 4, 4) head poses with the shift."""
-        T = T_v_h.copy()
-        T[:, self.axis, 3] += value
-        return T
+    def add(self, change: ChainChange, value: float) -> None:
+        """Add to the rotation vector."""
+        change.turn[self.link] = change.turn.get(self.link, np.zeros(3)) + value * np.array(self.about)
 
-    def twist(self, T_v_h: FloatArray) -> FloatArray:
-        """(N, 6) translation along the axis."""
-        twist = np.zeros((len(T_v_h), 6))
-        twist[:, 3 + self.axis] = 1.0
-        return twist
+    def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
+        """exp(u) R exp(-u) turns by (I - R) u, about the joint's origin."""
+        turn = change.turn.get(self.link, np.zeros(3))
+        return frames.by_axis(self.link, se3.left_jacobian_so3(turn) @ np.array(self.about))
+
+
+@dataclass(frozen=True, slots=True)
+class OriginShift(ChainEffect):
+    """Shift of a joint's origin along a direction in the joint's own frame, m: all that follows moves with it."""
+
+    link: int
+    along: tuple[float, float, float]
+
+    def add(self, change: ChainChange, value: float) -> None:
+        """Add to the displacement."""
+        change.shift[self.link] = change.shift.get(self.link, np.zeros(3)) + value * np.array(self.along)
+
+    def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
+        """A translation along the direction."""
+        return frames.by_origin(self.link, np.array(self.along))
 
 
 @dataclass
@@ -137,30 +181,36 @@ class CameraChange:
 
     Attributes:
         turn: (3,) rotation vector of the right camera about the left one's axes, from the left, rad.
+        swing: (3,) rotation vector of the baseline about the left camera's axes, rad.
         baseline: relative change of the baseline's length.
-        focal_px, principal_px: by side, change of fx (fy in proportion) and of (cx, cy).
+        focal: by side, relative change of fx and fy.
+        principal: by side, (2,) change of (cx, cy) in shares of the image width.
+        lens: by side, (4,) see `LensCorrection`.
     """
 
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    swing: FloatArray = field(default_factory=lambda: np.zeros(3))
     baseline: float = 0.0
-    focal_px: dict[Side, float] = field(default_factory=lambda: {"left": 0.0, "right": 0.0})
-    principal_px: dict[Side, FloatArray] = field(
+    focal: dict[Side, float] = field(default_factory=lambda: {"left": 0.0, "right": 0.0})
+    principal: dict[Side, FloatArray] = field(
         default_factory=lambda: {"left": np.zeros(2), "right": np.zeros(2)}
     )
+    lens: dict[Side, FloatArray] = field(default_factory=lambda: {"left": np.zeros(4), "right": np.zeros(4)})
 
     def apply(self, rig: StereoRig) -> StereoRig:
         """The stereo pair after the change."""
         T = rig.T_c_r.copy()
         T[:3, :3] = se3.exp_so3(self.turn) @ T[:3, :3]
-        T[:3, 3] *= 1 + self.baseline
-        changed = {}
-        for side, camera in (("left", rig.left), ("right", rig.right)):
-            K = camera.K.copy()
-            K[0, 0] += self.focal_px[side]  # type: ignore[index]
-            K[1, 1] += self.focal_px[side] * camera.K[1, 1] / camera.K[0, 0]  # type: ignore[index]
-            K[:2, 2] += self.principal_px[side]  # type: ignore[index]
-            changed[side] = replace(camera, K=K)
-        return replace(rig, left=changed["left"], right=changed["right"], T_c_r=T)
+        T[:3, 3] = (1 + self.baseline) * se3.exp_so3(self.swing) @ T[:3, 3]
+        sides: dict[Side, Camera] = {"left": rig.left, "right": rig.right}
+        for side, stated in sides.items():
+            K = stated.K.copy()
+            K[0, 0] *= 1 + self.focal[side]
+            K[1, 1] *= 1 + self.focal[side]
+            K[:2, 2] += self.principal[side] * stated.width
+            lens = LensCorrection(self.lens[side], stated.K[:2, 2]) if np.any(self.lens[side]) else None
+            sides[side] = replace(stated, K=K, correction=lens)
+        return replace(rig, left=sides["left"], right=sides["right"], T_c_r=T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,21 +220,25 @@ class Sight:
     Attributes:
         side: which camera.
         stated, rig: the stereo pair as stated, and with all constants applied.
-        turn: (3,) rotation of the right camera that is part of `rig`, see `CameraChange`.
-        at: (N, M, 2) predicted pixels.
+        change: what was applied.
+        pixels: (N, M, 2) predicted pixels before the lens correction.
+        through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the left camera's frame, m.
-        by_point: (N, M, 2, 3) derivative of the pixels by the point in this camera's own frame, px/m.
-        by_point_c: (N, M, 2, 3) the same by the point in the left camera's frame.
+        by_point_c: (N, M, 2, 3) derivative of the corrected pixels by the point in the left camera's frame, px/m.
     """
 
     side: Side
     stated: StereoRig
     rig: StereoRig
-    turn: FloatArray
-    at: FloatArray
+    change: CameraChange
+    pixels: FloatArray
+    through: FloatArray | None
     points_c: FloatArray
-    by_point: FloatArray
     by_point_c: FloatArray
+
+    def corrected(self, shift: FloatArray) -> FloatArray:
+        """(N, M, 2) displacements of pixels before the correction as displacements after it."""
+        return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
 
 
 class CameraEffect(Effect, ABC):
@@ -201,6 +255,11 @@ class CameraEffect(Effect, ABC):
         """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
 
 
+def _right_moves(sight: Sight, by_shift_c: FloatArray) -> FloatArray:
+    """Derivative of the right pixels where its center moves by (3,) in the left camera's frame."""
+    return np.asarray(-sight.by_point_c @ by_shift_c)
+
+
 @dataclass(frozen=True, slots=True)
 class RightTurn(CameraEffect):
     """Rotation of the right camera about an axis of the left one, rad."""
@@ -215,9 +274,27 @@ class RightTurn(CameraEffect):
         """R_c_r -> exp(rho) R_c_r turns the points the other way about the right camera's center."""
         if sight.side == "left":
             return None
-        axis = se3.left_jacobian_so3(sight.turn)[:, self.axis]
+        axis = se3.left_jacobian_so3(sight.change.turn)[:, self.axis]
         arm = sight.points_c - sight.rig.T_c_r[:3, 3]
         return np.asarray(-np.einsum("nmab,nmb->nma", sight.by_point_c, np.cross(axis, arm)))
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineTurn(CameraEffect):
+    """Rotation of the baseline about a direction in the left camera's frame, rad."""
+
+    about: tuple[float, float, float]
+
+    def add(self, change: CameraChange, value: float) -> None:
+        """Add to the rotation vector."""
+        change.swing += value * np.array(self.about)
+
+    def pixels(self, sight: Sight) -> FloatArray | None:
+        """The right camera moves around the left one."""
+        if sight.side == "left":
+            return None
+        turn = se3.left_jacobian_so3(sight.change.swing) @ np.array(self.about)
+        return _right_moves(sight, np.cross(turn, sight.rig.T_c_r[:3, 3]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,46 +309,64 @@ class BaselineScale(CameraEffect):
         """The right camera moves along the baseline."""
         if sight.side == "left":
             return None
-        baseline_r = sight.rig.T_c_r[:3, :3].T @ sight.stated.T_c_r[:3, 3]
-        return np.asarray(-sight.by_point @ baseline_r)
+        return _right_moves(sight, sight.rig.T_c_r[:3, 3] / (1 + sight.change.baseline))
 
 
 @dataclass(frozen=True, slots=True)
 class FocalLength(CameraEffect):
-    """Change of a camera's focal length fx, px; fy changes in proportion."""
+    """Relative change of a camera's focal lengths fx and fy."""
 
     side: Side
 
     def add(self, change: CameraChange, value: float) -> None:
-        """Add to fx."""
-        change.focal_px[self.side] += value
+        """Add to both."""
+        change.focal[self.side] += value
 
     def pixels(self, sight: Sight) -> FloatArray | None:
         """Pixels move away from the principal point."""
         if sight.side != self.side:
             return None
         K = (sight.rig.left if self.side == "left" else sight.rig.right).K
-        return np.asarray((sight.at - K[:2, 2]) / K[0, 0])
+        return sight.corrected((sight.pixels - K[:2, 2]) / (1 + sight.change.focal[self.side]))
 
 
 @dataclass(frozen=True, slots=True)
 class PrincipalPoint(CameraEffect):
-    """Shift of a camera's principal point along x (0) or y (1), px."""
+    """Shift of a camera's principal point along x (0) or y (1), in shares of the image width."""
 
     side: Side
     axis: int
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to cx or cy."""
-        change.principal_px[self.side][self.axis] += value
+        change.principal[self.side][self.axis] += value
 
     def pixels(self, sight: Sight) -> FloatArray | None:
         """All pixels move alike."""
         if sight.side != self.side:
             return None
-        shift = np.zeros_like(sight.at)
-        shift[..., self.axis] = 1.0
-        return shift
+        shift = np.zeros_like(sight.pixels)
+        shift[..., self.axis] = sight.stated.left.width if self.side == "left" else sight.stated.right.width
+        return sight.corrected(shift)
+
+
+@dataclass(frozen=True, slots=True)
+class LensTerm(CameraEffect):
+    """One term of a camera's lens correction, in shares of the image width; see `camera.lens_terms`."""
+
+    side: Side
+    term: int
+
+    def add(self, change: CameraChange, value: float) -> None:
+        """Add to the term."""
+        change.lens[self.side][self.term] += value
+
+    def pixels(self, sight: Sight) -> FloatArray | None:
+        """The displacement by a correction of one."""
+        if sight.side != self.side:
+            return None
+        stated = sight.stated.left if self.side == "left" else sight.stated.right
+        return camera.lens_terms(stated, stated.K[:2, 2], sight.pixels)[0][..., self.term, :]
 
 
 class BoardEffect(Effect, ABC):
@@ -285,12 +380,30 @@ class BoardEffect(Effect, ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class SquareScale(BoardEffect):
-    """Relative size of the board's squares."""
+class BoardScale(BoardEffect):
+    """Relative size of the board along its two axes."""
+
+    along_x: float
+    along_y: float
 
     def displacement(self, points_k: FloatArray) -> FloatArray:
-        """All corners move away from the board's origin."""
-        return points_k
+        """Corners move away from the board's origin."""
+        return points_k * [self.along_x, self.along_y, 0.0]
+
+
+@dataclass(frozen=True, slots=True)
+class BoardBend(BoardEffect):
+    """Bend of the board along x (0) or y (1): how far its middle stands out from the line between its edges, m."""
+
+    axis: int
+
+    def displacement(self, points_k: FloatArray) -> FloatArray:
+        """A parabola."""
+        along = points_k[:, self.axis]
+        half = max(float(np.ptp(along)) / 2, 1e-9)
+        out = np.zeros_like(points_k)
+        out[:, 2] = 1 - ((along - (along.max() + along.min()) / 2) / half) ** 2
+        return out
 
 
 @dataclass(frozen=True, slots=True)

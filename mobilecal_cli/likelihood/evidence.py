@@ -1,81 +1,76 @@
-"""Score tests of constants: does the data support estimating them? (Rao's test, from one linearization.)"""
+"""Do the data contradict what the robot description states? One test for each kind of constants of each part."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtrc, ndtri
 
-from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.nuisance import Constant
 from mobilecal_cli.model import Evidence, FloatArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
 
+_LEAST_CHANCE = 1e-300
+_SHOWN = 0.99  # posterior variance over the prior's, below which the data show a direction
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scores:
-    """Normal equations with every constant that the recording can show.
 
-    Attributes:
-        names: columns before the boards'.
-        information, gradient: (P, P) and (P,), priors of the estimated parameters included.
-        free: (P, F) directions that are estimated already.
-        price: of one more parameter, in chi-squared (Bayesian information criterion).
-    """
-
-    names: tuple[str, ...]
-    information: FloatArray
-    gradient: FloatArray
-    free: FloatArray
-    price: float
+def equivalent_sigmas(chi2: float, dof: int) -> float:
+    """Standard deviations of a normal distribution that are exceeded as rarely as this chi-squared."""
+    return float(-ndtri(max(float(chdtrc(dof, chi2)), _LEAST_CHANCE) / 2))
 
 
 def evidence(lin: Linearization) -> Iterator[Evidence]:
-    """Evidence for every group of constants at an optimum, one group at a time."""
-    layout = lin.data.layout
-    known = {row.name for row in layout.constants}
-    table = tuple(row for row in nuisance.CONSTANTS if row.name in known or row.effect.offered(lin.data))
-    whole = lin.estimating(table)
-    named = whole.data.layout.names
-    old = [named.index(name) for name in layout.names]
-    old += list(range(whole.data.layout.named, whole.data.layout.size))
-    free = np.zeros((whole.data.layout.size, lin.priors.basis.shape[1]))
-    free[old] = lin.priors.basis
-    information = whole.normal.S.copy()
-    information[old, old] += lin.priors.information
-    scores = _Scores(named, information, whole.normal.s, free, math.log(lin.inliers.count))
-    for group in dict.fromkeys(row.group for row in table):
-        members = [row for row in table if row.group == group]
-        estimated = [row for row in members if row.name in known]
-        yield _of_group(lin, scores, estimated or members, bool(estimated))
+    """Evidence against the stated values of every group of constants at an optimum, one group at a time.
+
+    With the prior covariance P and the posterior mean m and covariance C of a group, ignoring its stated values
+    decreases the cost by m^T (P - C)^-1 m. In units of its prior, P - C has eigenvalues between 0 (the data show
+    nothing) and 1.
+    """
+    layout, C = lin.data.layout, lin.covariance
+    std = np.sqrt(np.diag(C)[:9])
+    values = lin.priors.displacement(lin.state)
+    groups: dict[tuple[str, str], list[int]] = {}
+    for column, row in enumerate(layout.constants, 9):
+        if lin.priors.weight[column]:
+            groups.setdefault((row.kind, row.part), []).append(column)
+    for (kind, part), columns in groups.items():
+        prior = 1 / np.sqrt(lin.priors.weight[columns])
+        m = (values - lin.priors.mean)[columns] / prior
+        own = C[np.ix_(columns, columns)] / np.outer(prior, prior)
+        chi2, dof, value, wide = _without_prior(m, own)
+        names = [layout.names[k] for k in columns]
+        found = {
+            name: (float(v * s), float(d * s))
+            for name, v, d, s in zip(names, value, wide, prior, strict=True)
+        }
+        # The nine follow the group as their covariance with it says.
+        follow = C[:9, columns] / prior @ np.linalg.pinv(own) @ (value - m)
+        shift = np.abs(follow[std > 0]) / std[std > 0]
+        sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
+        yield Evidence(kind, part, found, chi2, sigmas, float(shift.max(initial=0.0)))
 
 
-def _of_group(lin: Linearization, scores: _Scores, rows: list[Constant], estimated: bool) -> Evidence:
-    group, names = rows[0].group, [row.name for row in rows]
-    columns = [scores.names.index(name) for name in names]
-    sigmas = np.array([row.sigma for row in rows])
-    rest = scores.free[:, ~np.any(scores.free[columns] != 0, axis=0)]
-    unit = 1 / np.sqrt(np.einsum("pf,pq,qf->f", rest, scores.information, rest))
-    inner = unit[:, None] * (rest.T @ scores.information @ rest) * unit
-    across = (rest.T @ scores.information[:, columns]) * unit[:, None] * sigmas
-    own = scores.information[np.ix_(columns, columns)] * np.outer(sigmas, sigmas)
-    schur = own - across.T @ np.linalg.solve(inner, across)
-    values, vectors = np.linalg.eigh(schur)
-    if values[0] < 1.0:  # in some direction the data shows no more than the prior
-        return Evidence(group, dict.fromkeys(names, (0.0, math.inf)), "unobservable", 0.0, 0.0)
-    covariance = (vectors / values) @ vectors.T
-    if estimated:
-        found = np.array([lin.state.value(name) for name in names]) / sigmas
-    else:
-        found = -covariance @ (scores.gradient[columns] * sigmas)
-    chi2 = float(found @ schur @ found)
-    std = np.sqrt(np.diag(covariance)) * sigmas
-    known = {n: (float(v), float(s)) for n, v, s in zip(names, found * sigmas, std, strict=True)}
-    return Evidence(
-        group, known, "estimated" if estimated else "offered", chi2, chi2 - len(names) * scores.price
-    )
+def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray, FloatArray]:
+    """Decrease of the cost without a prior of N(0, I), degrees of freedom that the data show, and the estimate then.
+
+    Args:
+        m, C: posterior mean (k,) and covariance (k, k), in units of the prior.
+
+    Returns:
+        Chi-squared, degrees of freedom, and (k,) values and standard deviations without the prior; a standard deviation
+        is infinite where the data show nothing.
+    """
+    values, vectors = np.linalg.eigh((C + C.T) / 2)
+    shown = values < _SHOWN
+    along = vectors.T @ m
+    left = np.where(shown, 1 - values, 1.0)
+    chi2 = float(np.sum(np.where(shown, along**2 / left, 0.0)))
+    value = vectors @ np.where(shown, along / left, along)
+    variance = np.where(shown, values / left, math.inf)
+    with np.errstate(invalid="ignore"):
+        std = np.sqrt(np.nansum(vectors**2 * variance, axis=1))
+    return chi2, int(shown.sum()), value, std

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ class Legs:
 
     Attributes:
         residual: (L, 3) m, m, rad.
-        by_start, by_end: (L, 3, 5) by the station's base twist (x, y, heading) and encoder errors.
+        by_start, by_end: (L, 3, B) by the station's base twist (x, y, heading), encoder errors and stamp error.
         by_wheels: (L, 3, 3) by (rR, rL, b).
         by_clock: (L, 3) by the offset of the wheels' clock.
     """
@@ -49,7 +50,10 @@ def wheel_clock_s(data: Dataset, state: State) -> float:
 
 def _steps(data: Dataset, state: State) -> Increments:
     i, j = data.legs.T
-    return data.steps(wheel_clock_s(data, state)).with_ends(-state.encoder_errors[i], state.encoder_errors[j])
+    errors = state.encoder_errors
+    if np.any(state.stamp_errors):
+        errors = errors + data.wheel_rates(wheel_clock_s(data, state)) * state.stamp_errors[:, None]
+    return data.steps(wheel_clock_s(data, state)).with_ends(-errors[i], errors[j])
 
 
 def base_legs(data: Dataset, state: State) -> FloatArray:
@@ -75,7 +79,7 @@ def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
     count = len(between)
     first = np.searchsorted(steps.leg, np.arange(count))
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
-    by_start, by_end = np.zeros((count, 3, 5)), np.zeros((count, 3, 5))
+    by_start, by_end = np.zeros((2, count, 3, data.base_width))
     # Seen from a start that is shifted or turned, the end is shifted or turned the other way.
     by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
@@ -84,15 +88,16 @@ def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
     by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
     by_end[:, 2, 2] = -1.0
     by_start[data.first[i], :, :3] = 0.0
-    by_start[:, :, 3:] = -arcs.sensitivity(first)
-    by_end[:, :, 3:] = arcs.sensitivity(last)
+    by_start[:, :, 3:5] = -arcs.sensitivity(first)
+    by_end[:, :, 3:5] = arcs.sensitivity(last)
     by_clock = np.zeros((count, 3))
-    if any(isinstance(row.effect, WheelClock) for row in data.layout.constants):
+    if data.base_width > 5:
         rates = data.wheel_rates(wheel_clock_s(data, state))
-        by_clock += np.einsum("lab,lb->la", by_end[:, :, 3:], rates[j])
-        by_clock += np.einsum("lab,lb->la", by_start[:, :, 3:], rates[i])
+        by_start[:, :, 5] = np.einsum("lab,lb->la", by_start[:, :, 3:5], rates[i])
+        by_end[:, :, 5] = np.einsum("lab,lb->la", by_end[:, :, 3:5], rates[j])
+        by_clock = by_start[:, :, 5] + by_end[:, :, 5]
     if not encoders:
-        by_start[:, :, 3:] = by_end[:, :, 3:] = 0.0
+        by_start[:, :, 3:5] = by_end[:, :, 3:5] = 0.0
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
     residual = _as_rows(arcs.motion()) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
@@ -100,20 +105,38 @@ def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
 
 
 def leg_covariance(data: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
-    """(L, 3, 3) covariance of odometry's (x, y, heading), propagated along the arcs: m^2, m rad, rad^2."""
+    """(L, 3, 3) covariance of odometry's (x, y, heading), m^2, m rad, rad^2; see `leg_covariances`."""
+    return np.asarray(sum(leg_covariances(data, wheels, noise).values()))
+
+
+def leg_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
+    """Covariance of odometry's (x, y, heading) by cause, (L, 3, 3) each: m^2, m rad, rad^2.
+
+    Noise that grows with the square root of the rotation is propagated along the arcs. A wheel's relative error over a
+    leg acts like a change of its radius.
+
+    Returns:
+        Noise level → its share; "slip" for what is supposed of every leg.
+    """
     steps = data.steps()
-    sensitivity = Arcs.along(steps, wheels).sensitivity()
+    arcs = Arcs.along(steps, wheels)
+    sensitivity = arcs.sensitivity()
     right, left = noise.wheel_rad_per_sqrt_rad**2 * np.abs([steps.right_rad, steps.left_rad])
-    covariance = np.empty((len(data.legs), 3, 3))
+    root = np.empty((len(data.legs), 3, 3))
     for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
         of_a, of_b = sensitivity[:, a], sensitivity[:, b]
         per_step = right * of_a[:, 0] * of_b[:, 0] + left * of_a[:, 1] * of_b[:, 1]
-        covariance[:, a, b] = covariance[:, b, a] = steps.total(per_step)
+        root[:, a, b] = root[:, b, a] = steps.total(per_step)
+    d_psi, d_t = arcs.by_wheels()
+    by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * noise.wheel_share
     path_m = steps.total(
         np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
     )
-    slip = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m
-    covariance[:, 0, 0] += slip
-    covariance[:, 1, 1] += slip
-    covariance[:, 2, 2] += STANDSTILL_RAD**2
-    return covariance
+    slip = np.zeros_like(root)
+    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m
+    slip[:, 2, 2] = STANDSTILL_RAD**2
+    return {
+        "wheel_rad_per_sqrt_rad": root,
+        "wheel_share": by_radii @ np.swapaxes(by_radii, 1, 2),
+        "slip": slip,
+    }

@@ -13,11 +13,10 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.legs import Legs, leg_covariance, linearize_legs
+from mobilecal_cli.likelihood.legs import Legs, leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
-from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, joint_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
-from mobilecal_cli.likelihood.nuisance import Constant
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
@@ -51,7 +50,7 @@ class Linearization:
         inliers: the measurements that are used.
         noise: standard deviations of the measurements.
         priors: what is known of the shared parameters.
-        leg_covariance: (L, 3, 3) of odometry's (x, y, heading), m and rad.
+        leg_covariances: noise level → its share of the covariance of odometry's (x, y, heading), (L, 3, 3), m and rad.
     """
 
     data: Dataset
@@ -59,13 +58,12 @@ class Linearization:
     inliers: Inliers
     noise: Noise
     priors: Priors
-    leg_covariance: FloatArray
+    leg_covariances: Mapping[str, FloatArray]
 
     @classmethod
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
         """The likelihood at a state, with the legs' covariance for the wheels of this state."""
-        covariance = leg_covariance(data, state.parameters.wheels, noise)
-        return cls(data, state, inliers, noise, priors, covariance)
+        return cls(data, state, inliers, noise, priors, leg_covariances(data, state.parameters.wheels, noise))
 
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""
@@ -77,17 +75,14 @@ class Linearization:
         for name in (
             "views",
             "legs",
+            "leg_covariance",
             "leg_weight",
-            "joint_sigmas",
+            "own_sigmas",
             "normal",
         ):  # these do not depend on priors
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         return other
-
-    def estimating(self, constants: tuple[Constant, ...]) -> Linearization:
-        """The same point with other constants among the unknowns. Its priors are for the old ones."""
-        return replace(self, data=self.data.with_constants(constants))
 
     def of_log(self, log: int) -> Linearization:
         """The part that belongs to one recording."""
@@ -97,7 +92,9 @@ class Linearization:
             data=data.of_log(log),
             state=self.state.of_log(data, log),
             inliers=self.inliers.of_log(data, log),
-            leg_covariance=self.leg_covariance[data.log[data.legs[:, 0]] == log],
+            leg_covariances={
+                name: share[data.log[data.legs[:, 0]] == log] for name, share in self.leg_covariances.items()
+            },
         )
 
     # -- residuals --------------------------------------------------------------------------------
@@ -113,6 +110,11 @@ class Linearization:
         return linearize_legs(self.data, self.state, self.noise.encoder_rad > 0)
 
     @cached_property
+    def leg_covariance(self) -> FloatArray:
+        """(L, 3, 3) covariance of odometry's (x, y, heading), m and rad."""
+        return np.asarray(sum(self.leg_covariances.values()))
+
+    @cached_property
     def leg_weight(self) -> FloatArray:
         """(L, 3, 3) inverse covariance of each leg, 0 for outliers."""
         with _solvable():
@@ -120,9 +122,14 @@ class Linearization:
         return np.asarray(inverse * self.inliers.legs[:, None, None], dtype=np.float64)
 
     @cached_property
-    def joint_sigmas(self) -> FloatArray:
-        """(N, J) sigma of each joint reading, rad or m."""
-        return joint_sigmas(self.data, self.inliers, self.noise)
+    def own_sigmas(self) -> FloatArray:
+        """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m)."""
+        return own_sigmas(self.data, self.inliers, self.noise)
+
+    @property
+    def own_errors(self) -> FloatArray:
+        """(N, J + 3) joint errors and floor, see `own_sigmas`."""
+        return np.concatenate([self.state.joint_errors, self.state.floor], axis=1)
 
     @cached_property
     def encoder_sigmas(self) -> FloatArray:
@@ -134,7 +141,8 @@ class Linearization:
         """Sum of squares of all whitened residuals and of the priors."""
         e, state = self.legs.residual, self.state
         cost = float(self.views.cost.sum()) + float(np.einsum("la,lab,lb->", e, self.leg_weight, e))
-        cost += float(np.sum((state.joint_errors / self.joint_sigmas) ** 2))
+        cost += float(np.sum((self.own_errors / self.own_sigmas) ** 2))
+        cost += float(np.sum((state.stamp_errors / self.noise.stamp_s) ** 2))
         if self.noise.encoder_rad:
             cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
         return cost + self.priors.cost(state)
@@ -209,7 +217,7 @@ class Linearization:
         return ResidualTests(self)
 
     def evidence(self) -> tuple[Evidence, ...]:
-        """Score tests of the constants that are not estimated, and the significance of those that are."""
+        """How far the data contradict the stated values of each group of constants."""
         with _solvable():
             return tuple(evidence(self))
 

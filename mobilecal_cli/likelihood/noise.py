@@ -26,12 +26,19 @@ class Noise:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
         encoder_rad: of one encoder reading of the wheel with the coarser encoder; 0 where the encoders have no steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
+        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        stamp_s: of an image's time stamp, where the robot moves.
+        wheel_share: of each wheel's rotation over a leg, relative to it.
     """
 
     pixel_px: float
     wheel_rad_per_sqrt_rad: float
     encoder_rad: float
     joint_rad: float
+    floor_rad: float
+    floor_m: float
+    stamp_s: float
+    wheel_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +94,12 @@ class Inliers:
 def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
     """(2,) sigma of the right and left wheel's encoder reading, rad; 0 where the encoders have no steps."""
     return noise.encoder_rad * data.encoder_shares
+
+
+def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
+    """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m)."""
+    floor = np.broadcast_to([noise.floor_rad, noise.floor_rad, noise.floor_m], (data.stations, 3))
+    return np.concatenate([joint_sigmas(data, inliers, noise), floor], axis=1)
 
 
 def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:

@@ -1,7 +1,7 @@
 """The normal equations with the stations eliminated: the cost is linear in the number of stations.
 
-Joint errors belong to one station each and go first, station by station. Base poses and encoder errors form a chain
-along the legs: a banded matrix. A small dense system for the shared parameters is left.
+Joint errors and the floor belong to one station each and go first, station by station. Base poses, encoder errors and
+stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared parameters is left.
 """
 
 from __future__ import annotations
@@ -13,14 +13,12 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
-from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD, joint_sigmas
+from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
-
-_B = 5  # base pose and encoder errors of one station
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +45,19 @@ class NormalEquations:
 
     def step(self, shared: FloatArray) -> Step:
         """The step of all unknowns that goes with a step (P,) of the shared parameters."""
-        base = (-self._y - self._Y @ shared).reshape(-1, _B)
+        base = (-self._y - self._Y @ shared).reshape(len(self._diagonal), -1)
         coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
         return Step(shared, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
 
     def onto_shared(
-        self, station: IntArray, base: FloatArray, joints: FloatArray, shared: FloatArray
+        self, station: IntArray, base: FloatArray, own: FloatArray, shared: FloatArray
     ) -> FloatArray:
         """Gradients at single stations as gradients of the shared parameters, all else eliminated.
 
         Args:
             station: (n,) where each gradient acts.
-            base: (n, 5, m) by the station's base block.
-            joints: (n, J, m) by its joint errors.
+            base: (n, B, m) by the station's base block.
+            own: (n, J + 3, m) by its joint errors and its floor.
             shared: (n, P, m) by the shared parameters.
 
         Returns:
@@ -68,8 +66,8 @@ class NormalEquations:
         E_inverse, E_base, E_shared = (
             part[station] for part in (self._E_inverse, self._E_base, self._E_shared)
         )
-        solved = E_inverse @ joints
-        follow = self._Y.reshape(-1, _B, self._Y.shape[1])[station]
+        solved = E_inverse @ own
+        follow = -self.base_by_shared[station]
         left = base - np.swapaxes(E_base, 1, 2) @ solved
         out: FloatArray = shared - np.swapaxes(E_shared, 1, 2) @ solved - np.swapaxes(follow, 1, 2) @ left
         return out
@@ -78,18 +76,18 @@ class NormalEquations:
         """Covariance of the stations' base block for known shared parameters.
 
         Returns:
-            (N, 5, 5) of each station, and (N, 5, 5) of each station with the one after it (the last is empty).
+            (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is empty).
         """
         return chain_covariance(self._diagonal, self._off)
 
-    def joint_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Joint errors for a known rest: covariance (N, J, J), slopes by base (N, J, 5) and shared (N, J, P)."""
+    def own_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A station's own errors for a known rest: covariance (N, E, E), slopes by base (N, E, B), shared (N, E, P)."""
         return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
 
     @property
     def base_by_shared(self) -> FloatArray:
-        """(N, 5, P) derivative of the stations' base blocks by the shared parameters."""
-        return -self._Y.reshape(-1, _B, self._Y.shape[1])
+        """(N, B, P) derivative of the stations' base blocks by the shared parameters."""
+        return -self._Y.reshape(*self._diagonal.shape[:2], self._Y.shape[1])
 
 
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
@@ -102,20 +100,19 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Raises:
         LinAlgError: a singular matrix.
     """
-    data, state = lin.data, lin.state
-    views, legs, weight = lin.views, lin.legs, lin.leg_weight
-    count, P = data.stations, data.layout.size
+    data, views, legs, weight = lin.data, lin.views, lin.legs, lin.leg_weight
+    count, P, B = data.stations, data.layout.size, data.base_width
 
-    # Joint errors, eliminated station by station.
-    sigma = joint_sigmas(data, lin.inliers, lin.noise)
-    GJ = views.information @ views.by_joints
+    # Joint errors and the floor, eliminated station by station.
+    sigma = lin.own_sigmas
+    GJ = views.information @ views.by_own
     JtG = np.swapaxes(GJ, 1, 2)
-    E = np.swapaxes(views.by_joints, 1, 2) @ GJ
+    E = np.swapaxes(views.by_own, 1, 2) @ GJ
     diagonal = np.arange(E.shape[1])
     E[:, diagonal, diagonal] += sigma**-2
     E[:, diagonal, diagonal] *= 1 + damping
     E_inverse: FloatArray = np.asarray(np.linalg.inv(E), dtype=np.float64)
-    e = np.einsum("nqj,nq->nj", views.by_joints, views.gradient) + state.joint_errors / sigma**2
+    e = np.einsum("nqj,nq->nj", views.by_own, views.gradient) + lin.own_errors / sigma**2
     E_base, E_shared = JtG @ views.by_base, JtG @ views.by_shared
     GB, GS = views.information @ views.by_base, views.information @ views.by_shared
     Bt = np.swapaxes(views.by_base, 1, 2)
@@ -124,7 +121,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     h = np.einsum("nqp,nq->p", views.by_shared, views.gradient)
 
     # Legs.
-    off = np.zeros((count, _B, _B))
+    off = np.zeros((count, B, B))
     i, j = data.legs.T
     shared = legs.by_shared(data.layout)
     Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
@@ -144,7 +141,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     unseen = _unseen_boards(lin)
     H[unseen, unseen] += FREE_BOARD**-2
 
-    blocks = np.arange(_B)
+    blocks = np.arange(B)
     D[:, blocks, blocks] *= 1 + damping
     H[np.arange(P), np.arange(P)] *= 1 + damping
 
@@ -196,10 +193,13 @@ def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
-    encoders = np.arange(3, _B)
+    if data.base_width > 5:
+        D[:, 5, 5] += lin.noise.stamp_s**-2
+        b[:, 5] += lin.state.stamp_errors * lin.noise.stamp_s**-2
+    encoders = np.arange(3, 5)
     if lin.noise.encoder_rad:
         information = lin.encoder_sigmas**-2
         D[:, encoders, encoders] += information
-        b[:, 3:] += lin.state.encoder_errors * information
+        b[:, 3:5] += lin.state.encoder_errors * information
         return
     D[:, encoders, encoders] = 1.0

@@ -1,133 +1,254 @@
-"""Constants of the robot that may be estimated beside the nine parameters: one row each in `CONSTANTS`.
+"""Constants of the robot that are estimated beside the nine parameters, each with a prior around its stated value.
 
-A row names what its constant changes, an effect (see `effects`). A constant that acts like another one needs a row and
-no code.
+`KINDS` has the default priors, and `CONSTANTS` one row for each constant of the cameras, the board and the clocks. A
+row names what its constant changes, an effect (see `effects`). The rows of the head's joints follow from the chain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli.likelihood.effects import (
+    AxisTurn,
     BaselineScale,
+    BaselineTurn,
+    BoardBend,
     BoardEffect,
+    BoardScale,
     CameraChange,
     CameraEffect,
     Effect,
     FocalLength,
     JointClock,
     JointPlay,
+    JointScale,
     JointZero,
-    MountShift,
+    LensTerm,
+    OriginShift,
     PrincipalPoint,
     RightTurn,
-    SquareScale,
     WheelClock,
 )
-from mobilecal_cli.model import NINE, FloatArray, StereoRig, WheelGeometry
+from mobilecal_cli.model import NINE, FloatArray, HeadChain, JointLink, Side, StereoRig, WheelGeometry
 
 # Prior sigmas of the nine: what a drawing or a ruler gives without any recording.
 NINE_SIGMAS = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: a share of their size
 WHEEL_SIGMA = 0.2
+#: A constant that the user frees has so many times its default prior sigma.
+FREE = 100.0
 
 
 @dataclass(frozen=True, slots=True)
-class Constant:
-    """A constant that may be estimated beside the nine parameters; zero where it is not.
+class Kind:
+    """What constants of one kind are, and how well a description usually states them.
 
     Attributes:
-        name: as `--estimate` takes it.
-        group: a name for several at once.
-        unit: "s", "rad", "m", "px" or "1".
-        sigma: prior standard deviation, in that unit; the expected value is zero.
+        name: as `priors:` in rig.yaml, `--estimate` and `--prior` take it.
+        unit: of the values in the code: "s", "rad", "m", or "1" for a ratio (of the image width for pixels).
+        sigma: default prior standard deviation, in that unit.
+        shown_unit, shown: unit for people, and how many of it one `unit` is.
         meaning: in words.
-        effect: what it changes.
     """
 
     name: str
-    group: str
     unit: str
     sigma: float
+    shown_unit: str
+    shown: float
     meaning: str
-    effect: Effect
 
 
+_DEGREE = math.pi / 180
 # fmt: off
-CONSTANTS: tuple[Constant, ...] = (
-    Constant("time_joints", "time_offsets", "s", 0.2, "joint clock minus camera clock", JointClock()),
-    Constant("time_wheels", "time_offsets", "s", 0.2, "wheel clock minus camera clock", WheelClock()),
-    Constant("pan_zero", "pan_zero", "rad", 0.2, "position of the pan joint where it reads zero", JointZero("pan")),
-    Constant("mount_x", "mount", "m", 0.1, "shift of the head mount, forward", MountShift(0)),
-    Constant("mount_y", "mount", "m", 0.1, "shift of the head mount, to the left", MountShift(1)),
-    Constant("backlash_pan", "backlash", "rad", 0.05, "backlash of the pan joint", JointPlay("pan")),
-    Constant("backlash_tilt", "backlash", "rad", 0.05, "backlash of the tilt joint", JointPlay("tilt")),
-    Constant("stereo_r_x", "stereo", "rad", 0.05, "right camera's rotation about the left one's x", RightTurn(0)),
-    Constant("stereo_r_y", "stereo", "rad", 0.05, "right camera's rotation about the left one's y", RightTurn(1)),
-    Constant("stereo_r_z", "stereo", "rad", 0.05, "right camera's rotation about the left one's z", RightTurn(2)),
-    Constant("baseline_scale", "stereo", "1", 0.1, "relative change of the stereo baseline", BaselineScale()),
-    Constant("focal_left", "focal_length", "px", 50.0, "change of the left focal length", FocalLength("left")),
-    Constant("focal_right", "focal_length", "px", 50.0, "change of the right focal length", FocalLength("right")),
-    Constant("principal_left_x", "principal_point", "px", 50.0, "left principal point x", PrincipalPoint("left", 0)),
-    Constant("principal_left_y", "principal_point", "px", 50.0, "left principal point y", PrincipalPoint("left", 1)),
-    Constant("principal_right_x", "principal_point", "px", 50.0, "right principal point x", PrincipalPoint("right", 0)),
-    Constant("principal_right_y", "principal_point", "px", 50.0, "right principal point y", PrincipalPoint("right", 1)),
-    Constant("square_scale", "square_scale", "1", 0.1, "relative change of the board's squares", SquareScale()),
+KINDS: tuple[Kind, ...] = (
+    Kind("clock", "s", 0.2, "ms", 1e3, "offset of a clock against the cameras' clock"),
+    Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
+    Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
+    Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
+    Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
+    Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
+    Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),
+    Kind("square_size", "1", 0.001, "%", 100, "size of the board's squares"),
+    Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
+    Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
+    Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
+    Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
+    Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
+    Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
+    Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
 )
 # fmt: on
+_BY_NAME = {kind.name: kind for kind in KINDS}
 
 
-def constant(name: str) -> Constant:
-    """The row of a constant.
+def kind(name: str) -> Kind:
+    """The row of a kind.
 
     Raises:
         KeyError: there is none of this name.
     """
-    for row in CONSTANTS:
-        if row.name == name:
-            return row
-    raise KeyError(name)
+    return _BY_NAME[name]
 
 
-def rows(names: Collection[str]) -> tuple[Constant, ...]:
-    """The rows that some names or group names stand for, in the order of the table.
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant that may be estimated beside the nine parameters: its difference from the stated value.
 
-    Raises:
-        KeyError: an unknown name.
+    Attributes:
+        name: as `--fix` and `--prior` take it.
+        kind: name of its kind.
+        part: the part of the robot that it belongs to, in words.
+        meaning: in words.
+        effect: what it changes.
+        sigma: prior standard deviation, in the kind's unit; the expected value is zero.
     """
-    for name in names:
-        if not any(name in (row.name, row.group) for row in CONSTANTS):
-            raise KeyError(name)
-    return tuple(row for row in CONSTANTS if row.name in names or row.group in names)
+
+    name: str
+    kind: str
+    part: str
+    meaning: str
+    effect: Effect
+    sigma: float
+
+    @property
+    def of_kind(self) -> Kind:
+        """The row of its kind."""
+        return _BY_NAME[self.kind]
 
 
-def _camera_change(constants: Iterable[Constant], values: Mapping[str, float]) -> CameraChange | None:
-    change, changed = CameraChange(), False
+def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Constant:
+    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
+
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+_LENS_TERMS = (
+    ("radial_1", "radial distortion, third order"),
+    ("radial_2", "radial distortion, fifth order"),
+    ("tangential_x", "tangential distortion, x"),
+    ("tangential_y", "tangential distortion, y"),
+)
+# fmt: off
+CONSTANTS: tuple[Constant, ...] = (
+    _row("time_joints", "clock", "joints", "joint clock minus camera clock", JointClock()),
+    _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
+    _row("focal_left", "focal_length", "left camera", "focal length", FocalLength("left")),
+    _row("focal_right", "focal_length", "right camera", "focal length", FocalLength("right")),
+    _row("principal_left_x", "principal_point", "left camera", "principal point, x", PrincipalPoint("left", 0)),
+    _row("principal_left_y", "principal_point", "left camera", "principal point, y", PrincipalPoint("left", 1)),
+    _row("principal_right_x", "principal_point", "right camera", "principal point, x", PrincipalPoint("right", 0)),
+    _row("principal_right_y", "principal_point", "right camera", "principal point, y", PrincipalPoint("right", 1)),
+    *(_row(f"distortion_{side}_{term}", "distortion", f"{side} camera", meaning, LensTerm(side, k))
+      for side in _SIDES for k, (term, meaning) in enumerate(_LENS_TERMS)),
+    _row("stereo_r_x", "stereo_rotation", "right camera", "rotation about the left camera's x", RightTurn(0)),
+    _row("stereo_r_y", "stereo_rotation", "right camera", "rotation about the left camera's y", RightTurn(1)),
+    _row("stereo_r_z", "stereo_rotation", "right camera", "rotation about the left camera's z", RightTurn(2)),
+    _row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline", BaselineScale()),
+    _row("square_scale", "square_size", "board", "size of the squares", BoardScale(1.0, 1.0)),
+    _row("square_aspect", "square_aspect", "board", "width of the squares against their height", BoardScale(0.5, -0.5)),
+    _row("board_bend_x", "board_bend", "board", "bend along x", BoardBend(0)),
+    _row("board_bend_y", "board_bend", "board", "bend along y", BoardBend(1)),
+)
+# fmt: on
+_LETTERS = "xyz"
+
+
+def _across(axis: FloatArray) -> Iterator[tuple[str, tuple[float, float, float]]]:
+    """The two coordinate axes that are least aligned with a unit vector, (3,), made orthonormal to it."""
+    least = sorted(np.argsort(np.abs(axis), kind="stable")[:2].tolist())
+    first = np.eye(3)[least[0]] - axis[least[0]] * axis
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    second *= np.sign(second[least[1]]) or 1.0
+    for letter, e in zip(least, (first, second), strict=True):
+        yield _LETTERS[letter], (float(e[0]), float(e[1]), float(e[2]))
+
+
+def _of_baseline(cameras: StereoRig) -> Iterator[Constant]:
+    t = cameras.T_c_r[:3, 3]
+    for letter, e in _across(t / np.linalg.norm(t)):
+        meaning = f"rotation about the left camera's {letter}"
+        yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, BaselineTurn(e))
+
+
+def joint_keys(chain: HeadChain) -> Mapping[int, str]:
+    """Index of each moving link in the chain → the start of its constants' names: "pan", "tilt", or the joint."""
+    roles = {name: role for role, name in (("pan", chain.pan), ("tilt", chain.tilt)) if name}
+    keys: dict[int, str] = {}
+    for index, link in enumerate(chain.links):
+        if isinstance(link, JointLink):
+            key = roles.get(link.joint, link.joint)
+            count = sum(other == key or other.startswith(f"{key}_") for other in keys.values())
+            keys[index] = f"{key}_{count + 1}" if count else key
+    return keys
+
+
+def _of_joints(chain: HeadChain) -> Iterator[Constant]:
+    keys = joint_keys(chain)
+    columns = {name: k for k, name in enumerate(chain.joints)}
+    done: set[str] = set()
+    for index, key in keys.items():
+        link = chain.links[index]
+        assert isinstance(link, JointLink)
+        part, column = f"{link.joint}", columns[link.joint]
+        if link.joint not in done:
+            done.add(link.joint)
+            unit = chain.joint_units[column]
+            if index != max(keys):  # the head-eye transform absorbs the last zero exactly
+                yield _scaled(f"{key}_zero", "joint_zero", part, "zero position", JointZero(column), unit)
+            yield _row(f"{key}_scale", "joint_scale", part, "scale of the reading", JointScale(column))
+            yield _scaled(f"backlash_{key}", "backlash", part, "backlash", JointPlay(column), unit)
+        for letter, e in _across(link.axis):
+            meaning = f"direction of the axis, about {letter}"
+            yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, AxisTurn(index, e))
+            if link.kind == "revolute":
+                meaning = f"position of the axis along {letter}"
+                yield _row(f"{key}_position_{letter}", "joint_position", part, meaning, OriginShift(index, e))
+
+
+def _scaled(name: str, kind: str, part: str, meaning: str, effect: Effect, unit: float) -> Constant:
+    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma * unit)
+
+
+def table(cameras: StereoRig, chain: HeadChain) -> tuple[Constant, ...]:
+    """The rows of all constants of a robot, with default priors."""
+    return (*CONSTANTS, *_of_baseline(cameras), *_of_joints(chain))
+
+
+def camera_change(constants: Iterable[Constant], values: Mapping[str, float]) -> CameraChange:
+    """What estimated constants change in the stereo pair.
+
+    Args:
+        constants: rows; those that do not change the cameras are ignored.
+        values: name of a constant → its value; those that are not there are zero.
+    """
+    change = CameraChange()
     for row in constants:
         if isinstance(row.effect, CameraEffect) and values.get(row.name):
             row.effect.add(change, values[row.name])
-            changed = True
-    return change if changed else None
+    return change
 
 
-def cameras_with(rig: StereoRig, constants: Iterable[Constant], values: Mapping[str, float]) -> StereoRig:
-    """A stereo pair with estimated constants applied; the same object where none of them changes it.
+def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterator[Constant]:
+    """Rows with the priors that a user gives, without those that are exact.
 
     Args:
-        rig: as stated.
-        constants: the rows to apply; those that do not change the cameras are ignored.
-        values: name of a constant → its value; those that are not there are zero.
+        rows: with default priors.
+        sigmas: name or kind → prior sigma in the kind's unit: 0 for exact, infinite for free.
     """
-    change = _camera_change(constants, values)
-    return rig if change is None else change.apply(rig)
+    for row in rows:
+        sigma = sigmas.get(row.name, sigmas.get(row.kind, row.sigma))
+        if sigma > 0:
+            wide = FREE * row.sigma if math.isinf(sigma) else sigma
+            yield Constant(row.name, row.kind, row.part, row.meaning, row.effect, wide)
 
 
-def stereo_turn(constants: Iterable[Constant], values: Mapping[str, float]) -> FloatArray:
-    """(3,) rotation vector by which the right camera is turned against its stated rotation, rad."""
-    change = _camera_change(constants, values)
-    return np.zeros(3) if change is None else change.turn
+def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str, ...]:
+    """Names of the rows that some names or kinds stand for."""
+    return tuple(row.name for row in rows if row.name in requested or row.kind in requested)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,61 +3,83 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray, Parameters
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.model import AtWork, FloatArray, Parameters
 
 #: Distance of the point ahead of the camera whose position error is predicted, m.
 AHEAD_M = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Predicted:
-    """Expected standard deviations.
-
-    Attributes:
-        camera_m, camera_rad: position and rotation of the left camera on the head, over all directions.
-        point_m: position of a point two meters ahead of the camera.
-        along_m_per_m, heading_rad_per_m: distance and heading by dead reckoning in straight driving.
-        sideways_m_per_m: sideways position after one meter of straight driving.
-        heading_rad_per_turn: heading per full turn in place.
-    """
-
-    camera_m: float
-    camera_rad: float
-    point_m: float
-    along_m_per_m: float
-    heading_rad_per_m: float
-    sideways_m_per_m: float
-    heading_rad_per_turn: float
-
-
-def predicted(parameters: Parameters, covariance: FloatArray) -> Predicted:
+def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
     """Expected errors from the covariance of the nine parameters, (9, 9) in the order of `NINE`, to first order.
+
+    The camera's errors are those of its pose on the head.
+    """
+    R = parameters.T_h_c[:3, :3]
+    camera = np.zeros((1, 6, 9))
+    camera[0, :3, :3] = camera[0, 3:, 3:6] = R.T
+    return _expected(gradients(parameters, camera), covariance)
+
+
+def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
+    """Expected errors at an optimum, with the constants of the head's chain and joints applied.
+
+    Args:
+        lin: the optimum.
+        covariance: (P, P) of the shared parameters.
+    """
+    named = lin.data.layout.named
+    return _expected(gradients_at(lin), covariance[:named, :named])
+
+
+def gradients_at(lin: Linearization) -> Mapping[str, FloatArray]:
+    """Field of `AtWork` → (k, named) derivatives by the named parameters; their variances add up to the figure's."""
+    camera = -lin.views.by_shared[:, :6, : lin.data.layout.named]  # the board moves the other way
+    return gradients(lin.state.parameters, camera)
+
+
+def gradients(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
+    """Field of `AtWork` → (k, K) derivatives by K parameters, of which the nine come first.
 
     Straight driving over s meters: both wheels turn by s / r, so a radius error moves its wheel by s dr / r. Turn in
     place by psi: psi = (rR phiR - rL phiL) / b with rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
+
+    Args:
+        parameters: the nine.
+        camera: (n, 6, K) derivatives of the camera's pose at n poses of the head, right twists.
     """
-    wheels = parameters.wheels
+    wheels, count, K = parameters.wheels, len(camera), camera.shape[2]
     rR, rL, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
-    ahead = parameters.T_h_c[:3, :3] @ np.array([0.0, 0.0, AHEAD_M])
-    by_head_eye = np.zeros((3, 9))
-    by_head_eye[:, :3] = -np.cross(np.eye(3), ahead)
-    by_head_eye[:, 3:6] = np.eye(3)
+    ahead = camera[:, 3:] + np.cross(camera[:, :3], [0.0, 0.0, AHEAD_M], axis=1)
 
-    def sigma(*gradient: float) -> float:
-        g = np.array(gradient)
-        return math.sqrt(max(0.0, float(g @ covariance[6:, 6:] @ g)))
+    def all_of(rows: FloatArray) -> FloatArray:
+        return np.asarray(rows.reshape(-1, K) / math.sqrt(count))
 
-    heading = sigma(1 / (rR * b), -1 / (rL * b), 0.0)
-    return Predicted(
-        camera_m=math.sqrt(float(np.trace(covariance[3:6, 3:6]))),
-        camera_rad=math.sqrt(float(np.trace(covariance[:3, :3]))),
-        point_m=math.sqrt(float(np.trace(by_head_eye @ covariance @ by_head_eye.T))),
-        along_m_per_m=sigma(0.5 / rR, 0.5 / rL, 0.0),
-        heading_rad_per_m=heading,
-        sideways_m_per_m=heading / 2,
-        heading_rad_per_turn=2 * math.pi * sigma(0.5 / rR, 0.5 / rL, -1 / b),
-    )
+    def of_wheels(*values: float) -> FloatArray:
+        row = np.zeros((1, K))
+        row[0, 6:9] = values
+        return row
+
+    heading = of_wheels(1 / (rR * b), -1 / (rL * b), 0.0)
+    return {
+        "camera_m": all_of(camera[:, 3:]),
+        "camera_rad": all_of(camera[:, :3]),
+        "point_m": all_of(ahead),
+        "along_m_per_m": of_wheels(0.5 / rR, 0.5 / rL, 0.0),
+        "heading_rad_per_m": heading,
+        "sideways_m_per_m": heading / 2,
+        "heading_rad_per_turn": 2 * math.pi * of_wheels(0.5 / rR, 0.5 / rL, -1 / b),
+    }
+
+
+def variance(gradient: FloatArray, covariance: FloatArray) -> float:
+    """Sum of the variances of k figures, (k, K) and (K, K)."""
+    return float(np.einsum("kp,pq,kq->", gradient, covariance, gradient))
+
+
+def _expected(by: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
+    return AtWork(**{name: math.sqrt(max(0.0, variance(g, covariance))) for name, g in by.items()})

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood.nuisance import Layout
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import BoolArray, FloatArray, Parameters
+from mobilecal_cli.model import NINE, BoolArray, FloatArray, Parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class Priors:
         weight: (named,) inverse variance, 0 for no prior.
         fixed: (named,) columns with an exactly known displacement, `mean`.
         scales: (named,) prior sigmas of nominal values: units in which directions are orthonormal.
-        unobservable: (K, named) directions that the measurements do not show, orthonormal in units of `scales`. The
-            displacement keeps its mean along them, and its prior variance.
+        unobservable: (K, 9) directions of the nine that the measurements do not show, orthonormal in units of
+            `scales`. The displacement keeps its mean along them, and its prior variance.
     """
 
     layout: Layout
@@ -42,7 +42,7 @@ class Priors:
         """No prior: every parameter is free, from the measurements alone."""
         zero = np.zeros(layout.named)
         scales = layout.prior_sigmas(anchor.wheels)
-        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, layout.named)))
+        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))))
 
     def displacement(self, state: State) -> FloatArray:
         """(named,) rad, m, and the constants' units."""
@@ -52,15 +52,26 @@ class Priors:
     @cached_property
     def _kept(self) -> FloatArray:
         """(K, named) all directions along which the displacement keeps its mean, in units of `scales`."""
-        return np.concatenate([np.eye(self.layout.named)[self.fixed], self.unobservable])
+        along = np.zeros((len(self.unobservable), self.layout.named))
+        along[:, : len(NINE)] = self.unobservable
+        return np.concatenate([np.eye(self.layout.named)[self.fixed], along])
 
     @cached_property
     def named_basis(self) -> FloatArray:
         """(named, F) free directions of the named parameters, orthonormal in units of `scales`."""
-        if not len(self._kept):
-            return np.eye(self.layout.named)
-        _, _, Vt = np.linalg.svd(self._kept, full_matrices=True)
-        return np.asarray(Vt[len(self._kept) :].T)
+        constants = np.eye(self.layout.named)[:, len(NINE) :][:, ~self.fixed[len(NINE) :]]
+        nine = np.zeros((self.layout.named, self.nine_basis.shape[1]))
+        nine[: len(NINE)] = self.nine_basis
+        return np.concatenate([nine, constants], axis=1)
+
+    @cached_property
+    def nine_basis(self) -> FloatArray:
+        """(9, F) free directions of the nine, orthonormal in units of `scales`."""
+        kept = np.concatenate([np.eye(len(NINE))[self.fixed[: len(NINE)]], self.unobservable])
+        if not len(kept):
+            return np.eye(len(NINE))
+        _, _, Vt = np.linalg.svd(kept, full_matrices=True)
+        return np.asarray(Vt[len(kept) :].T)
 
     @cached_property
     def basis(self) -> FloatArray:
@@ -106,8 +117,9 @@ class Priors:
             covariance: (P, P) C for correct values along the unobservable directions.
         """
         along = np.zeros((self.layout.size, len(self.unobservable)))
-        U = self.unobservable
-        prior = np.sqrt(np.maximum(np.einsum("kn,n,kn->k", U, self.weight * self.scales**2, U), 1e-300))
-        along[: self.layout.named] = (U * self.scales).T / prior
+        U, nine = self.unobservable, len(NINE)
+        weight, scales = self.weight[:nine], self.scales[:nine]
+        prior = np.sqrt(np.maximum(np.einsum("kn,n,kn->k", U, weight * scales**2, U), 1e-300))
+        along[:nine] = (U * scales).T / prior
         error: FloatArray = along - covariance @ (information @ along)
         return error

@@ -56,8 +56,9 @@ class ResidualTests:
     @cached_property
     def readings(self) -> FloatArray:
         """(N, J) of each joint reading, one degree of freedom; 0 for outliers."""
-        lin, sigma = self._lin, self._lin.joint_sigmas
-        left = 1 - np.diagonal(lin.marginals.joints, axis1=1, axis2=2) / sigma**2
+        lin, joints = self._lin, self._lin.data.joints.shape[1]
+        sigma = lin.own_sigmas[:, :joints]
+        left = 1 - np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, :joints] / sigma**2
         usable = lin.inliers.readings & (left > _NO_REDUNDANCY)
         ratio = (lin.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0)
         return np.where(usable, ratio, 0.0)
@@ -81,7 +82,7 @@ class ResidualTests:
         spread = inverse + lin.marginals.views[:, :6, :6]
         freed = np.empty_like(lin.data.joints)
         for j in range(lin.data.joints.shape[1]):
-            k = views.by_joints[:, :6, j : j + 1]
+            k = views.by_own[:, :6, j : j + 1]
             freed[:, j] = _mahalanobis(off, spread + FREE_JOINT**2 * (k @ np.swapaxes(k, 1, 2)))
         return _mahalanobis(off, spread), freed
 
@@ -96,7 +97,7 @@ class ResidualTests:
         """(N, J) distance of each rejected joint reading from what all others predict, one degree of freedom."""
         lin = self._lin
         used = (lin.noise.joint_rad * lin.data.joint_units) ** 2
-        spread = used + np.diagonal(lin.marginals.joints, axis1=1, axis2=2)
+        spread = used + np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : lin.data.joints.shape[1]]
         return np.asarray(lin.state.joint_errors**2 / spread)
 
 

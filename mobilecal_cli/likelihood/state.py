@@ -10,9 +10,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, HeadEffect, JointEffect
-from mobilecal_cli.likelihood.nuisance import cameras_with
-from mobilecal_cli.model import FloatArray, Parameters, StereoRig
+from mobilecal_cli.likelihood.effects import BoardEffect, ChainChange, ChainEffect, JointClock, JointEffect
+from mobilecal_cli.likelihood.nuisance import camera_change
+from mobilecal_cli.model import FloatArray, HeadChain, Parameters, StereoRig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,13 +22,20 @@ class Step:
     Attributes:
         shared: (layout.size,) of the nine parameters (see `Parameters.plus`), the constants and the boards (body
             twists).
-        base: (N, 5) of base poses as body twists (x, y, heading) and of encoder errors, right and left.
-        joints: (N, J) of joint errors.
+        base: (N, B) of base poses as body twists (x, y, heading), of encoder errors, right and left, and in a data set
+            with motion of stamp errors.
+        own: (N, J + 3) of joint errors and of the floor (roll, pitch, height).
     """
 
     shared: FloatArray
     base: FloatArray
-    joints: FloatArray
+    own: FloatArray
+
+    @classmethod
+    def of_shared(cls, data: Dataset, shared: FloatArray) -> Step:
+        """A step of the shared parameters alone."""
+        count = data.stations
+        return cls(shared, np.zeros((count, data.base_width)), np.zeros((count, data.own_width)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +49,8 @@ class State:
         base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
         joint_errors: (N, J) to be added to the readings.
         encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
+        floor: (N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y.
+        stamp_errors: (N,) to be added to the images' stamps, s.
     """
 
     parameters: Parameters
@@ -50,6 +59,17 @@ class State:
     base: FloatArray
     joint_errors: FloatArray
     encoder_errors: FloatArray
+    floor: FloatArray
+    stamp_errors: FloatArray
+
+    @classmethod
+    def without_errors(
+        cls, data: Dataset, parameters: Parameters, T_w_k: FloatArray, base: FloatArray
+    ) -> State:
+        """A state in which all readings are exact, the floor is flat, and all constants are as stated."""
+        count = len(base)
+        still = np.zeros((count, 2)), np.zeros((count, 3)), np.zeros(count)
+        return cls(parameters, {}, T_w_k, base, np.zeros((count, data.joints.shape[1])), *still)
 
     def value(self, name: str) -> float:
         """Value of a constant."""
@@ -59,7 +79,15 @@ class State:
     def T_w_v(self) -> FloatArray:
         """(N, 4, 4) base in the world."""
         flat = np.concatenate([self.base[:, :2], np.zeros((len(self.base), 1))], axis=1)
-        return se3.transform(se3.rotation_z(self.base[:, 2]), flat)
+        T: FloatArray = se3.transform(se3.rotation_z(self.base[:, 2]), flat) @ self.T_floor_v
+        return T
+
+    @property
+    def T_floor_v(self) -> FloatArray:
+        """(N, 4, 4) base in a frame that stands level where the base is."""
+        turn, lift = np.zeros((2, len(self.floor), 3))
+        turn[:, :2], lift[:, 2] = self.floor[:, :2], self.floor[:, 2]
+        return se3.transform(se3.exp_so3(turn), lift)
 
     def plus(self, data: Dataset, step: Step) -> State:
         """The state after a step."""
@@ -72,8 +100,10 @@ class State:
             constants={**self.constants, **{row.name: self.value(row.name) + value for row, value in values}},
             T_w_k=self.T_w_k @ se3.exp(shared[layout.named :].reshape(-1, 6)),
             base=self.base + np.stack([cos * x - sin * y, sin * x + cos * y, turn], axis=1),
-            joint_errors=self.joint_errors + step.joints,
-            encoder_errors=self.encoder_errors + step.base[:, 3:],
+            joint_errors=self.joint_errors + step.own[:, :-3],
+            encoder_errors=self.encoder_errors + step.base[:, 3:5],
+            floor=self.floor + step.own[:, -3:],
+            stamp_errors=self.stamp_errors + step.base[:, 5:].sum(axis=1),
         )
 
     def of_log(self, data: Dataset, log: int) -> State:
@@ -85,6 +115,8 @@ class State:
             base=self.base[mine],
             joint_errors=self.joint_errors[mine],
             encoder_errors=self.encoder_errors[mine],
+            floor=self.floor[mine],
+            stamp_errors=self.stamp_errors[mine],
         )
 
 
@@ -94,21 +126,38 @@ def joints_at(data: Dataset, state: State) -> FloatArray:
     for row in data.layout.constants:
         if isinstance(row.effect, JointEffect) and state.value(row.name):
             joints = joints + row.effect.shift(data, state.value(row.name))
+    if np.any(state.stamp_errors):
+        joints = joints + data.joint_rates(joint_clock_s(data, state)) * state.stamp_errors[:, None]
     return joints
+
+
+def joint_clock_s(data: Dataset, state: State) -> float:
+    """Offset of the joints' clock, s."""
+    return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, JointClock))
+
+
+def chain_change(data: Dataset, state: State) -> ChainChange:
+    """What the constants change in the head's chain."""
+    change = ChainChange()
+    for row in data.layout.constants:
+        if isinstance(row.effect, ChainEffect) and state.value(row.name):
+            row.effect.add(change, state.value(row.name))
+    return change
+
+
+def chain_at(data: Dataset, state: State) -> HeadChain:
+    """The head's chain with the constants that change it."""
+    return chain_change(data, state).apply(data.chain)
 
 
 def head_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_v_h of every station."""
-    T_v_h = head_pose(data.chain, joints_at(data, state))
-    for row in data.layout.constants:
-        if isinstance(row.effect, HeadEffect) and state.value(row.name):
-            T_v_h = row.effect.apply(T_v_h, state.value(row.name))
-    return T_v_h
+    return head_pose(chain_at(data, state), joints_at(data, state))
 
 
 def cameras_at(data: Dataset, state: State) -> StereoRig:
     """The stereo pair with the constants that change it."""
-    return cameras_with(data.cameras, data.layout.constants, state.constants)
+    return camera_change(data.layout.constants, state.constants).apply(data.cameras)
 
 
 def points_at(data: Dataset, state: State) -> FloatArray:

@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariance, linearize_legs
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelTrack
@@ -137,13 +137,9 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         T_c_k_cov=np.repeat(data.T_c_k_cov[-1:], count + 1, axis=0),
         points_c=np.repeat(data.points_c[-1:], count + 1, axis=0),
     )
-    there = replace(
-        state,
-        base=np.concatenate([state.base[-1:], stops.base]),
-        joint_errors=np.zeros((count + 1, J)),
-        encoder_errors=np.zeros((count + 1, 2)),
-    )
-    return wide, there
+    base = np.concatenate([state.base[-1:], stops.base])
+    there = State.without_errors(wide, state.parameters, state.T_w_k, base)
+    return wide, replace(there, constants=state.constants)
 
 
 def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> tuple[FloatArray, FloatArray]:
@@ -172,22 +168,23 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
     views = linearize_views(wide, there, Inliers.all_of(wide), noise)
-    count, P, J = len(stops.turn_rad), data.layout.size, data.joints.shape[1]
+    count, P, own = len(stops.turn_rad), data.layout.size, data.own_width
+    sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
     legs: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
     out = np.empty((count, P + 5, P + 5))
     for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
         if way not in legs:
             legs[way] = _leg(lin, *way)
         driven, weight = legs[way]
-        H = np.zeros((P + 10 + J, P + 10 + J))  # shared, last base, new base, new joints
+        H = np.zeros((P + 10 + own, P + 10 + own))  # shared, last base, new base, the new stop's own errors
         by_last = np.zeros((views.by_shared.shape[1], 5))
-        seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_joints[c + 1]]
+        seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_own[c + 1]]
         A = np.concatenate(seen, axis=1)
         H += A.T @ views.information[c + 1] @ A
         H[: P + 10, : P + 10] += driven.T @ weight @ driven
-        encoders, readings = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + J)
+        encoders, errors = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + own)
         H[encoders, encoders] += lin.encoder_sigmas**-2 if noise.encoder_rad else 1.0
-        H[readings, readings] += (noise.joint_rad * data.joint_units) ** -2
+        H[errors, errors] += sigma**-2
         kept = P + 5
         out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
     return out
@@ -202,10 +199,10 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
         most: how many at most.
     """
     P, wheels = lin.data.layout.size, lin.state.parameters.wheels.vector
-    follow = lin.normal.base_by_shared[-1]
+    follow = lin.normal.base_by_shared[-1][:5]  # at a stop, the stamp's error has no effect
     own, _ = lin.normal.base_covariance()
     by_base = follow @ covariance
-    joint = np.block([[covariance, by_base.T], [by_base, own[-1] + by_base @ follow.T]])
+    joint = np.block([[covariance, by_base.T], [by_base, own[-1][:5, :5] + by_base @ follow.T]])
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     now = np.sqrt(np.diag(covariance)[:9])
     worst = int(np.argmax(now / needed))

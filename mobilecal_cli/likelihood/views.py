@@ -8,21 +8,28 @@ their own ("direct").
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project_with_jacobian
-from mobilecal_cli.kinematics import head_jacobian
+from mobilecal_cli.kinematics import JointFrames, head_jacobian, head_pose
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, HeadEffect, JointEffect, Sight
+from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ChainEffect, JointEffect, Sight
 from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.likelihood.nuisance import stereo_turn
-from mobilecal_cli.likelihood.state import State, board_in_camera, cameras_at, head_at, joints_at, points_at
+from mobilecal_cli.likelihood.nuisance import camera_change
+from mobilecal_cli.likelihood.state import (
+    State,
+    board_in_camera,
+    chain_change,
+    joint_clock_s,
+    joints_at,
+    points_at,
+)
 from mobilecal_cli.model import Camera, FloatArray, Side
 
-_BLOCK = 500  # stations: 10 MB of derivatives for 54 corners
+_BLOCK = 200  # stations: 10 MB of derivatives for 54 corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +41,8 @@ class Views:
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, Q, 5) delta by base twist (x, y, heading) and encoder errors (nothing).
-        by_joints: (N, Q, J) delta by joint errors.
+        by_base: (N, Q, B) delta by base twist (x, y, heading), encoder errors (nothing) and the stamp's error.
+        by_own: (N, Q, J + 3) delta by joint errors and by the floor.
         by_shared: (N, Q, P) delta and direct constants by the parameters that all stations share.
     """
 
@@ -44,7 +51,7 @@ class Views:
     gradient: FloatArray
     cost: FloatArray
     by_base: FloatArray
-    by_joints: FloatArray
+    by_own: FloatArray
     by_shared: FloatArray
 
 
@@ -71,7 +78,8 @@ def corner_residuals(
     Returns:
         The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct constants).
     """
-    rig, turn = cameras_at(data, state), stereo_turn(data.layout.constants, state.constants)
+    change = camera_change(data.layout.constants, state.constants)
+    rig = change.apply(data.cameras)
     points_c = se3.act(T_c_k, points_at(data, state))
     T_r_c = se3.inverse(rig.T_c_r)
     points_r = se3.act(T_r_c, points_c)
@@ -83,8 +91,10 @@ def corner_residuals(
         ("right", rig.right, points_r),
     ]
     for k, (side, camera, points) in enumerate(sides):
-        at, J_p = project_with_jacobian(camera, points)
+        pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
+        at, through = lens.corrected(camera, pixels)
         residual[:, k] = at - data.pixels[stations, k]
+        J_p = J_p if through is None else through @ J_p
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
         x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
         by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
@@ -92,7 +102,7 @@ def corner_residuals(
         J[:, k, :, :, 1] = z * by_x - x * by_z
         J[:, k, :, :, 2] = x * by_y - y * by_x
         J[:, k, :, :, 3:6] = J_c
-        sight = Sight(side, data.cameras, rig, turn, at, points_c, J_p, J_c)
+        sight = Sight(side, data.cameras, rig, change, pixels, through, points_c, J_c)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)
@@ -107,31 +117,52 @@ def corner_residuals(
 def _pose_columns(
     data: Dataset, state: State, T_c_k: FloatArray, width: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    X, chain, layout = state.parameters.T_h_c, data.chain, data.layout
-    count, joints = data.stations, len(chain.joints)
-    by_base = np.zeros((count, width, 5))
-    T_v_h = head_at(data, state)
-    Ad_c_v = se3.adjoint(se3.inverse(T_v_h @ X))
-    by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_v[:, :, k] for k in (3, 4, 2))
+    X, layout = state.parameters.T_h_c, data.layout
+    count, joints = data.joints.shape
+    change, positions = chain_change(data, state), joints_at(data, state)
+    chain = change.apply(data.chain)
+    frames, T_v_h = JointFrames.at(chain, positions), head_pose(chain, positions)
+    T_floor_v = state.T_floor_v
+    Ad_c_floor = se3.adjoint(se3.inverse(T_floor_v @ T_v_h @ X))
+    by_base = np.zeros((count, width, data.base_width))
+    by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
     by_base[data.first] = 0.0  # the world is the base at its first station
-    by_joints = np.zeros((count, width, joints))
-    by_joints[:, :6] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, joints_at(data, state))
+    by_own = np.zeros((count, width, data.own_width))
+    by_own[:, :6, :joints] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, positions)
+    by_own[:, :6, joints:] = -Ad_c_floor @ _floor_twists(state)
+    if data.base_width > 5:
+        rates = data.joint_rates(joint_clock_s(data, state))
+        by_base[:, :6, 5] = (by_own[:, :6, :joints] @ rates[..., None])[..., 0]
 
     by_shared = np.zeros((count, width, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
+    Ad_c_v = se3.adjoint(se3.inverse(T_v_h @ X))
     for column, row in enumerate(layout.constants, 9):
         if isinstance(row.effect, JointEffect):
             rate = row.effect.rate(data, state.value(row.name))
-            by_shared[:, :6, column] = (by_joints[:, :6] @ rate[:, :, None])[..., 0]
-        elif isinstance(row.effect, HeadEffect):
-            by_shared[:, :6, column] = (-Ad_c_v @ row.effect.twist(T_v_h)[..., None])[..., 0]
+            by_shared[:, :6, column] = (by_own[:, :6, :joints] @ rate[:, :, None])[..., 0]
+        elif isinstance(row.effect, ChainEffect):
+            by_shared[:, :6, column] = (-Ad_c_v @ row.effect.twist(frames, change)[..., None])[..., 0]
     for pixel_row, (column, _) in enumerate(layout.direct, 6):
         by_shared[:, pixel_row, column] = 1.0
     Ad_c_k = se3.adjoint(T_c_k)
     for b in range(layout.boards):
         mine = data.board == b
         by_shared[mine, :6, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
-    return by_base, by_joints, by_shared
+    return by_base, by_own, by_shared
+
+
+def _floor_twists(state: State) -> FloatArray:
+    """(N, 6, 3) left twists of the base in its level frame by roll, pitch and height."""
+    turn = np.zeros((len(state.floor), 3))
+    turn[:, :2] = state.floor[:, :2]
+    twists = np.zeros((len(turn), 6, 3))
+    twists[:, :3, :2] = se3.left_jacobian_so3(turn)[:, :, :2]
+    lift = np.zeros((len(turn), 3))
+    lift[:, 2] = state.floor[:, 2]
+    twists[:, 3:, :2] = np.cross(lift[:, :, None], twists[:, :3, :2], axis=1)
+    twists[:, 5, 2] = 1.0
+    return twists
 
 
 def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise) -> Views:

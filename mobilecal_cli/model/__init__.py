@@ -4,7 +4,16 @@ from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArra
 from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
 from mobilecal_cli.model.calibration import NINE, Parameters
 from mobilecal_cli.model.evaluation import Drift, Evaluation
-from mobilecal_cli.model.findings import BetweenLogs, Diagnosis, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.findings import (
+    AtWork,
+    BetweenLogs,
+    Budget,
+    Diagnosis,
+    EstimatedConstant,
+    Evidence,
+    ScaleCheck,
+    Suggestion,
+)
 from mobilecal_cli.model.fleet import FleetJob, FleetRow
 from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.model.observations import (
@@ -36,6 +45,7 @@ from mobilecal_cli.model.rig import (
     JointTransform,
     KnownNoise,
     Layout,
+    LensCorrection,
     Markers,
     Nominal,
     Rig,
@@ -66,10 +76,12 @@ __all__ = [
     "NINE",
     "STRING",
     "TRANSFORMS",
+    "AtWork",
     "BetweenLogs",
     "Board",
     "BoardView",
     "BoolArray",
+    "Budget",
     "CalibratedRobot",
     "Camera",
     "CameraInfo",
@@ -77,6 +89,7 @@ __all__ = [
     "Diagnosis",
     "Distortion",
     "Drift",
+    "EstimatedConstant",
     "Evaluation",
     "Evidence",
     "Extraction",
@@ -96,6 +109,7 @@ __all__ = [
     "KnownNoise",
     "Lack",
     "Layout",
+    "LensCorrection",
     "LinearEstimate",
     "LogSource",
     "Markers",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -12,22 +11,84 @@ from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
-    """Whether the data support a group of additional parameters.
+class EstimatedConstant:
+    """A constant of the robot description, as estimated: its difference from the stated value.
 
     Attributes:
-        group: its name for `--estimate`.
-        values: parameter → value and standard deviation: as estimated, or to first order if not estimated.
-        state: "estimated", "offered" (observable but not estimated) or "unobservable".
-        chi2: twice the gain in log-likelihood compared with zero values, to second order.
-        bic: chi2 minus the penalty of the Bayesian information criterion; above 0 the data support the group.
+        name, kind, part, meaning: see `likelihood.nuisance.Constant`.
+        value, std: estimate and standard deviation, in the unit of the kind.
+        prior: standard deviation of the stated value; 0 where it is exact.
     """
 
-    group: str
+    name: str
+    kind: str
+    part: str
+    meaning: str
+    value: float
+    std: float
+    prior: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How far the data contradict the stated values of one kind of constants of one part.
+
+    Attributes:
+        kind, part: which constants, see `likelihood.nuisance.Constant`.
+        values: name → (value, standard deviation) without the priors of these constants.
+        chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
+        sigmas: the same as a number of standard deviations of a normal distribution.
+        shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
+    """
+
+    kind: str
+    part: str
     values: Mapping[str, tuple[float, float]]
-    state: Literal["estimated", "offered", "unobservable"]
     chi2: float
-    bic: float
+    sigmas: float
+    shift_sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class AtWork:
+    """Expected errors (standard deviations) when the calibration is used.
+
+    Attributes:
+        camera_m, camera_rad: position and rotation of the left camera in the base over all directions, root mean square
+            over the head's poses in the recording, with the estimated constants of the head applied; without
+            estimated constants: on the head.
+        point_m: position of a point two meters ahead of the camera, the same way.
+        along_m_per_m, heading_rad_per_m: distance and heading by dead reckoning in straight driving.
+        sideways_m_per_m: sideways position after one meter of straight driving.
+        heading_rad_per_turn: heading per full turn in place.
+    """
+
+    camera_m: float
+    camera_rad: float
+    point_m: float
+    along_m_per_m: float
+    heading_rad_per_m: float
+    sideways_m_per_m: float
+    heading_rad_per_turn: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """What the variances come from. The shares of each column add up to 1.
+
+    Attributes:
+        sources: noise levels (see `likelihood.noise.Noise`), kinds of constants (see `likelihood.nuisance.KINDS`), and
+            "nominal", "user priors", "unobservable", "other".
+        nine: (S, 9) shares of the nine parameters, 0 for fixed ones.
+        at_work: field of `AtWork` → (S,) shares.
+    """
+
+    sources: tuple[str, ...]
+    nine: FloatArray
+    at_work: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        freeze(self, nine=(len(self.sources), 9))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 import numpy as np
@@ -45,6 +45,23 @@ class CameraInfo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LensCorrection:
+    """A displacement of pixels on top of a camera's distortion model, the same for every model.
+
+    Attributes:
+        shares: (4,) two radial and two tangential terms: their displacement at the image corner in shares of the image
+            width; see `camera.lens_terms`.
+        center_px: (2,) principal point that the terms count from.
+    """
+
+    shares: FloatArray
+    center_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, shares=(4,), center_px=(2,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Camera:
     """Pinhole camera with distortion: maps points in the optical frame to pixels.
 
@@ -54,6 +71,7 @@ class Camera:
         K: (3, 3) intrinsics, px.
         D: (n,) distortion coefficients, see `CameraInfo`.
         distortion: model of D.
+        correction: displacement of the pixels on top of that model; None for a camera as stated.
     """
 
     frame_id: str
@@ -62,6 +80,7 @@ class Camera:
     K: FloatArray
     D: FloatArray
     distortion: Distortion
+    correction: LensCorrection | None = None
 
     def __post_init__(self) -> None:
         freeze(self, K=(3, 3), D=("n",))
@@ -124,6 +143,7 @@ class JointLink:
         axis: (3,) unit vector in the joint's own frame.
         kind: revolute (rad) or prismatic (m).
         multiplier, offset: from a URDF <mimic>; 1 and 0 otherwise. offset in rad or m.
+        shift_m: (3,) displacement of the joint's origin, in the joint's own frame; zero in a chain as stated.
     """
 
     joint: str
@@ -131,9 +151,10 @@ class JointLink:
     kind: Literal["revolute", "prismatic"] = "revolute"
     multiplier: float = 1.0
     offset: float = 0.0
+    shift_m: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        freeze(self, axis=(3,))
+        freeze(self, axis=(3,), shift_m=(3,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -374,22 +395,24 @@ class KnownNoise:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
         encoder_rad: of one encoder reading.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
+        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        stamp_s: of an image's time stamp, where the robot moves.
+        wheel_share: of a wheel's rotation over a leg, relative to it.
     """
 
     pixel_px: float | None = None
     wheel_rad_per_sqrt_rad: float | None = None
     encoder_rad: float | None = None
     joint_rad: float | None = None
+    floor_rad: float | None = None
+    floor_m: float | None = None
+    stamp_s: float | None = None
+    wheel_share: float | None = None
 
     @property
     def given(self) -> dict[str, float]:
         """Name → value of those that are given."""
-        levels = {
-            "pixel_px": self.pixel_px,
-            "wheel_rad_per_sqrt_rad": self.wheel_rad_per_sqrt_rad,
-            "encoder_rad": self.encoder_rad,
-            "joint_rad": self.joint_rad,
-        }
+        levels = {level.name: getattr(self, level.name) for level in fields(self)}
         return {name: value for name, value in levels.items() if value is not None}
 
 
@@ -404,6 +427,8 @@ class Rig:
         sources: the topics used.
         settled_by: setting → its source ("flag", "file", "log", "default", ...), for the report.
         noise: given noise levels.
+        prior_sigmas: kind or name of a constant → its prior standard deviation, see `nuisance`; 0 if the stated value
+            is exact, infinite (math.inf) if nothing is known.
     """
 
     cameras: StereoRig
@@ -412,3 +437,4 @@ class Rig:
     sources: Sources
     settled_by: Mapping[str, str]
     noise: KnownNoise = KnownNoise()
+    prior_sigmas: Mapping[str, float] = field(default_factory=dict)

@@ -10,7 +10,16 @@ import numpy as np
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
 from mobilecal_cli.model.calibration import Parameters
-from mobilecal_cli.model.findings import BetweenLogs, Diagnosis, Evidence, ScaleCheck, Suggestion
+from mobilecal_cli.model.findings import (
+    AtWork,
+    BetweenLogs,
+    Budget,
+    Diagnosis,
+    EstimatedConstant,
+    Evidence,
+    ScaleCheck,
+    Suggestion,
+)
 from mobilecal_cli.model.observations import LogSource
 
 Method = Literal["linear", "paper", "lm", "ml"]
@@ -110,6 +119,8 @@ class Uncertainty:
         noise: noise levels.
         fixed: (9,) parameters fixed by the user; their variance is zero.
         jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, for comparison.
+        at_work: expected errors at work.
+        budget: what limits the accuracy.
     """
 
     covariance: FloatArray
@@ -120,6 +131,8 @@ class Uncertainty:
     noise: NoiseLevels
     fixed: BoolArray
     jackknife_std: FloatArray
+    at_work: AtWork
+    budget: Budget
 
     def __post_init__(self) -> None:
         freeze(
@@ -216,8 +229,10 @@ class Solution:
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.
-        constants: additional parameters: name → value and standard deviation.
-        evidence: whether the data support additional parameters.
+        constants: the constants of the robot description, by name.
+        evidence: how far the data contradict the stated constants, for each kind and part.
+        contradictions: stated constants that the data contradict, most significant first; each was found with wider
+            priors of those before it, and the solution has wider priors of all of them.
         scale: stated squares against the stereo baseline, if the square size is stated.
         between: estimates from each recording alone, if there are several.
         suggestions: what to record next, most useful first.
@@ -234,8 +249,9 @@ class Solution:
     motion: Mapping[str, float]
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
-    constants: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    constants: Mapping[str, EstimatedConstant] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
+    contradictions: tuple[Evidence, ...] = ()
     scale: ScaleCheck | None = None
     between: BetweenLogs | None = None
     suggestions: tuple[Suggestion, ...] = ()

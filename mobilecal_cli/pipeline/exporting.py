@@ -22,7 +22,7 @@ from mobilecal_cli.export import (
     static_transform_yaml,
     xacro_properties,
 )
-from mobilecal_cli.likelihood.nuisance import CONSTANTS, cameras_with
+from mobilecal_cli.likelihood.nuisance import CONSTANTS, camera_change
 from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.targets import Target
@@ -103,8 +103,8 @@ def _cameras(params: Path, target: Target) -> Exported:
     """The stereo pair of the calibrated robot, as refined."""
     extraction = _beside(params)
     extras = _extras(params)
-    cameras = cameras_with(extraction.rig.cameras, CONSTANTS, extras)
-    refined = cameras is not extraction.rig.cameras
+    cameras = camera_change(CONSTANTS, extras).apply(extraction.rig.cameras)
+    refined = bool(extras)
     note = (
         "The stereo pair is as refined by the calibration."
         if refined

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import (
     NINE,
     BoolArray,
@@ -42,8 +41,6 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.verdict import Verdict
 
 SCHEMA_VERSION = 2
-#: `Evidence.state` → its name in the file.
-_STATES = {"estimated": "estimated", "offered": "observable", "unobservable": "unobservable"}
 _COUNTS = {"pictures": "images"}
 
 
@@ -70,7 +67,8 @@ def report_json(
         "uncertainty": _uncertainty(solution, cameras),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
         "additional_parameters": {
-            name: {"value": value, "std": _finite(std)} for name, (value, std) in solution.constants.items()
+            name: {"value": c.value, "std": _finite(c.std), "prior": c.prior}
+            for name, c in solution.constants.items()
         },
         **_findings(solution, extraction),
         "hold_out": None if trial is None else evaluation_data(trial),
@@ -229,7 +227,7 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
         "noise": asdict(found.noise),
         "fixed": dict(zip(NINE, found.fixed.tolist(), strict=True)),
         "jackknife_std": dict(zip(NINE, found.jackknife_std.tolist(), strict=True)),
-        "predicted": asdict(predicted(solution.parameters, found.covariance)),
+        "predicted": asdict(found.at_work),
     }
 
 
@@ -253,10 +251,10 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
     return {
         "evidence": [
             {
-                "group": found.group,
-                "state": _STATES[found.state],
+                "kind": found.kind,
+                "part": found.part,
                 "chi2": found.chi2,
-                "bic": found.bic,
+                "sigmas": found.sigmas,
                 "values": {n: {"value": v, "std": _finite(s)} for n, (v, s) in found.values.items()},
             }
             for found in solution.evidence

@@ -8,8 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.predict import predicted
-from mobilecal_cli.model import NINE, Evidence, Extraction, HeadChain, ScaleCheck, Solution, Suggestion
+from mobilecal_cli.model import (
+    NINE,
+    EstimatedConstant,
+    Extraction,
+    HeadChain,
+    ScaleCheck,
+    Solution,
+    Suggestion,
+)
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.units import SHOWN, value_text
 
@@ -52,7 +59,7 @@ def predicted_rows(solution: Solution) -> tuple[Row, ...]:
     found = solution.uncertainty
     if found is None:
         return ()
-    p = predicted(solution.parameters, found.covariance)
+    p = found.at_work
     return tuple(
         Row("", meaning, "", std_text(value), unit)
         for meaning, value, unit in (
@@ -117,53 +124,29 @@ def jackknife_sentence(solution: Solution) -> str:
     )
 
 
-def extra_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
-    """Parameters estimated in addition to the nine."""
+def constant_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
+    """The constants of the robot description: their differences from the stated values."""
     return tuple(
-        _square(value, std, extraction)
-        if name == "square_scale" and extraction.board.square_m is None
-        else _extra(name, value, std)
-        for name, (value, std) in solution.constants.items()
+        _square(found, extraction)
+        if found.name == "square_scale" and extraction.board.square_m is None
+        else _constant(found)
+        for found in solution.constants.values()
     )
 
 
-def _square(value: float, std: float, extraction: Extraction) -> Row:
+def _square(found: EstimatedConstant, extraction: Extraction) -> Row:
     """The square size where none is stated: the scale parameter is relative to the median of the stations."""
     median_mm = 1e3 * float(np.median([o.square_m for o in extraction.observations]))
-    std_mm = median_mm * std
-    shown = value_text(median_mm * (1 + value), std_mm, 3)
+    std_mm = median_mm * found.std
+    shown = value_text(median_mm * (1 + found.value), std_mm, 3)
     return Row("square", "square size, measured by the stereo pair", shown, std_text(std_mm), "mm")
 
 
-def _extra(name: str, value: float, std: float) -> Row:
-    extra = nuisance.constant(name)
-    unit, factor = _SHOWN_UNITS[extra.unit]
-    if not math.isfinite(std):
-        return Row(name, extra.meaning, f"{value * factor:.4g}", "unobservable", unit)
-    std *= factor
-    return Row(name, extra.meaning, value_text(value * factor, std, 3), std_text(std), unit)
-
-
-def evidence_rows(
-    solution: Solution, extraction: Extraction
-) -> tuple[tuple[Evidence, tuple[Row, ...], str], ...]:
-    """Every group of additional parameters: its parameters and whether the data support them."""
-    rows = []
-    for found in solution.evidence:
-        if found.group == "square_scale" and extraction.board.square_m is None:
-            continue  # zero means the measured size here, not a stated one
-        members = tuple(_extra(name, value, std) for name, (value, std) in found.values.items())
-        rows.append((found, members, _says(found)))
-    return tuple(rows)
-
-
-def _says(found: Evidence) -> str:
-    if found.state == "unobservable":
-        return "unobservable in this recording"
-    supported = found.bic > 0
-    if found.state == "estimated":
-        return "estimated and supported" if supported else "estimated but not supported: zero fits as well"
-    return f"supported: add --estimate {found.group}" if supported else "not supported"
+def _constant(found: EstimatedConstant) -> Row:
+    kind = nuisance.kind(found.kind)
+    std = found.std * kind.shown
+    shown = value_text(found.value * kind.shown, std, 3, "+")
+    return Row(found.name, f"{found.part}: {found.meaning}", shown, std_text(std), kind.shown_unit)
 
 
 def scale_sentence(scale: ScaleCheck) -> str:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Drift, Evaluation, Extraction, Solution
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.numbers import reference_std
@@ -117,7 +116,7 @@ def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation 
     }
     if found is not None:
         figures |= dict(zip(_STD_KEYS, reference_std(solution, cameras), strict=True))
-        p = predicted(solution.parameters, found.covariance)
+        p = found.at_work
         figures |= {
             "predicted.camera_mm": p.camera_m * 1e3,
             "predicted.camera_deg": math.degrees(p.camera_rad),

@@ -18,8 +18,7 @@ from mobilecal_cli.report.data import coverage, square_mm
 from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
-    evidence_rows,
-    extra_rows,
+    constant_rows,
     jackknife_sentence,
     log_rows,
     noise_rows,
@@ -99,8 +98,7 @@ def report_html(
         "outliers": solution.outliers,
         "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),
-        "extras": extra_rows(solution, extraction),
-        "evidence": evidence_rows(solution, extraction),
+        "constants": constant_rows(solution, extraction),
         "scale": scale_sentence(solution.scale) if solution.scale is not None else "",
         "logs_apart": log_rows(solution, extraction),
         "nine": NINE,

@@ -126,22 +126,16 @@ def outliers_and_noise(solution: Solution, extraction: Extraction) -> Iterator[C
         )
 
 
-def additional(solution: Solution) -> Iterator[Check]:
-    """Whether the data supports additional parameters."""
-    wanted = [e for e in solution.evidence if e.state == "offered" and e.bic > STRONG_EVIDENCE]
-    if solution.evidence:
-        names = ", ".join(e.group for e in wanted)
+def description(solution: Solution) -> Iterator[Check]:
+    """Whether the data contradict the robot description."""
+    for found in solution.contradictions:
         yield Check(
-            "nine-parameter model is sufficient",
-            f"delta BIC {max(e.bic for e in wanted):.0f} for {names}"
-            if wanted
-            else "no additional parameters supported",
-            f"delta BIC at most {STRONG_EVIDENCE:g}",
-            "look" if wanted else "good",
-            f"The data supports additional parameters: {names}.",
-            f"Try --estimate {wanted[0].group}, and see the table of additional parameters in the report."
-            if wanted
-            else "",
+            f"robot description: {found.kind} of the {found.part}",
+            f"{found.sigmas:.1f} sigma",
+            "under 4 sigma",
+            "bad" if found.shift_sigmas > 2 else "look",
+            f"The {found.kind} of the {found.part} is not as stated.",
+            "Calibrate it again.",
         )
 
 

@@ -47,7 +47,11 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
         "Wheels",
         *lengths[3:],
     ]
-    clocks = [(name, *solution.constants[key]) for key, name in _CLOCKS if key in solution.constants]
+    clocks = [
+        (name, solution.constants[key].value, solution.constants[key].std)
+        for key, name in _CLOCKS
+        if key in solution.constants
+    ]
     if clocks:
         lines.append("Clock offsets, to be added to the image time stamps")
         lines += [_row(name, 1e3 * value, 1e3 * s or None, "ms", 3) for name, value, s in clocks]

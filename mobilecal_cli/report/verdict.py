@@ -16,7 +16,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
-from mobilecal_cli.report.known import additional, outliers_and_noise, sigmas, square, unobservable
+from mobilecal_cli.report.known import description, outliers_and_noise, sigmas, square, unobservable
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -127,7 +127,7 @@ def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield from _nominal(solution, extraction)
     yield from _stereo(extraction)
     yield from square(solution, extraction)
-    yield from additional(solution)
+    yield from description(solution)
     if len(solution.residuals.legs):
         yield from _legs(solution, extraction)
         yield from _errors(solution, extraction)

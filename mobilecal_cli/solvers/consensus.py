@@ -13,7 +13,7 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_jacobian, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
 from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.noise import Inliers, Noise, joint_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Parameters
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
@@ -47,14 +47,20 @@ def leg_spread(data: Dataset, parameters: Parameters, noise: Noise) -> FloatArra
     Args:
         data: the legs.
         parameters: approximate.
-        noise: of wheels, encoders and joints.
+        noise: of wheels, joints and floor.
     """
     pairs = data.pairs
     i, j = pairs.legs.T
     T_ci_cj = camera_motion(pairs, parameters)
     X = parameters.T_h_c
-    J = se3.adjoint(se3.inverse(X)) @ head_jacobian(data.chain, data.joints)
-    sigma = joint_sigmas(data, Inliers.all_of(data), noise)
+    J = np.concatenate(
+        [
+            se3.adjoint(se3.inverse(X)) @ head_jacobian(data.chain, data.joints),
+            se3.adjoint(se3.inverse(pairs.T_v_h @ X))[:, :, [0, 1, 5]],  # roll, pitch and height of the base
+        ],
+        axis=2,
+    )
+    sigma = own_sigmas(data, Inliers.all_of(data), noise)
     of_joints = (J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2)
     of_station = of_joints + data.T_c_k_cov
     Ad = se3.adjoint(T_ci_cj)

@@ -18,6 +18,8 @@ _GROUPS = {
     "wheels": NINE[6:],
 }
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# Constants that depend on the robot's joints: their names are checked when the robot is known.
+_OF_THE_ROBOT = re.compile(r".+_(?:zero|scale|axis_[xyz]|position_[xyz])|backlash_.+|baseline_[xyz]")
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
@@ -28,19 +30,31 @@ class Constraints:
     Attributes:
         fixed: name → value, None for the nominal value. Rotations are relative to the nominal rotation, rad.
         priors: name → (value, sigma).
-        constants: names of the constants to estimate, see `nuisance.CONSTANTS`.
+        constants: names or kinds of the constants whose stated values are ignored, see `nuisance`.
     """
 
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     constants: tuple[str, ...] = ()
 
+    def check(self, constants: Sequence[str]) -> None:
+        """Check the names against the constants that a robot has.
+
+        Raises:
+            ConfigError: an unknown name.
+        """
+        known = [*NINE, *(kind.name for kind in nuisance.KINDS), *constants]
+        for flag, names in (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants)):
+            for name in names:
+                if name not in known:
+                    raise _unknown(flag, name, known)
+
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, known, 1)
     meant = f"did you mean {near[0]}? " if near else ""
     if name.startswith("tilt_zero") or name == "tilt":
-        meant = "a tilt zero offset is equivalent to a head-eye rotation and cannot be estimated separately; "
+        meant = "the zero offset of the last joint is equivalent to a head-eye rotation; "
     return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known parameters: {', '.join(known)}")
 
 
@@ -61,18 +75,17 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     Raises:
         ConfigError: unknown name or wrong format.
     """
-    requested = [name.strip() for text in estimate for name in text.split(",") if name.strip()]
-    table = nuisance.CONSTANTS
-    offered = list(dict.fromkeys([*(row.group for row in table), *(row.name for row in table)]))
+    requested = tuple(name.strip() for text in estimate for name in text.split(",") if name.strip())
+    fixed_rows = [row.name for row in nuisance.CONSTANTS]
+    kinds = [kind.name for kind in nuisance.KINDS]
     for name in requested:
-        if name not in offered:
-            raise _unknown("--estimate", name, offered)
-    free = tuple(row.name for row in nuisance.rows(requested))
-    known = [*NINE, *_GROUPS, *free]
+        if name not in (*kinds, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
+            raise _unknown("--estimate", name, [*kinds, *fixed_rows])
+    known = [*NINE, *_GROUPS, *fixed_rows]
     fixed: dict[str, float | None] = {}
     for text in fix:
         name, given, number = text.partition("=")
-        if name not in known:
+        if name not in known and not _OF_THE_ROBOT.fullmatch(name):
             raise _unknown("--fix", name, known)
         if given and name in _GROUPS:
             raise ConfigError(
@@ -84,8 +97,8 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     priors: dict[str, tuple[float, float]] = {}
     for text in prior:
         name, _, rest = text.partition("=")
-        if name not in (*NINE, *free):
-            raise _unknown("--prior", name, [*NINE, *free])
+        if name not in (*NINE, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
+            raise _unknown("--prior", name, [*NINE, *fixed_rows])
         match = _PRIOR.fullmatch(rest.replace(" ", ""))
         if match is None or float(match[2]) <= 0:
             raise ConfigError(
@@ -93,4 +106,4 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
                 f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad",
             )
         priors[name] = (float(match[1]), float(match[2]))
-    return Constraints(fixed, priors, free)
+    return Constraints(fixed, priors, requested)

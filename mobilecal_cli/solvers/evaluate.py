@@ -33,7 +33,7 @@ _CLOCKS = ("joints", "wheels")
 def clock_offsets(solution: Solution) -> dict[str, float]:
     """Estimated clock offset of "joints" and "wheels" against the images, s; empty if not estimated."""
     names = [name for name in _CLOCKS if f"time_{name}" in solution.constants]
-    return {name: solution.constants[f"time_{name}"][0] for name in names}
+    return {name: solution.constants[f"time_{name}"].value for name in names}
 
 
 def evaluate(

@@ -7,20 +7,73 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.likelihood.between import weigh_logs
-from mobilecal_cli.model import Evidence, Extraction, FloatArray, ScaleCheck
+from mobilecal_cli.likelihood.predict import gradients_at, variance
+from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Extraction, FloatArray, ScaleCheck
 from mobilecal_cli.solvers.fit import Fit
 
+_SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
-def scale_of(extraction: Extraction, found: tuple[Evidence, ...]) -> ScaleCheck | None:
-    """Consistency of square size and stereo baseline; None if no square size is stated or it is unobservable."""
-    square_m = extraction.board.square_m
-    ratio = next((e for e in found if e.group == "square_scale" and e.state != "unobservable"), None)
-    if square_m is None or ratio is None:
+def scale_of(extraction: Extraction, fit: Fit) -> ScaleCheck | None:
+    """Consistency of square size and stereo baseline; None if no square size is stated or one of them is exact.
+
+    The board measured with the baseline as stated, over its stated size: what both estimates together say, without
+    the priors of the two.
+    """
+    square_m, layout, priors = extraction.board.square_m, fit.data.layout, fit.lin.priors
+    names = ("square_scale", "baseline_scale")
+    if square_m is None or not all(name in layout.names for name in names):
         return None
-    value, std = ratio.values["square_scale"]
-    return ScaleCheck(1 + value, std, square_m, extraction.rig.cameras.baseline_m, ratio.chi2 > _APART_CHI2)
+    columns = [layout.names.index(name) for name in names]
+    if not np.all(priors.weight[columns] > 0):
+        return None
+    apart = np.array([1.0, -1.0])  # a larger board looks like a shorter baseline
+    value = float(apart @ priors.displacement(fit.lin.state)[columns])
+    before = float(apart**2 @ (1 / priors.weight[columns]))
+    after = float(apart @ fit.lin.covariance[np.ix_(columns, columns)] @ apart)
+    share = after / before
+    if share > _SCALE_SHOWN:
+        return None
+    ratio, std = value / (1 - share), np.sqrt(after / (1 - share))
+    chi2 = value**2 / (before - after)
+    return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, chi2 > _APART_CHI2)
+
+
+def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
+    """The constants of the robot description as estimated, by name."""
+    std = np.sqrt(np.diag(fit.covariance)[9 : fit.data.layout.named]).tolist()
+    prior = np.where(fit.lin.priors.fixed, 0.0, fit.lin.priors.scales)[9:].tolist()
+    value = fit.lin.state.value
+    return {
+        row.name: EstimatedConstant(row.name, row.kind, row.part, row.meaning, value(row.name), s, p)
+        for row, s, p in zip(fit.data.layout.constants, std, prior, strict=True)
+    }
+
+
+def budget_of(fit: Fit) -> Budget:
+    """What limits the accuracy: shares of noise levels, kinds of constants and priors in each variance."""
+    lin, layout = fit.lin, fit.data.layout
+    kinds = {f"prior {row.name}": row.kind for row in layout.constants}
+    kinds |= {f"prior {name}": "nominal" for name in NINE}
+    kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
+    gradients = gradients_at(lin)
+    named = layout.named
+    nine: dict[str, FloatArray] = {}
+    figures: dict[str, FloatArray] = {}
+    for name, share in lin.budget().items():
+        source = kinds.get(name, name)
+        nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
+        of = [variance(g, share[:named, :named]) for g in gradients.values()]
+        figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
+    shares = np.array(list(nine.values()))
+    whole = np.array(list(figures.values()))
+    parts = [
+        values / np.where(total > 0, total, 1.0)
+        for values in (shares, whole)
+        for total in [values.sum(axis=0)]
+    ]
+    return Budget(tuple(nine), parts[0], dict(zip(gradients, parts[1].T, strict=True)))
 
 
 def jackknife_std(fit: Fit) -> FloatArray:
@@ -28,11 +81,13 @@ def jackknife_std(fit: Fit) -> FloatArray:
 
     The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
     is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
-    that with true noise levels the expected value is the covariance itself. The prior variance of unobservable
-    directions is added: residuals do not show it.
+    that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
+    not show them.
     """
     spread = sum(np.diag(influence.spread)[:9] for influence in fit.lin.influences)
-    return np.asarray(np.sqrt(spread + np.sum(fit.lin.considered[:9] ** 2, axis=1)))
+    C, weight = fit.lin.conditional_covariance, fit.lin.priors.information
+    unshown = np.sum(C[:9] ** 2 * weight, axis=1) + np.sum(fit.lin.considered[:9] ** 2, axis=1)
+    return np.asarray(np.sqrt(spread + unshown))
 
 
 def over_logs(fit: Fit) -> Fit:

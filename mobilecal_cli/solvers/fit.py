@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,6 +40,7 @@ from mobilecal_cli.solvers.noise import (
 )
 from mobilecal_cli.solvers.optimize import NEAR, optimize
 
+NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS = 60
 _OBSERVABILITY_ROUNDS = 4
 
@@ -115,18 +117,32 @@ class Fit:
             considered = self.lin.considered[:named]
             covariance[:named, :named] = self.pooled_covariance + considered @ considered.T
         for influence in self.lin.influences:
-            component = self.components.get(influence.level)
-            if component is not None and influence.level not in self.given:
-                rests_on = component.redundancy + guess_worth(component.redundancy)
-                covariance += influence.covariance * 2 / max(rests_on - 2, 2.0)
+            for level in influence.parts:
+                component = self.components.get(level)
+                if component is not None and level not in self.given:
+                    rests_on = component.redundancy + guess_worth(component.redundancy)
+                    covariance += influence.covariance(level) * 2 / max(rests_on - 2, 2.0)
         return covariance
 
 
-def constants_for(extraction: Extraction, constraints: Constraints) -> tuple[nuisance.Constant, ...]:
-    """Constants to estimate: the requested ones, and the clocks' offsets where stations are not at rest."""
-    moving = any(not o.at_rest for o in extraction.observations) and bool(extraction.joint_tracks)
-    clocks = ("time_offsets",) if moving else ()
-    return nuisance.rows((*constraints.constants, *clocks))
+def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
+    """The measurements, with all constants that they can show under the priors of rig.yaml and of the user.
+
+    Raises:
+        ConfigError: the user names a constant that this robot does not have.
+    """
+    rig = extraction.rig
+    rows = nuisance.table(rig.cameras, rig.chain)
+    constraints.check([row.name for row in rows])
+    sigmas = dict(rig.prior_sigmas)
+    if extraction.board.square_m is None:
+        sigmas["square_scale"] = NO_SQUARE
+    sigmas |= dict.fromkeys(nuisance.names_of(constraints.constants, rows), math.inf)
+    sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
+    sigmas |= dict.fromkeys(constraints.fixed, math.inf)
+    data = dataset_of(extraction)
+    offered = (row for row in rows if row.effect.offered(data))
+    return data.with_constants(tuple(nuisance.with_priors(offered, sigmas)))
 
 
 class Fitter:
@@ -137,7 +153,7 @@ class Fitter:
     ) -> None:
         self._on_step = on_step
         self._constraints = constraints
-        self.data = dataset_of(extraction, constants_for(extraction, constraints))
+        self.data = dataset_for(extraction, constraints)
         self.motion = motion_seen(self.data.pairs)
         nominal, fixed = extraction.rig.nominal, constraints.fixed
         T_h_c = None
@@ -178,16 +194,17 @@ class Fitter:
         return Parameters(found.T_h_c if T_h_c is None else T_h_c, wheels or found.wheels)
 
     def _user_weight(self) -> FloatArray:
-        """(named,) inverse variances of the user's priors."""
+        """(named,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
         priors = self._constraints.priors
-        return np.array([priors[n][1] ** -2 if n in priors else 0.0 for n in self.data.layout.names])
+        nine = [priors[name][1] ** -2 if name in priors else 0.0 for name in NINE]
+        return np.array(nine + [row.sigma**-2 for row in self.data.layout.constants])
 
     def priors(self, found: Parameters, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
 
         Args:
             found: parameters to count displacements from where there is no nominal value.
-            unobservable: (K, named) directions that keep their prior.
+            unobservable: (K, 9) directions that keep their prior.
         """
         layout, anchor = self.data.layout, self._anchor(found)
         scales = layout.prior_sigmas(anchor.wheels)
@@ -202,7 +219,7 @@ class Fitter:
         for k in np.flatnonzero(fixed).tolist():
             stated = self._constraints.fixed[layout.names[k]]
             mean[k], weight[k] = 0.0 if stated is None else stated - origin[k], 0.0
-        none = np.zeros((0, layout.named))
+        none = np.zeros((0, len(NINE)))
         return Priors(
             layout, anchor, mean, weight, fixed, scales, none if unobservable is None else unobservable
         )
@@ -213,7 +230,7 @@ class Fitter:
         Raises:
             SolveError: naming the parameters and what is missing.
         """
-        names = self.data.layout.names
+        names = NINE
         needed = {names[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)}
         needed |= {name for name, value in self._constraints.fixed.items() if value is None}
         missing = []

@@ -52,14 +52,8 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
             known[board] = True
     for board in np.flatnonzero(~known):
         boards[board] = _median_pose((T_w_v @ T_v_k)[data.board == board])
-    return State(
-        parameters,
-        {},
-        boards,
-        np.concatenate([T_w_v[:, :2, 3], heading[:, None]], axis=1),
-        np.zeros_like(data.joints),
-        np.zeros((count, 2)),
-    )
+    base = np.concatenate([T_w_v[:, :2, 3], heading[:, None]], axis=1)
+    return State.without_errors(data, parameters, boards, base)
 
 
 def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

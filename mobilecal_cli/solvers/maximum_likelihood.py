@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, Parameters
+from mobilecal_cli.model import Evidence, Extraction, Parameters
 from mobilecal_cli.solvers.consensus import consensus
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.corners import gross_corners
@@ -20,6 +21,9 @@ from mobilecal_cli.solvers.outliers import OutlierSearch
 
 _LOG = logging.getLogger(__name__)
 _MOST_DECISIONS = 60
+#: Data that contradict stated constants by more than this are evidence of a wrong description.
+CONTRADICTION_SIGMAS = 4.0
+_MOST_CONTRADICTIONS = 4
 
 
 class Solver:
@@ -28,6 +32,7 @@ class Solver:
     def __init__(
         self, extraction: Extraction, constraints: Constraints, on_step: Callable[[], None] = lambda: None
     ) -> None:
+        self._extraction, self._constraints, self._on_step = extraction, constraints, on_step
         self._fitter = Fitter(extraction, constraints, on_step)
         self._search = OutlierSearch(self._fitter)
 
@@ -39,6 +44,27 @@ class Solver:
     def initial(self) -> Parameters:
         """Linear parameters from all legs."""
         return self._fitter.initial()
+
+    def solve_with_wider_priors(self, start: Parameters) -> tuple[Fit, tuple[Evidence, ...]]:
+        """A solution whose priors are wide enough for the data, and the stated constants that the data contradict.
+
+        As long as the data contradict the stated values of a group of constants, its priors are widened to what was
+        found, and everything is solved again.
+        """
+        solver, found, sigmas = self, list[Evidence](), dict(self._extraction.rig.prior_sigmas)
+        fit = self.solve(start)
+        while len(found) < _MOST_CONTRADICTIONS:
+            worst = max(fit.lin.evidence(), key=lambda e: e.sigmas, default=None)
+            if worst is None or worst.sigmas < CONTRADICTION_SIGMAS:
+                break
+            found.append(worst)
+            rows = {row.name: row.sigma for row in fit.data.layout.constants}
+            wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
+            sigmas |= {name: rows[name] * wider for name in worst.values}
+            rig = replace(self._extraction.rig, prior_sigmas=sigmas)
+            solver = Solver(replace(self._extraction, rig=rig), self._constraints, self._on_step)
+            fit = solver.solve(fit.lin.state.parameters)
+        return fit, tuple(found)
 
     def solve(self, start: Parameters | None = None) -> Fit:
         """Initial fit, noise levels, outliers, and a fine fit at the end."""

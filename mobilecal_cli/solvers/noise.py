@@ -11,11 +11,20 @@ import numpy as np
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Noise
 
-# Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder.
-GUESS = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.004, encoder_rad=0.0, joint_rad=float(np.radians(0.03)))
-LEAST = Noise(pixel_px=1e-3, wheel_rad_per_sqrt_rad=1e-5, encoder_rad=0.0, joint_rad=1e-6)
+# Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor.
+GUESS = Noise(
+    pixel_px=0.1,
+    wheel_rad_per_sqrt_rad=0.004,
+    encoder_rad=0.0,
+    joint_rad=float(np.radians(0.03)),
+    floor_rad=float(np.radians(0.1)),
+    floor_m=0.0005,
+    stamp_s=0.0005,
+    wheel_share=0.001,
+)
+LEAST = Noise(1e-3, 1e-5, 0.0, 1e-6, floor_rad=1e-6, floor_m=1e-6, stamp_s=1e-6, wheel_share=1e-6)
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
-MOST = Noise(pixel_px=1e3, wheel_rad_per_sqrt_rad=1.0, encoder_rad=1.0, joint_rad=1.0)
+MOST = Noise(1e3, 1.0, 1.0, 1.0, floor_rad=0.1, floor_m=0.1, stamp_s=0.1, wheel_share=0.1)
 _WORTH, _FADES_AT = 2.0, 4.0
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
@@ -50,22 +59,34 @@ def components(lin: Linearization) -> dict[str, Component]:
     corners = 2 * int(lin.inliers.used_corners.sum())
     result = {"pixel_px": Component(float(views.cost.sum()), corners - float(taken))}
 
-    weight, e = lin.leg_weight, lin.legs.residual
-    squares = float(np.einsum("la,lab,lb->", e, weight, e))
-    free = 3 * int(lin.inliers.legs.sum()) - float(np.einsum("lab,lba->", weight, marginal.legs))
-    result["wheel_rad_per_sqrt_rad"] = Component(squares, free)
+    e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
+    left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
+    for level in ("wheel_rad_per_sqrt_rad", "wheel_share"):
+        share = lin.leg_covariances[level]
+        squares = float(np.einsum("la,lab,lb->", e, share, e))
+        result[level] = Component(squares, float(np.einsum("lab,lba->", share, left_over)))
 
-    sigma = lin.joint_sigmas
-    read = lin.inliers.readings & lin.inliers.views[:, None]
-    variance = np.diagonal(marginal.joints, axis1=1, axis2=2)
-    ratio = np.where(read, (state.joint_errors / sigma) ** 2, 0.0)
-    left = np.where(read, 1 - variance / sigma**2, 0.0)
-    result["joint_rad"] = Component(float(ratio.sum()), float(left.sum()))
+    sigma, joints = lin.own_sigmas, lin.data.joints.shape[1]
+    used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
+    used[:, :joints] &= lin.inliers.readings
+    ratio = np.where(used, (lin.own_errors / sigma) ** 2, 0.0)
+    left = np.where(used, 1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2, 0.0)
+    columns = {
+        "joint_rad": slice(0, joints),
+        "floor_rad": slice(joints, joints + 2),
+        "floor_m": slice(joints + 2, None),
+    }
+    for level, at in columns.items():
+        result[level] = Component(float(ratio[:, at].sum()), float(left[:, at].sum()))
 
     if lin.noise.encoder_rad:
         ratio = (state.encoder_errors / lin.encoder_sigmas) ** 2
         left = 1 - marginal.encoders / lin.encoder_sigmas**2
         result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
+    if lin.data.base_width > 5:
+        ratio = (state.stamp_errors / lin.noise.stamp_s) ** 2
+        left = 1 - marginal.stamps / lin.noise.stamp_s**2
+        result["stamp_s"] = Component(float(ratio.sum()), float(left.sum()))
     return result
 
 

@@ -84,9 +84,8 @@ def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], Non
     lin = start
     shift = lin.priors.step_to_mean(lin.state)
     if np.any(shift):
-        data = lin.data
-        still = Step(shift, np.zeros((data.stations, 5)), np.zeros(data.joints.shape))
-        lin = Linearization.at(data, lin.state.plus(data, still), lin.inliers, lin.noise, lin.priors)
+        state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
+        lin = Linearization.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
     damping, history, converged = 0.0, [lin.cost], False
     while len(history) <= _MAX_STEPS + 1:
         on_step()

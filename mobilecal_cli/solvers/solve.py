@@ -13,6 +13,7 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
 from mobilecal_cli.likelihood.legs import wheel_clock_s
+from mobilecal_cli.likelihood.predict import predicted_at
 from mobilecal_cli.likelihood.state import head_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
@@ -29,7 +30,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.diagnosis import diagnose
-from mobilecal_cli.solvers.findings import jackknife_std, over_logs, scale_of
+from mobilecal_cli.solvers.findings import budget_of, constants_of, jackknife_std, over_logs, scale_of
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import linear_estimate, ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
@@ -187,15 +188,8 @@ def _by_likelihood(
         linear = _initial_estimate(
             pairs, solver.initial()
         )  # no sign check: an unobservable scale may have any sign
-    fit = solver.solve(linear.parameters)
-    found = fit.lin.evidence()
-    scale = scale_of(extraction, found)
-    if scale is not None and scale.apart and "square_scale" not in constraints.constants:
-        _LOG.info("square size and stereo baseline are inconsistent: the square size is estimated")
-        more = replace(constraints, constants=(*constraints.constants, "square_scale"))
-        fit = Solver(extraction, more, on_step).solve(linear.parameters)
-        found = fit.lin.evidence()
-        scale = scale_of(extraction, found)
+    fit, contradictions = solver.solve_with_wider_priors(linear.parameters)
+    scale = scale_of(extraction, fit)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
@@ -210,15 +204,13 @@ def _by_likelihood(
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
     solution = _solution(extraction, corrected, refinement, linear=linear, inliers=inliers)
-    std = np.sqrt(np.diag(fit.covariance)[9 : data.layout.named]).tolist()
     return replace(
         solution,
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
-        constants={
-            row.name: (state.value(row.name), s) for row, s in zip(data.layout.constants, std, strict=True)
-        },
-        evidence=found,
+        constants=constants_of(fit),
+        evidence=fit.lin.evidence(),
+        contradictions=contradictions,
         scale=scale,
         between=fit.between,
         suggestions=suggested,
@@ -246,4 +238,6 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         ),
         fixed=fixed,
         jackknife_std=jackknife_std(fit),
+        at_work=predicted_at(fit.lin, fit.covariance),
+        budget=budget_of(fit),
     )
