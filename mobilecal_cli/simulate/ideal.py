@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import (
@@ -13,15 +14,14 @@ from mobilecal_cli.model import (
     FloatArray,
     IntArray,
     Observation,
-    StereoRig,
     Track,
     WheelTrack,
 )
-from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.robot import SimulatedRobot
+from mobilecal_cli.simulate.actual import ActualRobot
+from mobilecal_cli.simulate.robot import SimulatedRobot, pose
 from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.stereo import pixels
-from mobilecal_cli.vision import BoardPose, Miss, board_pose, triangulate
+from mobilecal_cli.simulate.views import views
+from mobilecal_cli.vision import BoardPose, Miss, board_pose, square_from_points, triangulate
 
 START_NS = 1_700_000_000_000_000_000
 _TRACK_STEP_S = 0.02
@@ -37,12 +37,19 @@ class Noise:
         wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
         encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
         joint_rad: sigma of a station's joint reading, rad.
+        floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
+        stamp_s: sigma of each image stamp in motion, s.
+        wheel_share: sigma of each wheel's relative scale error, one for each leg.
     """
 
     pixel_px: float = 0.0
     wheel_rad_per_sqrt_rad: float = 0.0
     encoder_step_rad: float = 0.0
     joint_rad: float = 0.0
+    floor_rad: float = 0.0
+    floor_m: float = 0.0
+    stamp_s: float = 0.0
+    wheel_share: float = 0.0
 
 
 def station_times_s(route: Route, stations: int = 40) -> FloatArray:
@@ -57,39 +64,67 @@ def nanoseconds(times_s: FloatArray) -> IntArray:
     return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
 
 
+def floor_in_base(noise: Noise, count: int, random: np.random.Generator) -> FloatArray:
+    """Roll, pitch and height of the base on an uneven floor, at each station: (count, 4, 4), base axes."""
+    turns, lifts = noise.floor_rad * random.normal(size=(count, 2)), noise.floor_m * random.normal(size=count)
+    return np.array(
+        [
+            pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
+            for (roll, pitch), lift in zip(turns, lifts, strict=True)
+        ]
+    )
+
+
+def rolled_as_read(
+    angles: FloatArray, leg: IntArray, noise: Noise, random: np.random.Generator, heavy_tails: bool = False
+) -> FloatArray:
+    """Wheel rotations with noise, before the encoders' steps.
+
+    Args:
+        angles: (n, 2) true rotations of the right and left wheel, rad.
+        leg: (n - 1,) leg of each change, from 0.
+        noise: their levels.
+        random: source of the noise.
+        heavy_tails: Student t distribution with 3 degrees of freedom, of the same variance.
+    """
+
+    def unit(*size: int) -> FloatArray:
+        return np.asarray(
+            random.standard_t(3, size) / np.sqrt(3) if heavy_tails else random.normal(size=size)
+        )
+
+    change = np.diff(angles, axis=0)
+    error = np.zeros(change.shape)
+    if noise.wheel_rad_per_sqrt_rad:
+        error += unit(*change.shape) * noise.wheel_rad_per_sqrt_rad * np.sqrt(np.abs(change))
+    if noise.wheel_share:
+        error += noise.wheel_share * unit(int(leg.max()) + 1, 2)[leg] * change
+    return np.asarray(angles + np.concatenate([np.zeros((1, 2)), np.cumsum(error, axis=0)]))
+
+
 def _wheel_track(
-    robot: SimulatedRobot, route: Route, times_s: FloatArray, noise: Noise, random: np.random.Generator
+    actual: ActualRobot, route: Route, stamps_s: FloatArray, noise: Noise, random: np.random.Generator
 ) -> WheelTrack:
     # The track is linear between the segment boundaries and the stations' times, so it must contain both.
+    late_s = actual.constants.get("time_wheels", 0.0)
     moments = np.unique(
-        np.concatenate([np.arange(0, route.duration_s, _TRACK_STEP_S), route.drive.breaks_s, times_s])
+        np.concatenate(
+            [np.arange(0, route.duration_s, _TRACK_STEP_S), route.drive.breaks_s + late_s, stamps_s]
+        )
     )
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
-    angles = route.drive.wheel_angles(moments, robot.wheels)
-    if noise.wheel_rad_per_sqrt_rad:
-        turned = np.abs(np.diff(angles, axis=0))
-        error = random.normal(size=turned.shape) * noise.wheel_rad_per_sqrt_rad * np.sqrt(turned)
-        angles = angles + np.concatenate([np.zeros((1, 2)), np.cumsum(error, axis=0)])
+    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels)
+    leg = np.searchsorted(stamps_s, moments[:-1], side="right")
+    angles = rolled_as_read(angles, leg, noise, random, actual.outside.heavy_tails)
     if noise.encoder_step_rad:
         angles = np.floor(angles / noise.encoder_step_rad) * noise.encoder_step_rad
     return WheelTrack.at_same_times(nanoseconds(moments), angles[:, 0], angles[:, 1])
 
 
-def _joint_tracks(route: Route) -> tuple[Track, ...]:
+def _joint_tracks(actual: ActualRobot, route: Route) -> tuple[Track, ...]:
     moments = np.arange(0, route.duration_s, _TRACK_STEP_S)
-    values = route.joints(moments)
+    values = actual.readings(route, moments)
     return tuple(Track(nanoseconds(moments), values[:, j]) for j in range(values.shape[1]))
-
-
-def _measured(
-    rig: StereoRig, corners_k: FloatArray, T_c_k: FloatArray, pixel_px: float, random: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    T_r_k = np.linalg.inv(rig.T_c_r) @ T_c_k
-    both = []
-    for camera, T in ((rig.left, T_c_k), (rig.right, T_r_k)):
-        at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
-        both.append(at + pixel_px * random.normal(size=at.shape))
-    return both[0], both[1]
 
 
 def ideal_extraction(
@@ -100,7 +135,7 @@ def ideal_extraction(
     nominal: bool = True,
     camera_late_s: float = 0.0,
 ) -> Extraction:
-    """Extraction of a drive with ideal image processing, which adds only the given noise.
+    """Extraction of a drive with ideal image processing, of a robot as stated, with only the given noise.
 
     Without pixel noise the points and board poses are exact. With it, points are triangulated from noisy
     pixels and the pose minimizes the reprojection error, as for real images.
@@ -112,39 +147,58 @@ def ideal_extraction(
         nominal: whether nominal values are known.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
     """
-    noise = noise or Noise()
-    random = np.random.default_rng([seed, 2])
-    rig, corners_k = robot.rig_cameras, route.corners_k()
+    return extraction_of(ActualRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
+
+
+def extraction_of(
+    actual: ActualRobot,
+    route: Route,
+    noise: Noise,
+    seed: int = 0,
+    nominal: bool = True,
+    camera_late_s: float = 0.0,
+) -> Extraction:
+    """Extraction of a drive of the actual robot, as its description makes it; see `ideal_extraction`."""
+    # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
+    random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
+    robot, corners_k = actual.stated, route.corners_k()
+    rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
     times_s = station_times_s(route)
     stamps_s = times_s + camera_late_s
-    joints, readings = route.joints(times_s), route.joints(stamps_s)
-    T_w_v = base_in_world(route.drive.poses(times_s))
+    floor = floor_in_base(noise, len(times_s), other_random)
+    if not at_rest:
+        stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
+    readings = actual.readings(route, stamps_s)
+    seen = views(actual, route, times_s, floor)
     sigma = noise.pixel_px or _UNIT_SIGMA_PX
+    exact = actual.as_stated and not noise.pixel_px
     observations = []
     for i, time_ns in enumerate(nanoseconds(stamps_s)):
-        T_w_c = T_w_v[i] @ robot.head_pose(joints[i]) @ robot.T_h_c
-        T_c_k = np.linalg.inv(T_w_c) @ route.T_w_k
-        left, right = _measured(rig, corners_k, T_c_k, noise.pixel_px, random)
+        T_c_k = seen.T_c_k[i]
+        left, right = (at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels)
         points = triangulate(rig, left, right, sigma, sigma)
         if isinstance(points, Miss):
             raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
         found: BoardPose = board_pose(rig, corners_k, left, right, sigma, sigma, T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
+        square_m = route.board.square_m or 0.0
         observations.append(
             Observation(
                 log=0,
                 station=i,
                 time_ns=int(time_ns),
-                at_rest=len(route.rests_s) > 0,
-                joints=readings[i] + noise.joint_rad * random.normal(size=joints.shape[1]),
-                joints_std=np.full(joints.shape[1], noise.joint_rad),
+                at_rest=at_rest,
+                joints=readings[i] + noise.joint_rad * random.normal(size=readings.shape[1]),
+                joints_std=np.full(readings.shape[1], noise.joint_rad),
                 left=Corners(left, sigma, 1),
                 right=Corners(right, sigma, 1),
-                points_c=points.points_c if noise.pixel_px else exact_points,
+                points_c=exact_points if exact else points.points_c,
                 points_cov=points.points_cov,
-                T_c_k=found.T_c_k if noise.pixel_px else T_c_k,
+                T_c_k=T_c_k if exact else found.T_c_k,
                 T_c_k_cov=found.T_c_k_cov,
-                square_m=route.board.square_m or 0.0,
+                square_m=square_m
+                if actual.as_stated
+                else square_from_points(points.points_c, route.board.grid()),
                 reprojection_px=found.rms_px,
             )
         )
@@ -152,10 +206,10 @@ def ideal_extraction(
         rig=robot.rig(nominal),
         board=route.board,
         observations=tuple(observations),
-        wheels=(_wheel_track(robot, route, stamps_s, noise, random),),
+        wheels=(_wheel_track(actual, route, stamps_s, noise, random),),
         rejections=(),
         notes=(),
         logs=(),
         counts={"stations": len(observations), "observations": len(observations)},
-        joint_tracks=(_joint_tracks(route),),
+        joint_tracks=(_joint_tracks(actual, route),),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -9,6 +11,7 @@ from mobilecal_cli.model import Camera, CameraInfo, FloatArray, StereoRig
 
 WIDTH, HEIGHT = 640, 480
 BASELINE_M = 0.12
+_DISPLACEMENT_ROUNDS = 8  # a displacement by 0.4 % of the width shrinks the error to a tenth in each
 
 
 def stereo_infos(
@@ -85,16 +88,49 @@ def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatAr
     return flat
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lens(Camera):
+    """A camera whose pixels are displaced from those of its model.
+
+    Attributes:
+        center_px: (2,) origin of the displacement.
+        shares: (4,) displacement at the image corner by the radial terms of third and fifth order and by the
+            tangential terms along x and y, in shares of the image width.
+    """
+
+    center_px: FloatArray
+    shares: FloatArray
+
+    def displacement(self, at: FloatArray) -> FloatArray:
+        """Displacement of pixels, (..., 2) px → (..., 2) px."""
+        corner = np.array([self.width, self.height]) / np.hypot(self.width, self.height)
+        p = (at - self.center_px) / (np.hypot(self.width, self.height) / 2)
+        r2 = np.sum(p**2, axis=-1, keepdims=True)
+        total = p * r2 * (self.shares[0] + self.shares[1] * r2)
+        for k in (0, 1):
+            total = total + self.shares[2 + k] * _tangential(p, k) / np.linalg.norm(_tangential(corner, k))
+        return np.asarray(self.width * total)
+
+
+def _tangential(p: FloatArray, k: int) -> FloatArray:
+    """r^2 e_k + 2 p_k p: the tangential term along an axis, (..., 2) → (..., 2)."""
+    return np.asarray(np.sum(p**2, axis=-1, keepdims=True) * np.eye(2)[k] + 2 * p[..., k : k + 1] * p)
+
+
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:
     """Project points in the camera frame, (..., 3), to (..., 2) px; independent of the solver's code."""
     flat = points[..., :2] / points[..., 2:]
     if np.any(camera.D):
         flat = distort(camera.D, flat)
     result: FloatArray = flat @ camera.K[:2, :2].T + camera.K[:2, 2]
-    return result
+    return result + camera.displacement(result) if isinstance(camera, Lens) else result
 
 
 def rays(camera: Camera, at: FloatArray, rounds: int = 40) -> FloatArray:
     """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
+    if isinstance(camera, Lens):
+        target = at
+        for _ in range(_DISPLACEMENT_ROUNDS):
+            at = target - camera.displacement(at)
     flat = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
     return undistort(camera.D, flat, rounds) if np.any(camera.D) else flat

@@ -1,0 +1,190 @@
+"""The physical robot and board behind a description: stated values plus displacements (see `imperfect`).
+
+The formulas are written out here, independently of the estimator's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli.model import Board, Camera, FloatArray, Side, StereoRig
+from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector
+from mobilecal_cli.simulate.route import Route
+from mobilecal_cli.simulate.stereo import Lens
+
+DISTORTIONS = ("radial_1", "radial_2", "tangential_x", "tangential_y")
+_MOVED_RAD = 1e-9
+_DIRECTION_STEP_S = 0.02
+
+
+def crosswise(axis: Vector | FloatArray) -> dict[str, FloatArray]:
+    """The two coordinate axes least aligned with an axis, made orthonormal to it: letter → (3,) unit vector."""
+    unit = np.array(axis) / np.linalg.norm(axis)
+    found: dict[str, FloatArray] = {}
+    for k in sorted(np.argsort(np.abs(unit), kind="stable")[:2]):
+        e = np.eye(3)[k]
+        for other in (unit, *found.values()):
+            e = e - (e @ other) * other
+        found["xyz"[k]] = e / np.linalg.norm(e)
+    return found
+
+
+def joint_key(robot: SimulatedRobot, joint: str) -> str:
+    """Name of a joint in the names of its constants."""
+    return {robot.pan: "pan", robot.tilt: "tilt"}.get(joint, joint)
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """Imperfections for which the estimator has no constant; none by default.
+
+    Attributes:
+        twist_m: board bent to z = twist xi eta (xi, eta from -1 to 1 over the corners), m.
+        sag_rad: the head tilts further by sag sin(tilt), rad.
+        gravity_play_rad: whole play of the tilt joint, whose weight keeps it on the side it tilts to, rad.
+        rolling_shutter_s: time from the first to the last row of an image, centered on its stamp, s.
+        right_late_s: delay of the right camera's exposure, s.
+        heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
+    """
+
+    twist_m: float = 0.0
+    sag_rad: float = 0.0
+    gravity_play_rad: float = 0.0
+    rolling_shutter_s: float = 0.0
+    right_late_s: float = 0.0
+    heavy_tails: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardShape:
+    """A board as it is: its corners in its own frame, and its surface.
+
+    Attributes:
+        board: as stated.
+        scale: (2,) true over stated size along x and y.
+        bends_m: (3,) z of the surface is (1 - xi^2) and (1 - eta^2) and xi eta times these, m.
+    """
+
+    board: Board
+    scale: FloatArray
+    bends_m: FloatArray
+
+    def height_m(self, at: FloatArray) -> FloatArray:
+        """Height z of the surface at positions on the print, (..., 2) in squares → (...), m."""
+        grid = self.board.grid()[:, :2]
+        low, high = grid.min(axis=0), grid.max(axis=0)
+        xi, eta = np.moveaxis((2 * at - low - high) / (high - low), -1, 0)
+        return np.asarray(
+            self.bends_m[0] * (1 - xi**2) + self.bends_m[1] * (1 - eta**2) + self.bends_m[2] * xi * eta
+        )
+
+    def corners_k(self) -> FloatArray:
+        """(M, 3) corners in the board frame, m."""
+        grid, square = self.board.grid(), self.board.square_m or 0.0
+        return np.column_stack([grid[:, :2] * square * self.scale, self.height_m(grid[:, :2])])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActualRobot:
+    """The physical robot behind a description.
+
+    Attributes:
+        stated: the description; its `T_h_c` and `wheels` are true.
+        constants: name → true minus stated value, see `imperfect`; a missing one is zero.
+        outside: what no constant describes.
+    """
+
+    stated: SimulatedRobot
+    constants: Mapping[str, float]
+    outside: Outside = Outside()
+
+    @property
+    def as_stated(self) -> bool:
+        """Whether cameras, chain and board are as stated."""
+        return not any(self.constants.values()) and self.outside == Outside()
+
+    def _of(self, name: str) -> float:
+        return self.constants.get(name, 0.0)
+
+    def _vector(self, prefix: str, axes: Mapping[str, FloatArray]) -> FloatArray:
+        """Sum of the constants `<prefix>_<letter>` along their axes, (3,)."""
+        parts = [self._of(f"{prefix}_{letter}") * axis for letter, axis in axes.items()]
+        return np.asarray(np.sum(parts, axis=0), dtype=np.float64)
+
+    @property
+    def rig_cameras(self) -> StereoRig:
+        """The stereo pair as it is."""
+        rig = self.stated.rig_cameras
+        T_c_r = rig.T_c_r.copy()
+        turn = self._vector("stereo_r", dict(zip("xyz", np.eye(3), strict=True)))
+        T_c_r[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T_c_r[:3, :3]
+        swing = self._vector("baseline", crosswise(T_c_r[:3, 3]))
+        T_c_r[:3, 3] = Rotation.from_rotvec(swing).apply(T_c_r[:3, 3]) * (1 + self._of("baseline_scale"))
+        return replace(
+            rig, left=self._camera(rig.left, "left"), right=self._camera(rig.right, "right"), T_c_r=T_c_r
+        )
+
+    def _camera(self, stated: Camera, side: Side) -> Camera:
+        K = stated.K.copy()
+        K[[0, 1], [0, 1]] *= 1 + self._of(f"focal_{side}")
+        K[:2, 2] += stated.width * np.array([self._of(f"principal_{side}_{letter}") for letter in "xy"])
+        shares = np.array([self._of(f"distortion_{side}_{term}") for term in DISTORTIONS])
+        size = (stated.frame_id, stated.width, stated.height)
+        if not np.any(shares):
+            return Camera(*size, K, stated.D, stated.distortion)
+        return Lens(*size, K, stated.D, stated.distortion, stated.K[:2, 2], shares)
+
+    def shape(self, board: Board) -> BoardShape:
+        """A stated board as it is."""
+        aspect = self._of("square_aspect") / 2
+        scale = (1 + self._of("square_scale")) * np.array([1 + aspect, 1 - aspect])
+        bends = [self._of("board_bend_x"), self._of("board_bend_y"), self.outside.twist_m]
+        return BoardShape(board, scale, np.array(bends))
+
+    @property
+    def joints(self) -> tuple[RobotJoint, ...]:
+        """The chain as it is, from base to head."""
+        return tuple(self._joint(joint) if joint.name else joint for joint in self.stated.joints)
+
+    def _joint(self, joint: RobotJoint) -> RobotJoint:
+        key, axes = joint_key(self.stated, joint.name), crosswise(joint.axis)
+        axis = Rotation.from_rotvec(self._vector(f"{key}_axis", axes)).apply(joint.axis)
+        shift = Rotation.from_euler("xyz", joint.rpy_rad).apply(self._vector(f"{key}_position", axes))
+        x, y, z = (float(value) for value in np.array(joint.xyz_m) + shift)
+        return replace(joint, xyz_m=(x, y, z), axis=(float(axis[0]), float(axis[1]), float(axis[2])))
+
+    def readings(self, route: Route, times_s: FloatArray) -> FloatArray:
+        """(n, J) noise-free joint readings at given times, rad: the route's joint positions are true.
+
+        position = reading (1 + scale) + zero - approach_direction * backlash / 2; the clock of the joints stamps
+        a measurement `time_joints` after it.
+        """
+        late_s = self._of("time_joints")
+        times_s = np.clip(times_s - late_s, 0, route.duration_s) if late_s else times_s
+        position = route.joints(times_s)
+        keys = [joint_key(self.stated, name) for name in self.stated.joint_names]
+        scale, zero, play = (
+            np.array([self._of(name.format(key)) for key in keys])
+            for name in ("{}_scale", "{}_zero", "backlash_{}")
+        )
+        if np.any(play):
+            position = position + approach_directions(route, times_s) * play / 2
+        tilt = self.stated.joint_names.index(self.stated.tilt)
+        beyond = np.zeros(position.shape)
+        beyond[:, tilt] = self.outside.sag_rad * np.sin(position[:, tilt])
+        beyond[:, tilt] += self.outside.gravity_play_rad / 2 * np.sign(position[:, tilt])
+        return np.asarray((position - beyond - zero) / (1 + scale))
+
+
+def approach_directions(route: Route, times_s: FloatArray) -> FloatArray:
+    """(n, J) direction of each joint's last motion before given times: +1, -1, or 0 before the first motion."""
+    moments = np.unique(np.concatenate([np.arange(0, route.duration_s, _DIRECTION_STEP_S), times_s]))
+    change = np.diff(route.joints(moments), axis=0, prepend=route.joints(moments[:1]))
+    moving = np.abs(change) > _MOVED_RAD
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(moments))[:, None], 0), axis=0)
+    directions = np.take_along_axis(np.sign(change) * moving, last, axis=0)
+    return np.asarray(directions[np.searchsorted(moments, times_s)])
