@@ -136,7 +136,7 @@ class ActualRobot:
         size = (stated.frame_id, stated.width, stated.height)
         if not np.any(shares):
             return Camera(*size, K, stated.D, stated.distortion)
-        return Lens(*size, K, stated.D, stated.distortion, stated.K[:2, 2], shares)
+        return Lens(*size, K, stated.D, stated.distortion, center_px=stated.K[:2, 2], shares=shares)
 
     def shape(self, board: Board) -> BoardShape:
         """A stated board as it is."""

@@ -88,7 +88,7 @@ def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatAr
     return flat
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Lens(Camera):
     """A camera whose pixels are displaced from those of its model.
 
