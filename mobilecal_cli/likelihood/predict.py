@@ -54,7 +54,7 @@ def gradients(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatA
     """
     wheels, count, K = parameters.wheels, len(camera), camera.shape[2]
     rR, rL, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
-    ahead = camera[:, 3:] + np.cross(camera[:, :3], [0.0, 0.0, AHEAD_M], axis=1)
+    ahead = camera[:, 3:] + np.cross(camera[:, :3], np.array([[[0.0], [0.0], [AHEAD_M]]]), axis=1)
 
     def all_of(rows: FloatArray) -> FloatArray:
         return np.asarray(rows.reshape(-1, K) / math.sqrt(count))

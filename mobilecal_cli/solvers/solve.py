@@ -209,7 +209,7 @@ def _by_likelihood(
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
         constants=constants_of(fit),
-        evidence=fit.lin.evidence(),
+        evidence=tuple(fit.lin.evidence()),
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
