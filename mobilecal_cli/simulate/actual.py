@@ -6,7 +6,7 @@ The formulas are written out here, independently of the estimator's.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -70,22 +70,20 @@ class BoardShape:
     """
 
     board: Board
-    scale: FloatArray
-    bends_m: FloatArray
+    scale: FloatArray = field(default_factory=lambda: np.ones(2))
+    bends_m: FloatArray = field(default_factory=lambda: np.zeros(3))
 
-    def height_m(self, at: FloatArray) -> FloatArray:
-        """Height z of the surface at positions on the print, (..., 2) in squares → (...), m."""
-        grid = self.board.grid()[:, :2]
-        low, high = grid.min(axis=0), grid.max(axis=0)
-        xi, eta = np.moveaxis((2 * at - low - high) / (high - low), -1, 0)
-        return np.asarray(
-            self.bends_m[0] * (1 - xi**2) + self.bends_m[1] * (1 - eta**2) + self.bends_m[2] * xi * eta
-        )
+    def height_m(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Height z of the surface at positions on the print, in squares: arrays of equal shape → m."""
+        grid, (bend_x, bend_y, twist) = self.board.grid()[:, :2], self.bends_m
+        (middle_x, middle_y), (half_x, half_y) = (grid.max(0) + grid.min(0)) / 2, np.ptp(grid, axis=0) / 2
+        xi, eta = (x - middle_x) / half_x, (y - middle_y) / half_y
+        return np.asarray(bend_x * (1 - xi**2) + bend_y * (1 - eta**2) + twist * xi * eta)
 
     def corners_k(self) -> FloatArray:
         """(M, 3) corners in the board frame, m."""
         grid, square = self.board.grid(), self.board.square_m or 0.0
-        return np.column_stack([grid[:, :2] * square * self.scale, self.height_m(grid[:, :2])])
+        return np.column_stack([grid[:, :2] * square * self.scale, self.height_m(*grid.T[:2])])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

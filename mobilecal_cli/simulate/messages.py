@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import cv2
@@ -13,13 +13,22 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.model import CameraInfo, FloatArray, Side
-from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.ideal import START_NS, nanoseconds
+from mobilecal_cli.simulate.actual import ActualRobot
+from mobilecal_cli.simulate.ideal import (
+    START_NS,
+    Noise,
+    floor_in_base,
+    nanoseconds,
+    rolled_as_read,
+    station_times_s,
+)
+from mobilecal_cli.simulate.imperfect import actual_robot
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.simulate.views import camera_in_world
 
 Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
@@ -90,32 +99,54 @@ class Publisher:
         return kind, self.make(kind, header=header, format=scenario.pictures, data=data)
 
 
-def _noisy_wheels(
-    robot: SimulatedRobot, route: Route, times_s: FloatArray, scenario: Scenario, random: np.random.Generator
-) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """What a recording shows.
+
+    Attributes:
+        scenario, route: what was planned.
+        actual: the robot and the board as they are.
+        noise: additional noise of an imperfect robot.
+    """
+
+    scenario: Scenario
+    route: Route
+    actual: ActualRobot
+    noise: Noise
+
+    @classmethod
+    def of(cls, scenario: Scenario, robot: SimulatedRobot, route: Route) -> World:
+        """The world of a planned scenario."""
+        imperfection = scenario.imperfection(robot)
+        return cls(scenario, route, actual_robot(robot, imperfection), imperfection.noise)
+
+
+def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
     """(n, 2) readings of the right and left encoder, rad."""
-    angles = route.drive.wheel_angles(times_s, robot.wheels)
-    if scenario.exact:
+    robot = world.actual.stated
+    late_s = world.actual.constants.get("time_wheels", 0.0)
+    angles = world.route.drive.wheel_angles(times_s - late_s, robot.wheels)
+    if world.scenario.exact:
         return angles
-    turned = np.abs(np.diff(angles, axis=0, prepend=angles[:1]))
-    slip = random.normal(size=turned.shape) * scenario.wheel_noise_rad_per_sqrt_rad * np.sqrt(turned)
-    return np.asarray(
-        np.floor((angles + np.cumsum(slip, axis=0)) / robot.encoder_step_rad) * robot.encoder_step_rad
-    )
+    noise = replace(world.noise, wheel_rad_per_sqrt_rad=world.scenario.wheel_noise_rad_per_sqrt_rad)
+    leg = np.searchsorted(station_times_s(world.route), times_s)
+    # The first angle twice: every reading has random numbers of its own.
+    rolled = rolled_as_read(np.concatenate([angles[:1], angles]), leg, noise, random)[1:]
+    return np.asarray(np.floor(rolled / robot.encoder_step_rad) * robot.encoder_step_rad)
 
 
-def _state_messages(
-    publisher: Publisher, robot: SimulatedRobot, route: Route, scenario: Scenario
-) -> Iterator[Published]:
+def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
+    scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 3])
     # Exact recordings also sample every change of speed, because the angles are linear in between.
     times_s = np.arange(0, route.duration_s, 1 / robot.joint_rate_hz)
     if scenario.exact:
-        times_s = np.unique(np.concatenate([times_s, route.drive.breaks_s]))
-    joints = route.joints(times_s)
+        breaks_s = route.drive.breaks_s + world.actual.constants.get("time_wheels", 0.0)
+        times_s = np.unique(np.concatenate([times_s, breaks_s[breaks_s >= 0]]))
+    joints = world.actual.readings(route, times_s)
     if not scenario.exact:
         joints = joints + robot.joint_noise_rad * random.normal(size=joints.shape)
-    wheels = _noisy_wheels(robot, route, times_s, scenario, random)
+    wheels = _noisy_wheels(world, times_s, random)
     names = list(robot.joint_names)
     counters = robot.wheel_signal == "ticks"
     for time_ns, head, wheel in zip(nanoseconds(times_s), joints, wheels, strict=True):
@@ -141,23 +172,31 @@ def _state_messages(
                 yield Published(stamp, f"/wheel_ticks/{side}", kind, publisher.make(kind, data=count))
 
 
+def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Floor below the base, (n, 4, 4), one in each rest, and errors of the stamps, (n,) s, of images at given times."""
+    random = np.random.default_rng([world.scenario.seed, 6])
+    rests_s = world.route.rests_s
+    if len(rests_s):
+        rest = np.searchsorted(rests_s[:, 0], times_s) - 1
+        return floor_in_base(world.noise, len(rests_s), random)[rest], np.zeros(len(times_s))
+    floor = floor_in_base(world.noise, len(times_s), random)
+    return floor, world.noise.stamp_s * random.normal(size=len(times_s))
+
+
 def _picture_messages(
-    publisher: Publisher,
-    robot: SimulatedRobot,
-    route: Route,
-    scenario: Scenario,
-    drawn: Callable[[int, int], None],
+    publisher: Publisher, world: World, drawn: Callable[[int, int], None]
 ) -> Iterator[Published]:
+    scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 4])
-    rig = robot.rig_cameras
-    renderers = [BoardRenderer(c, route.board, scenario.blur_px, random) for c in (rig.left, rig.right)]
-    times = scenario.picture_times_s(route)
+    rig, shape = world.actual.rig_cameras, world.actual.shape(route.board)
+    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in (rig.left, rig.right)]
+    times_s = np.array(scenario.picture_times_s(route))
+    floor, jitter_s = _floor_and_jitter(world, times_s)
+    stamps = nanoseconds(times_s + scenario.camera_late_s + jitter_s)
     sides: tuple[Side, Side] = ("left", "right")
     topics = robot.topics(compressed=scenario.pictures != "mono8")
-    for i, time_s in enumerate(times):
-        stamp = int(nanoseconds(np.array([time_s + scenario.camera_late_s]))[0])
-        base = base_in_world(route.drive.poses(np.array([time_s])))[0]
-        T_w_c = base @ robot.head_pose(route.joints(np.array([time_s]))[0]) @ robot.T_h_c
+    for i, T_w_c in enumerate(camera_in_world(world.actual, route, times_s, floor)):
+        stamp = int(stamps[i])
         for side, info, renderer, T_c_x in zip(
             sides, robot.infos, renderers, (np.eye(4), rig.T_c_r), strict=True
         ):
@@ -168,7 +207,7 @@ def _picture_messages(
             yield Published(stamp, topics.image[side], kind, message)
             kind = "sensor_msgs/msg/CameraInfo"
             yield Published(stamp, topics.info[side], kind, publisher.camera_info(info, stamp))
-        drawn(i + 1, len(times))
+        drawn(i + 1, len(stamps))
 
 
 def published(
@@ -185,10 +224,11 @@ def published(
         publisher: for ROS 1 or 2.
         drawn: called with the number of rendered stereo pairs and their total.
     """
+    world = World.of(scenario, robot, route)
     description = publisher.make("std_msgs/msg/String", data=urdf_text(robot))
     return heapq.merge(
         [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)],
-        _state_messages(publisher, robot, route, scenario),
-        _picture_messages(publisher, robot, route, scenario, drawn),
+        _state_messages(publisher, world),
+        _picture_messages(publisher, world, drawn),
         key=lambda m: m.time_ns,
     )

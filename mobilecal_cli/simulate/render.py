@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, Camera, FloatArray
+from mobilecal_cli.model import Camera, FloatArray
+from mobilecal_cli.simulate.actual import BoardShape
 from mobilecal_cli.simulate.markers import Print, printed_area
 from mobilecal_cli.simulate.stereo import pixels, rays
 
@@ -15,6 +16,7 @@ _MARGIN_SQUARES = 1.0
 _PAD_PX = 6
 _SHADE = 0.10  # decrease of the brightness over the image width
 _INVERSE_ROUNDS = 25
+_BEND_ROUNDS = 2  # a bend of a few mm moves the point on a ray by a hundredth of itself
 
 
 def _width(position: FloatArray) -> FloatArray:
@@ -40,14 +42,17 @@ class BoardRenderer:
     """Renders one board in one camera's images.
 
     Args:
-        camera: pinhole, with plumb_bob distortion or none.
-        board: with known square size.
+        camera: pinhole, with plumb_bob distortion or none, or a `Lens`.
+        shape: a board with known square size.
         blur_px: sigma of the lens blur, px.
         random: for the background.
     """
 
-    def __init__(self, camera: Camera, board: Board, blur_px: float, random: np.random.Generator) -> None:
-        self._camera, self._board, self._blur_px = camera, board, blur_px
+    def __init__(
+        self, camera: Camera, shape: BoardShape, blur_px: float, random: np.random.Generator
+    ) -> None:
+        board = shape.board
+        self._camera, self._shape, self._blur_px = camera, shape, blur_px
         height, width = camera.height, camera.width
         pixel_rays = rays(
             camera, np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1), _INVERSE_ROUNDS
@@ -84,23 +89,18 @@ class BoardRenderer:
 
     def _drawn(self, T_x_k: FloatArray) -> FloatArray:
         image = self._background.copy()
-        squares = self._board.square_m or 1.0
-        low, high = printed_area(self._board)
+        squares = (self._shape.board.square_m or 1.0) * self._shape.scale
+        low, high = printed_area(self._shape.board)
         wide = np.linspace(low - _MARGIN_SQUARES, high + _MARGIN_SQUARES, 12)
-        outline = np.array([[x, y, 0.0] for x in wide[:, 0] for y in wide[:, 1]])
-        at = pixels(self._camera, outline * squares @ T_x_k[:3, :3].T + T_x_k[:3, 3])
+        outline = np.array([[x, y] for x in wide[:, 0] for y in wide[:, 1]])
+        outline_k = np.column_stack([outline * squares, self._shape.height_m(*outline.T)])
+        at = pixels(self._camera, outline_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
         limit = [self._camera.width, self._camera.height]
         x0, y0 = np.clip(np.floor(at.min(axis=0)).astype(int) - _PAD_PX, 0, limit)
         x1, y1 = np.clip(np.ceil(at.max(axis=0)).astype(int) + _PAD_PX, 0, limit)
         if x1 > x0 and y1 > y0:
             part = self._rays[y0 * _SUB : y1 * _SUB, x0 * _SUB : x1 * _SUB]
-            normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
-            depth = (normal @ origin) / (part @ normal[:2] + normal[2])
-            scaled = T_x_k[:3, :2] / squares
-            x, y = (
-                depth * (part @ column[:2] + column[2]) - origin @ column
-                for column in np.moveaxis(scaled, 1, 0)
-            )
+            x, y = self._on_board(T_x_k, part, squares)
             wide_x, wide_y = _width(x), _width(y)
             middle, swing = (_DARK + _LIGHT) / 2, (_LIGHT - _DARK) / 2
             if self._print is None:
@@ -118,3 +118,19 @@ class BoardRenderer:
             blurred = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
             image[y0:y1, x0:x1] = blurred.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
         return np.asarray(image * self._light)
+
+    def _on_board(
+        self, T_x_k: FloatArray, part: FloatArray, squares: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where rays (..., 2) meet the board, in squares: x and y."""
+        normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
+        along = part @ normal[:2] + normal[2]
+        columns = np.moveaxis(T_x_k[:3, :2] / squares, 1, 0)
+        slopes = [part @ column[:2] + column[2] for column in columns]
+        depth = (normal @ origin) / along
+        for bend in range(_BEND_ROUNDS + 1):
+            x, y = (depth * slope - origin @ column for slope, column in zip(slopes, columns, strict=True))
+            if bend == _BEND_ROUNDS or not np.any(self._shape.bends_m):
+                break
+            depth = (normal @ origin + self._shape.height_m(x, y)) / along
+        return x, y

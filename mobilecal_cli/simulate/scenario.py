@@ -9,6 +9,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers
+from mobilecal_cli.simulate.ideal import Noise
+from mobilecal_cli.simulate.imperfect import PRIORS, STATION_NOISE, Imperfection, draw
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 
@@ -48,6 +50,8 @@ class Scenario:
         blur_px: sigma of the lens blur, px.
         wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
+        imperfect: constants of the robot and the board drawn from their priors, and noise of the floor, the stamps in
+            motion and the wheels' scale (none of it if `exact`).
     """
 
     robot: str = "paper"
@@ -65,6 +69,15 @@ class Scenario:
     blur_px: float = 0.6
     wheel_noise_rad_per_sqrt_rad: float = 0.003
     camera_late_s: float = 0.0
+    imperfect: bool = False
+
+    def imperfection(self, robot: SimulatedRobot) -> Imperfection:
+        """What is not as the robot's description says."""
+        if not self.imperfect:
+            return Imperfection()
+        kinds = PRIORS if self.motion == "moving" else None
+        constants = draw(robot, np.random.default_rng([self.seed, 5]), kinds=kinds)
+        return Imperfection(constants, Noise() if self.exact else STATION_NOISE)
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
         """The robot and its route.
@@ -102,6 +115,20 @@ def _row(values: object) -> str:
     return "[" + ", ".join(_plain(float(value)) for value in np.asarray(values).ravel()) + "]"
 
 
+def _imperfect_lines(scenario: Scenario, robot: SimulatedRobot) -> list[str]:
+    """Levels of the additional noise, continuing "scenario", and the constants."""
+    imperfection = scenario.imperfection(robot)
+    if not scenario.imperfect:
+        return []
+    levels = {name: getattr(imperfection.noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
+    levels["stamp_s"] = imperfection.noise.stamp_s if scenario.motion == "moving" else 0.0
+    return [
+        *(f"  {name}: {_plain(level)}" for name, level in levels.items()),
+        "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)",
+        *(f"  {name}: {_plain(value)}" for name, value in imperfection.constants.items()),
+    ]
+
+
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
     quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
@@ -132,6 +159,7 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  encoder_step_rad: {_plain(0.0 if scenario.exact else robot.encoder_step_rad)}",
         f"  joint_noise_rad: {_plain(0.0 if scenario.exact else robot.joint_noise_rad)}",
         f"  camera_late_s: {_plain(scenario.camera_late_s)}",
+        *_imperfect_lines(scenario, robot),
         f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k",
     ]
     if len(route.rests_s):

@@ -11,7 +11,9 @@ from mobilecal_cli.model import Camera, CameraInfo, FloatArray, StereoRig
 
 WIDTH, HEIGHT = 640, 480
 BASELINE_M = 0.12
-_DISPLACEMENT_ROUNDS = 8  # a displacement by 0.4 % of the width shrinks the error to a tenth in each
+_DISPLACEMENT_ROUNDS = (
+    5  # displaced by 0.4 % of the width: to 1e-8 px, because each shrinks the error 50 times
+)
 
 
 def stereo_infos(
@@ -103,18 +105,17 @@ class Lens(Camera):
 
     def displacement(self, at: FloatArray) -> FloatArray:
         """Displacement of pixels, (..., 2) px → (..., 2) px."""
-        corner = np.array([self.width, self.height]) / np.hypot(self.width, self.height)
-        p = (at - self.center_px) / (np.hypot(self.width, self.height) / 2)
-        r2 = np.sum(p**2, axis=-1, keepdims=True)
-        total = p * r2 * (self.shares[0] + self.shares[1] * r2)
-        for k in (0, 1):
-            total = total + self.shares[2 + k] * _tangential(p, k) / np.linalg.norm(_tangential(corner, k))
-        return np.asarray(self.width * total)
-
-
-def _tangential(p: FloatArray, k: int) -> FloatArray:
-    """r^2 e_k + 2 p_k p: the tangential term along an axis, (..., 2) → (..., 2)."""
-    return np.asarray(np.sum(p**2, axis=-1, keepdims=True) * np.eye(2)[k] + 2 * p[..., k : k + 1] * p)
+        half_px = np.hypot(self.width, self.height) / 2
+        x, y = np.ascontiguousarray(np.moveaxis((at - self.center_px) / half_px, -1, 0))
+        corner_x, corner_y = np.array([self.width, self.height]) / (2 * half_px)
+        radial_1, radial_2, *tangential = self.shares
+        n_x = np.hypot(3 * corner_x**2 + corner_y**2, 2 * corner_x * corner_y)
+        n_y = np.hypot(2 * corner_x * corner_y, corner_x**2 + 3 * corner_y**2)
+        along_x, along_y = tangential[0] / n_x, tangential[1] / n_y
+        r2 = x**2 + y**2
+        # The tangential terms are r^2 e + 2 (e p) p, with e the axis.
+        common = r2 * (radial_1 + radial_2 * r2) + 2 * (along_x * x + along_y * y)
+        return self.width * np.stack([common * x + along_x * r2, common * y + along_y * r2], axis=-1)
 
 
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:

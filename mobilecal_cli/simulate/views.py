@@ -28,12 +28,11 @@ class Views:
     pixels: tuple[FloatArray, FloatArray]
 
 
-def board_in_camera(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> FloatArray:
-    """T_c_k at given times, (N, 4, 4); `floor` as from `floor_in_base`."""
+def camera_in_world(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> FloatArray:
+    """T_w_c of the left camera at given times, (N, 4, 4); `floor` as from `floor_in_base`."""
     robot = replace(actual.stated, joints=actual.joints)
     heads = np.array([robot.head_pose(joints) for joints in route.joints(times_s)])
-    T_w_c = base_in_world(route.drive.poses(times_s)) @ floor @ heads @ robot.T_h_c
-    return np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
+    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ heads @ robot.T_h_c)
 
 
 def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:
@@ -51,7 +50,8 @@ def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatAr
 
     def exposed(camera: Camera, T_x_c: FloatArray | None, late_s: float) -> FloatArray:
         if late_s not in poses:
-            poses[late_s] = board_in_camera(actual, route, times_s + late_s, floor)
+            T_w_c = camera_in_world(actual, route, times_s + late_s, floor)
+            poses[late_s] = np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
         T_x_k = poses[late_s] if T_x_c is None else np.array([T_x_c @ T for T in poses[late_s]])
         return np.array([pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3]) for T in T_x_k])
 

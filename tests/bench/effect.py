@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Corners, Extraction
+from mobilecal_cli.simulate.actual import BoardShape
 from mobilecal_cli.simulate.drive import base_in_world
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, station_times_s
 from mobilecal_cli.simulate.render import BoardRenderer
@@ -36,7 +37,9 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     made = []
     T_w_v = base_in_world(route.drive.poses(times_s))
     for k, camera in enumerate((rig.left, rig.right)):
-        renderer = BoardRenderer(camera, route.board, _BLUR_PX, np.random.default_rng([number, k]))
+        renderer = BoardRenderer(
+            camera, BoardShape(route.board), _BLUR_PX, np.random.default_rng([number, k])
+        )
         for i, joints in enumerate(route.joints(times_s)):
             T_c_k = se3.inverse(T_w_v[i] @ robot.head_pose(joints) @ robot.T_h_c) @ route.T_w_k
             T = T_c_k if k == 0 else se3.inverse(rig.T_c_r) @ T_c_k

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
@@ -15,7 +16,8 @@ from mobilecal_cli.readers import open_recording, read_images, read_prelude, rea
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate import record
 from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.ideal import START_NS
+from mobilecal_cli.simulate.ideal import START_NS, Noise
+from mobilecal_cli.simulate.imperfect import PRIORS, Imperfection, constant_kinds, imperfect_extraction
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.scenario import CONTAINERS, Scenario
@@ -198,6 +200,90 @@ def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
         base = base_in_world(np.array([station["base"]]))[0]
         seen = np.linalg.inv(base @ robot.head_pose(np.array(station["joints_rad"])) @ robot.T_h_c) @ T_w_k
         assert 1 < seen[2, 3] < 3
+
+
+IMPERFECT = replace(SMALL, imperfect=True)
+
+
+def truth_of(out: Path):
+    return YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
+
+
+def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path):
+    robot, _ = IMPERFECT.plan()
+    truth = truth_of(recorded(tmp_path, IMPERFECT))
+    assert set(truth["constants"]) == set(constant_kinds(robot)) - {"time_joints", "time_wheels"}
+    drawn = IMPERFECT.imperfection(robot).constants
+    assert truth["constants"] == pytest.approx(drawn, rel=1e-12)
+    ratios = [drawn[name] / PRIORS[kind] for name, kind in constant_kinds(robot).items() if name in drawn]
+    assert 0.7 < np.std(ratios) < 1.3
+    noise = {name: truth["scenario"][name] for name in ("floor_rad", "floor_m", "wheel_share", "stamp_s")}
+    levels = {"floor_rad": np.radians(0.1), "floor_m": 0.0005, "wheel_share": 0.001, "stamp_s": 0.0}
+    assert noise == pytest.approx(levels)
+    plain = truth_of(recorded(tmp_path, SMALL, "plain"))
+    assert "constants" not in plain
+    assert truth["stations"] == plain["stations"]
+    assert truth["head_eye"] == plain["head_eye"]
+
+
+def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, reference):
+    prelude, signals, _ = contents(recorded(tmp_path, IMPERFECT), IMPERFECT)
+    assert prelude.urdfs == reference[0].urdfs
+    for (name, value), (_, stated) in zip(flat(prelude.infos), flat(reference[0].infos), strict=True):
+        assert np.array_equal(value, stated), name
+    robot, route = IMPERFECT.plan()
+    constants = IMPERFECT.imperfection(robot).constants
+    pan = signals.joints[robot.pan]
+    true = route.joints((pan.time_ns - START_NS) / 1e9)[:, 2]
+    expected = (true - constants["pan_zero"]) / (1 + constants["pan_scale"])
+    play = abs(constants["backlash_pan"]) / 2
+    assert np.abs(pan.value - expected).max() < play + 6 * robot.joint_noise_rad
+    assert abs(np.mean(pan.value - true)) > play + robot.joint_noise_rad  # another zero is seen
+
+
+def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
+    """The corners in the images are where the actual cameras, board and joints put them."""
+    scenario = replace(IMPERFECT, robot="tick", exact=True, pictures="mono8")
+    robot, route = scenario.plan()
+    imperfection = scenario.imperfection(robot)
+    assert imperfection.noise == Noise()
+    _, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
+    expected = imperfect_extraction(robot, route, imperfection)
+    stated = imperfect_extraction(robot, route, Imperfection())
+    for i, o in enumerate(expected.observations):
+        for side, corners in (("left", o.left), ("right", o.right)):
+            grey = pictures[f"{side} {signals.image_ns[side][i]}"]
+            found = cv2.cornerSubPix(
+                grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
+            )
+            assert np.abs(found[:, 0] - corners.pixels).max() < 0.1
+            assert np.abs(corners.pixels - getattr(stated.observations[i], side).pixels).max() > 0.5
+        for j, name in enumerate(robot.joint_names):
+            track = signals.joints[name]
+            assert track.at(np.array([o.time_ns]))[0] == pytest.approx(o.joints[j], abs=1e-8)
+
+
+def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
+    scenario = replace(IMPERFECT, robot="tick", motion="moving", stations=1, pictures="mono8")
+    robot, route = scenario.plan()
+    out = recorded(tmp_path, scenario)
+    _, signals, _ = contents(out, scenario)
+    truth = truth_of(out)
+    assert truth["scenario"]["stamp_s"] == 0.0005
+    jitter_s = (signals.image_ns["left"] - START_NS) / 1e9 - scenario.picture_times_s(route)
+    assert 0.0002 < np.std(jitter_s) < 0.001  # 20 stamps of 0.5 ms
+    assert np.array_equal(signals.image_ns["left"], signals.image_ns["right"])
+    constants = truth["constants"]
+    track = signals.wheels["left"]
+    at_s = (track.time_ns - START_NS) / 1e9
+    error = track.value - route.drive.wheel_angles(at_s - constants["time_wheels"], robot.wheels)[:, 1]
+    early = track.value - route.drive.wheel_angles(at_s, robot.wheels)[:, 1]
+    assert np.ptp(error) < 0.05 < np.ptp(early)
+    tilt = signals.joints[robot.tilt]
+    at_s = np.clip((tilt.time_ns - START_NS) / 1e9 - constants["time_joints"], 0, route.duration_s)
+    expected = route.joints(at_s)[:, 1] / (1 + constants["tilt_scale"])
+    play = abs(constants["backlash_tilt"]) / 2
+    assert np.abs(tilt.value - expected).max() < play + 6 * robot.joint_noise_rad
 
 
 def test_what_is_there_is_refused_before_any_work(tmp_path):
