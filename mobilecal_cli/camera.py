@@ -129,17 +129,20 @@ def lens_terms(camera: Camera, center_px: FloatArray, pixels: FloatArray) -> tup
     unit = np.array(
         [1.0, 1.0, np.hypot(3 * cx**2 + cy**2, 2 * cx * cy), np.hypot(2 * cx * cy, cx**2 + 3 * cy**2)]
     )
-    q = x * x + y * y
+    xx, yy, xy = x * x, y * y, 2 * x * y
+    q = xx + yy
+    scale, slope = camera.width / unit, 2 * camera.width / diagonal / unit
     terms, J = np.empty((*x.shape, 4, 2)), np.empty((*x.shape, 4, 2, 2))
-    terms[..., 0, :], terms[..., 1, :] = p * q[..., None], p * (q**2)[..., None]
-    terms[..., 2, 0], terms[..., 2, 1] = 3 * x * x + y * y, 2 * x * y
-    terms[..., 3, 0], terms[..., 3, 1] = 2 * x * y, x * x + 3 * y * y
-    across = p[..., :, None] * p[..., None, :]
-    J[..., 0, :, :] = q[..., None, None] * np.eye(2) + 2 * across
-    J[..., 1, :, :] = q[..., None, None] * (q[..., None, None] * np.eye(2) + 4 * across)
+    for k, radial, by_q in ((0, q, 1.0), (1, q * q, 2 * q)):
+        terms[..., k, 0], terms[..., k, 1] = scale[k] * radial * x, scale[k] * radial * y
+        J[..., k, 0, 0], J[..., k, 1, 1] = radial + 2 * by_q * xx, radial + 2 * by_q * yy
+        J[..., k, 0, 1] = J[..., k, 1, 0] = by_q * xy
+    terms[..., 2, 0], terms[..., 2, 1] = scale[2] * (3 * xx + yy), scale[2] * xy
+    terms[..., 3, 0], terms[..., 3, 1] = scale[3] * xy, scale[3] * (xx + 3 * yy)
     J[..., 2, 0, 0], J[..., 2, 0, 1], J[..., 2, 1, 0], J[..., 2, 1, 1] = 6 * x, 2 * y, 2 * y, 2 * x
     J[..., 3, 0, 0], J[..., 3, 0, 1], J[..., 3, 1, 0], J[..., 3, 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
-    return terms * (camera.width / unit)[:, None], J * (camera.width * 2 / diagonal / unit)[:, None, None]
+    J *= slope[:, None, None]
+    return terms, J
 
 
 def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray | None]:

@@ -7,6 +7,10 @@ import numpy as np
 from mobilecal_cli.model import Extraction, FloatArray, IntArray, Track
 
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
+_INTERVAL_NS, _MOVING_RADPS = (
+    50_000_000,
+    0.03,
+)  # a joint in motion: its own direction counts, not how it got there
 
 
 def approach_direction(extraction: Extraction) -> FloatArray:
@@ -18,7 +22,11 @@ def approach_direction(extraction: Extraction) -> FloatArray:
     for number, tracks in enumerate(extraction.joint_tracks):
         mine = np.flatnonzero(log == number)
         for j, track in enumerate(tracks):
-            sides[mine, j] = _last_motion(track, times_ns[mine], joints[mine, j])
+            last = _last_motion(track, times_ns[mine], joints[mine, j])
+            rate = (track.at(times_ns[mine]) - track.at(times_ns[mine] - _INTERVAL_NS)) / (
+                _INTERVAL_NS * 1e-9
+            )
+            sides[mine, j] = np.where(np.abs(rate) > _MOVING_RADPS, np.sign(rate), last)
     return sides
 
 

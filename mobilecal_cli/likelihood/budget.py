@@ -34,7 +34,7 @@ class Influence:
 
     def covariance(self, level: str) -> FloatArray:
         """(P, P) covariance of the shared parameters due to one noise level, if it is correct."""
-        return np.asarray(np.einsum("npm,nqm->pq", self.by_unit @ self.parts[level], self.by_unit))
+        return _summed(self.by_unit @ self.parts[level], self.by_unit)
 
     @property
     def spread(self) -> FloatArray:
@@ -43,8 +43,16 @@ class Influence:
         usable = values > _NO_REDUNDANCY
         root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
         along = np.einsum("nkm,nk->nm", vectors, self.residual) * root
-        shift = np.einsum("npk,nkm,nm->np", self.by_unit, vectors, along)
+        shift = (self.by_unit @ (vectors @ along[..., None]))[..., 0]
         return np.asarray(shift.T @ shift)
+
+
+def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Sum over n and m of A B^T: (n, P, m) and (n, Q, m) → (P, Q), as one matrix product."""
+    flat = (np.moveaxis(part, 1, 0).reshape(part.shape[1], -1) for part in (A, B))
+    left, right = flat
+    product: FloatArray = left @ right.T
+    return product
 
 
 def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:

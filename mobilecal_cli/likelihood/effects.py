@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli import camera, se3
+from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.model import Camera, FloatArray, HeadChain, JointLink, LensCorrection, Side, StereoRig
 
@@ -222,6 +222,7 @@ class Sight:
         stated, rig: the stereo pair as stated, and with all constants applied.
         change: what was applied.
         pixels: (N, M, 2) predicted pixels before the lens correction.
+        terms: (N, M, 4, 2) displacements by a lens correction of one, term by term.
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the left camera's frame, m.
         by_point_c: (N, M, 2, 3) derivative of the corrected pixels by the point in the left camera's frame, px/m.
@@ -232,6 +233,7 @@ class Sight:
     rig: StereoRig
     change: CameraChange
     pixels: FloatArray
+    terms: FloatArray
     through: FloatArray | None
     points_c: FloatArray
     by_point_c: FloatArray
@@ -365,8 +367,7 @@ class LensTerm(CameraEffect):
         """The displacement by a correction of one."""
         if sight.side != self.side:
             return None
-        stated = sight.stated.left if self.side == "left" else sight.stated.right
-        return camera.lens_terms(stated, stated.K[:2, 2], sight.pixels)[0][..., self.term, :]
+        return sight.terms[..., self.term, :]
 
 
 class BoardEffect(Effect, ABC):

@@ -14,6 +14,7 @@ STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, n
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 1.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
+EXACT = 1e-6  # rad, m, s: of what has no noise
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
 
 
@@ -35,10 +36,10 @@ class Noise:
     wheel_rad_per_sqrt_rad: float
     encoder_rad: float
     joint_rad: float
-    floor_rad: float
-    floor_m: float
-    stamp_s: float
-    wheel_share: float
+    floor_rad: float = EXACT
+    floor_m: float = EXACT
+    stamp_s: float = EXACT
+    wheel_share: float = EXACT
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -116,7 +116,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     E_base, E_shared = JtG @ views.by_base, JtG @ views.by_shared
     GB, GS = views.information @ views.by_base, views.information @ views.by_shared
     Bt = np.swapaxes(views.by_base, 1, 2)
-    D, C, H = Bt @ GB, Bt @ GS, np.einsum("nqp,nqr->pr", views.by_shared, GS)
+    D, C, H = Bt @ GB, Bt @ GS, _summed(views.by_shared, GS)
     b = np.einsum("nqb,nq->nb", views.by_base, views.gradient)
     h = np.einsum("nqp,nq->p", views.by_shared, views.gradient)
 
@@ -135,7 +135,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     C[j] += jt @ Ws
     b[i] += np.einsum("lab,la->lb", legs.by_start, We)
     b[j] += np.einsum("lab,la->lb", legs.by_end, We)
-    H += np.einsum("lap,lar->pr", shared, Ws)
+    H += _summed(shared, Ws)
     h += np.einsum("lap,la->p", shared, We)
     _weak_terms(lin, D, b)
     unseen = _unseen_boards(lin)
@@ -150,7 +150,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     C -= reduce @ E_shared
     b -= np.einsum("nbj,nj->nb", reduce, e)
     solved = E_inverse @ E_shared
-    H -= np.einsum("njp,njr->pr", E_shared, solved)
+    H -= _summed(E_shared, solved)
     h -= np.einsum("njp,nj->p", solved, e)
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e))
 
@@ -173,6 +173,12 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         _diagonal=D,
         _off=off,
     )
+
+
+def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
+    product: FloatArray = A.reshape(-1, A.shape[2]).T @ B.reshape(-1, B.shape[2])
+    return product
 
 
 def _unseen_boards(lin: Linearization) -> IntArray:

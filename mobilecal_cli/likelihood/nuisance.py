@@ -237,10 +237,10 @@ def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterat
 
     Args:
         rows: with default priors.
-        sigmas: name or kind → prior sigma in the kind's unit: 0 for exact, infinite for free.
+        sigmas: name, kind or "all" → prior sigma in the kind's unit: 0 for exact, infinite for free.
     """
     for row in rows:
-        sigma = sigmas.get(row.name, sigmas.get(row.kind, row.sigma))
+        sigma = sigmas.get(row.name, sigmas.get(row.kind, sigmas.get("all", row.sigma)))
         if sigma > 0:
             wide = FREE * row.sigma if math.isinf(sigma) else sigma
             yield Constant(row.name, row.kind, row.part, row.meaning, row.effect, wide)

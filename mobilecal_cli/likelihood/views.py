@@ -92,9 +92,14 @@ def corner_residuals(
     ]
     for k, (side, camera, points) in enumerate(sides):
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
-        at, through = lens.corrected(camera, pixels)
+        stated = data.cameras.left if k == 0 else data.cameras.right
+        terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
+        at, through, shares = pixels, None, change.lens[side]
+        if np.any(shares):
+            at = pixels + shares @ terms
+            through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
+            J_p = through @ J_p
         residual[:, k] = at - data.pixels[stations, k]
-        J_p = J_p if through is None else through @ J_p
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
         x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
         by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
@@ -102,7 +107,7 @@ def corner_residuals(
         J[:, k, :, :, 1] = z * by_x - x * by_z
         J[:, k, :, :, 2] = x * by_y - y * by_x
         J[:, k, :, :, 3:6] = J_c
-        sight = Sight(side, data.cameras, rig, change, pixels, through, points_c, J_c)
+        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, J_c)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)

@@ -427,8 +427,8 @@ class Rig:
         sources: the topics used.
         settled_by: setting → its source ("flag", "file", "log", "default", ...), for the report.
         noise: given noise levels.
-        prior_sigmas: kind or name of a constant → its prior standard deviation, see `nuisance`; 0 if the stated value
-            is exact, infinite (math.inf) if nothing is known.
+        prior_sigmas: kind or name of a constant, or "all" → its prior standard deviation, see `nuisance`; 0 if the
+            stated value is exact, infinite (math.inf) if nothing is known.
     """
 
     cameras: StereoRig

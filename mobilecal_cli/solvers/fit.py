@@ -125,7 +125,7 @@ class Fit:
         return covariance
 
 
-def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
+def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset) -> Dataset:
     """The measurements, with all constants that they can show under the priors of rig.yaml and of the user.
 
     Raises:
@@ -140,20 +140,26 @@ def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
     sigmas |= dict.fromkeys(nuisance.names_of(constraints.constants, rows), math.inf)
     sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
     sigmas |= dict.fromkeys(constraints.fixed, math.inf)
-    data = dataset_of(extraction)
     offered = (row for row in rows if row.effect.offered(data))
     return data.with_constants(tuple(nuisance.with_priors(offered, sigmas)))
 
 
 class Fitter:
-    """Fits of one extraction under the user's constraints and priors."""
+    """Fits of one extraction under the user's constraints and priors.
+
+    `data` has the measurements of the extraction, if they were gathered before.
+    """
 
     def __init__(
-        self, extraction: Extraction, constraints: Constraints, on_step: Callable[[], None] = lambda: None
+        self,
+        extraction: Extraction,
+        constraints: Constraints,
+        on_step: Callable[[], None] = lambda: None,
+        data: Dataset | None = None,
     ) -> None:
         self._on_step = on_step
         self._constraints = constraints
-        self.data = dataset_for(extraction, constraints)
+        self.data = dataset_for(extraction, constraints, data or dataset_of(extraction))
         self.motion = motion_seen(self.data.pairs)
         nominal, fixed = extraction.rig.nominal, constraints.fixed
         T_h_c = None

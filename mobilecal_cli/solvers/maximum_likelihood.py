@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.model import Evidence, Extraction, Parameters
 from mobilecal_cli.solvers.consensus import consensus
@@ -30,11 +31,20 @@ class Solver:
     """The recipe for one extraction."""
 
     def __init__(
-        self, extraction: Extraction, constraints: Constraints, on_step: Callable[[], None] = lambda: None
+        self,
+        extraction: Extraction,
+        constraints: Constraints,
+        on_step: Callable[[], None] = lambda: None,
+        data: Dataset | None = None,
     ) -> None:
         self._extraction, self._constraints, self._on_step = extraction, constraints, on_step
-        self._fitter = Fitter(extraction, constraints, on_step)
+        self._fitter = Fitter(extraction, constraints, on_step, data)
         self._search = OutlierSearch(self._fitter)
+
+    @property
+    def data(self) -> Dataset:
+        """The measurements."""
+        return self._fitter.data
 
     @property
     def full_motion(self) -> bool:
@@ -62,7 +72,7 @@ class Solver:
             wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
             sigmas |= {name: rows[name] * wider for name in worst.values}
             rig = replace(self._extraction.rig, prior_sigmas=sigmas)
-            solver = Solver(replace(self._extraction, rig=rig), self._constraints, self._on_step)
+            solver = Solver(replace(self._extraction, rig=rig), self._constraints, self._on_step, fit.data)
             fit = solver.solve(fit.lin.state.parameters)
         return fit, tuple(found)
 

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -89,7 +90,8 @@ def solve(
             or an unobservable parameter has no nominal value.
     """
     constraints = constraints or Constraints()
-    legs = len(dataset_of(extraction).legs)
+    data = dataset_of(extraction)
+    legs = len(data.legs)
     if legs < FEWEST_LEGS:
         raise SolveError(
             f"{len(extraction.observations)} stations with {legs} legs between them "
@@ -97,7 +99,11 @@ def solve(
             "record more stations in each recording",
         )
     try:
-        solution = _solved(extraction, method, start_ratios, constraints, on_step)
+        if method == "ml":
+            solver = Solver(extraction, constraints, on_step, data)
+            solution = _by_likelihood(extraction, solver, start_ratios)
+        else:
+            solution = _by_points(extraction, data.pairs, method, start_ratios)
     except SolveError as error:
         found = diagnose(extraction)
         if found is None:
@@ -119,16 +125,12 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     )
 
 
-def _solved(
+def _by_points(
     extraction: Extraction,
-    method: Method,
+    pairs: MotionPairs,
+    method: Literal["linear", "paper", "lm"],
     start_ratios: FloatArray | None,
-    constraints: Constraints,
-    on_step: Callable[[], None],
 ) -> Solution:
-    pairs = dataset_of(extraction).pairs
-    if method == "ml":
-        return _by_likelihood(extraction, pairs, start_ratios, constraints, on_step)
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
     check_signs(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
@@ -173,14 +175,8 @@ def _corrected(pairs: MotionPairs, fit: Fit) -> MotionPairs:
     return replace(pairs, T_v_h=head_at(data, as_read), steps=data.steps(wheel_clock_s(data, state)))
 
 
-def _by_likelihood(
-    extraction: Extraction,
-    pairs: MotionPairs,
-    start_ratios: FloatArray | None,
-    constraints: Constraints,
-    on_step: Callable[[], None],
-) -> Solution:
-    solver = Solver(extraction, constraints, on_step)
+def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
+    pairs = solver.data.pairs
     if solver.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         check_signs(linear.parameters.wheels)

@@ -6,83 +6,105 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.effects import HeadEffect
-from mobilecal_cli.likelihood.nuisance import Constant
-from mobilecal_cli.report.findings import evidence_rows, extra_rows
+from mobilecal_cli.likelihood.effects import JointEffect
+from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
+from mobilecal_cli.report.findings import constant_rows
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.likelihood.test_normal import Case, reduced
 
+SHIFT_RAD = 0.02
+
 
 @dataclass(frozen=True)
-class ShakyMount(HeadEffect):
-    """A made-up constant: the head's mount is further forward than stated, at odd stations only."""
+class ShakyJoint(JointEffect):
+    """A made-up constant: the first joint is further than read, at odd stations only."""
 
-    def apply(self, T_v_h, value):
-        T = T_v_h.copy()
-        T[1::2, 0, 3] += value
-        return T
-
-    def twist(self, T_v_h):
-        return np.eye(6)[3] * (np.arange(len(T_v_h)) % 2)[:, None]
+    def rate(self, data, value):
+        rate = np.zeros_like(data.joints)
+        rate[1::2, 0] = 1.0
+        return rate
 
 
-SHAKY = Constant("shaky_mount", "shaky", "m", 0.05, "forward shift of the head at odd stations", ShakyMount())
+SHAKY = Constant("shaky_joint", "shaky", "torso", "shift of the torso at odd stations", ShakyJoint(), 0.005)
 
 
 @pytest.fixture
 def table(monkeypatch):
     monkeypatch.setattr(nuisance, "CONSTANTS", (*nuisance.CONSTANTS, SHAKY))
+    kind = Kind("shaky", "rad", 0.005, "deg", 180 / np.pi, "a made-up kind")
+    monkeypatch.setattr(nuisance, "_BY_NAME", {**nuisance._BY_NAME, "shaky": kind})
 
 
-def shaken(shift_m):
-    """A recording of a robot whose head is further forward at odd stations."""
+def shaken():
+    """A recording of a robot whose torso is pitched further than it reads at odd stations."""
     robot = paper_robot()
-    route = plan_route(robot, "standard", seed=1)
-    first = robot.joints[0]
-    x, y, z = first.xyz_m
-    forward = replace(robot, joints=(replace(first, xyz_m=(x + shift_m, y, z)), *robot.joints[1:]))
-    noise = Noise(0.2, 0.003, 0.0, np.radians(0.05))
-    still, moved = (ideal_extraction(each, route, noise, 1) for each in (robot, forward))
-    pairs = zip(still.observations, moved.observations, strict=True)
-    return replace(still, observations=tuple(two[k % 2] for k, two in enumerate(pairs)))
+    extraction = ideal_extraction(
+        robot, plan_route(robot, seed=1), Noise(0.2, 0.003, 0.0, np.radians(0.05)), seed=1
+    )
+    seen = list(extraction.observations)
+    for k in range(1, len(seen), 2):
+        seen[k] = replace(seen[k], joints=seen[k].joints - SHIFT_RAD * np.eye(len(seen[k].joints))[0])
+    return replace(extraction, observations=tuple(seen))
 
 
 @pytest.mark.usefixtures("table")
 def test_a_made_up_constant_is_estimated_and_reported():
-    extraction = shaken(0.02)
-    offered = {e.group: e for e in solve(extraction).evidence}["shaky"]
-    assert offered.state == "offered"
-    assert offered.bic > 10
-    found = solve(extraction, constraints=constraints_of([], [], ["shaky"]))
-    value, std = found.constants["shaky_mount"]
-    assert abs(value - 0.02) < 4 * std
-    assert {e.group: e.state for e in found.evidence}["shaky"] == "estimated"
-    (row,) = extra_rows(found, extraction)
-    assert (row.name, row.meaning, row.unit) == ("shaky_mount", SHAKY.meaning, "mm")
-    assert any(e.group == "shaky" for e, _, _ in evidence_rows(found, extraction))
+    extraction = shaken()
+    solution = solve(extraction)
+    found = solution.constants["shaky_joint"]
+    assert abs(found.value - SHIFT_RAD) < 4 * found.std
+    assert found.std < 0.2 * found.prior
+    assert next(e for e in solution.evidence if e.kind == "shaky").part == "torso"
+    row = next(row for row in constant_rows(solution, extraction) if row.name == "shaky_joint")
+    assert SHAKY.meaning in row.meaning
+    assert (row.unit, float(row.value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 
 
 @pytest.mark.usefixtures("table")
 def test_a_made_up_constant_has_a_prior_and_a_share_of_the_budget():
-    extraction = shaken(0.02)
-    fit = maximum_likelihood(extraction, constraints_of([], ["shaky_mount=0.0±0.0001"], ["shaky"]))
-    k = fit.data.layout.names.index("shaky_mount")
-    assert abs(fit.lin.state.value("shaky_mount")) < 0.005  # the prior wins
-    budget = fit.lin.budget()
-    assert np.allclose(sum(budget.values()), fit.lin.covariance, rtol=1e-9, atol=1e-15)
-    assert budget["prior shaky_mount"][k, k] > 0.9 * fit.lin.covariance[k, k]
-    free = maximum_likelihood(extraction, constraints_of([], [], ["shaky"]))
-    assert free.lin.budget()["prior shaky_mount"][k, k] < 0.01 * free.lin.covariance[k, k]
+    fit = maximum_likelihood(shaken(), constraints_of([], [], []), None)
+    narrow = replace(shaken(), rig=replace(shaken().rig, prior_sigmas={"shaky": 1e-5}))
+    held = maximum_likelihood(narrow)
+    assert abs(held.lin.state.value("shaky_joint")) < 0.1 * SHIFT_RAD  # the prior wins
+    for each in (fit, held):
+        budget = each.lin.budget()
+        assert np.allclose(sum(budget.values()), each.lin.covariance, rtol=1e-9, atol=1e-15)
+    k = held.data.layout.names.index("shaky_joint")
+    assert held.lin.budget()["prior shaky_joint"][k, k] > 0.9 * held.lin.covariance[k, k]
 
 
 @pytest.mark.usefixtures("table")
 def test_the_derivative_of_a_made_up_constant():
-    case = Case("standard", nuisance.CONSTANTS)
+    case = Case("standard")
     H, g = case.dense()
     S, _ = reduced(case, H, g)
-    k = case.data.layout.names.index("shaky_mount")
+    k = case.data.layout.names.index("shaky_joint")
     assert case.lin.normal.S[k, k] == pytest.approx(S[k, k], rel=1e-6)
+
+
+def test_every_kind_of_the_table_has_rows():
+    for robot in (paper_robot(), tick_robot()):
+        rows = nuisance.table(robot.rig_cameras, robot.chain)
+        assert {row.kind for row in rows} == {kind.name for kind in KINDS}
+        names = [row.name for row in rows]
+        assert len(set(names)) == len(names)
+        assert "tilt_zero" not in names  # the head-eye transform absorbs the last zero
+
+
+def test_priors_narrow_widen_fix_and_free():
+    robot = tick_robot()
+    rows = nuisance.table(robot.rig_cameras, robot.chain)
+    given = {"focal_length": 0.01, "focal_left": 0.0, "joint_zero": np.inf, "pan_scale": 2e-5}
+    sigmas = {row.name: row.sigma for row in nuisance.with_priors(rows, given)}
+    default = {row.name: row.sigma for row in rows}
+    assert "focal_left" not in sigmas
+    assert sigmas["focal_right"] == 0.01
+    assert sigmas["pan_zero"] == nuisance.FREE * default["pan_zero"]
+    assert sigmas["pan_scale"] == 2e-5
+    assert sigmas["stereo_r_x"] == default["stereo_r_x"]
+    assert not list(nuisance.with_priors(rows, {"all": 0.0}))
+    assert [r.name for r in nuisance.with_priors(rows, {"all": 0.0, "square_size": 1e-3})] == ["square_scale"]
