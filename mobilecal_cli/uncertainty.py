@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.kinematics import cut_at, head_pose
+from mobilecal_cli.kinematics import (
+    DRIVEN_RAD,
+    TILTED_RAD,
+    TURNED_RAD,
+    cut_at,
+    encoder_steps_rad,
+    head_pose,
+    motion_seen,
+)
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
 FEWEST_STATIONS, FEWEST_LEGS = 4, 3  # nine equations in translation and nine in rotation for nine unknowns
-_TILTED_RAD = np.radians(3.0)  # in a smaller range, the rotation axes are practically parallel for Tsai-Lenz
-_TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels
-_DRIVEN_RAD = 0.1  # wheel rotation: about 2 cm with typical wheels
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +37,6 @@ class Gap:
     because: str
     cure: str
     closed_by: tuple[tuple[str, ...], ...]
-
-
-def _vertical_range_rad(R_v_h: FloatArray) -> float:
-    """Largest angle between the vertical directions in the head's frame, (N, 3, 3) → rad."""
-    vertical_h = R_v_h[:, 2, :]
-    return float(np.arccos(np.clip(vertical_h @ vertical_h.T, -1, 1)).max())
 
 
 def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Gap, ...]:
@@ -68,51 +67,51 @@ def gaps_between(
         wheels: both wheels of each recording.
         times_ns: (n,) stations' times in each recording, increasing.
     """
-    gaps = []
-    T_v_h = head_pose(chain, joints)
-    tilted = _vertical_range_rad(T_v_h[:, :3, :3])
-    if tilted < _TILTED_RAD:
-        gaps.append(
-            Gap(
-                ("translation along the vertical", "rotation about the vertical"),
-                f"the head's tilt spans only {np.degrees(tilted):.2f} degrees "
-                f"(at least {np.degrees(_TILTED_RAD):.0f} needed)",
-                "tilt the head up and down by 15 degrees or more between stations, and pan it",
-                (NINE[3:6],),
-            )
-        )
     Phi = [np.zeros((0, 2))]
     for track, times in zip(wheels, times_ns, strict=True):
         if len(times) > 1:
             Phi.append(cut_at(track, times).totals_rad)
-    right, left = np.concatenate(Phi).T
-    turned, driven = np.abs(right - left).max(initial=0), np.abs(right + left).max(initial=0) / 2
-    if turned < _TURNED_RAD and driven < _DRIVEN_RAD:
+    seen = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(wheels))
+    gaps = []
+    if not seen.tilts:
+        gaps.append(
+            Gap(
+                ("translation along the vertical", "rotation about the vertical"),
+                f"the head's tilt spans only {np.degrees(seen.tilted_rad):.2f} degrees "
+                f"(at least {np.degrees(TILTED_RAD):.0f} needed)",
+                "tilt the head up and down by 15 degrees or more between stations, and pan it",
+                (NINE[3:6],),
+            )
+        )
+    if seen.shows_wheels:
+        return tuple(gaps)
+    turned, driven = seen.turned_rad, seen.driven_rad
+    if not (seen.turns or seen.drives):
         gaps.append(
             Gap(
                 ("radius_right", "radius_left", "separation"),
                 f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
-                f"between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
+                f"between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)",
                 "drive and turn the base between stations",
                 (NINE[6:],),
             )
         )
-    elif turned < _TURNED_RAD:
+    elif not seen.turns:
         gaps.append(
             Gap(
                 ("separation", "ratio of the radii"),
                 f"the base only drives straight: the rotations of the two wheels differ by at most "
-                f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(_TURNED_RAD):.1f} needed)",
+                f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)",
                 "turn the base by 20 degrees or more between some stations",
                 (("separation",),),
             )
         )
-    elif driven < _DRIVEN_RAD:
+    else:
         gaps.append(
             Gap(
                 ("common scale of radius_right, radius_left, separation",),
                 f"the base only turns in place: the mean rotation of the two wheels is at most "
-                f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(_DRIVEN_RAD):.1f} needed)",
+                f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)",
                 "drive forward or back by 20 cm or more between some stations",
                 tuple((name,) for name in NINE[6:]),
             )

@@ -1,6 +1,7 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
 from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose
+from mobilecal_cli.kinematics.motion import DRIVEN_RAD, TILTED_RAD, TURNED_RAD, MotionSeen, motion_seen
 from mobilecal_cli.kinematics.wheels import (
     Arcs,
     Increments,
@@ -15,10 +16,14 @@ from mobilecal_cli.kinematics.wheels import (
 )
 
 __all__ = [
+    "DRIVEN_RAD",
+    "TILTED_RAD",
+    "TURNED_RAD",
     "Arcs",
     "Increments",
     "JointFrames",
     "LegMotion",
+    "MotionSeen",
     "between_steps",
     "cut_at",
     "encoder_step_rad",
@@ -28,4 +33,5 @@ __all__ = [
     "integrate",
     "integrate_with_jacobian",
     "join",
+    "motion_seen",
 ]

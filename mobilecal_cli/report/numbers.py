@@ -186,7 +186,7 @@ def written(sigma: Sigma) -> str:
 
 
 def std_text(std: float) -> str:
-    """A standard deviation with two significant digits, never rounded to zero."""
+    """A standard deviation or an error with two significant digits, never rounded to zero."""
     return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
 
 

@@ -281,10 +281,10 @@ def _stereo(extraction: Extraction) -> Iterator[Check]:
     px = float(np.median([o.reprojection_px for o in extraction.observations]))
     yield Check(
         "stereo reprojection error of the board",
-        f"{px:.2f} px (median)",
+        f"{std_text(px)} px (median)",
         f"under {STEREO_BAD_PX:g} px",
         graded(px, STEREO_LOOK_PX, STEREO_BAD_PX),
-        f"The stereo reprojection error of the board is {px:.2f} px (0.3 px is usual).",
+        f"The stereo reprojection error of the board is {std_text(px)} px (0.3 px is usual).",
         "Calibrate the stereo pair again (camera_info), and check that the board is flat.",
     )
 

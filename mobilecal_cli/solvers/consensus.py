@@ -128,7 +128,11 @@ def consensus(
         if number >= _FEW_DRAWS and best is not None and best[0] < _GOOD_ENOUGH * _USUAL:
             break
     if best is None:
-        raise SolveError("no four legs between stations determine the parameters", "try --method linear")
+        raise SolveError(
+            "no four legs between stations determine the parameters",
+            "check that the base turns and drives between stations, and the signs and units of joints and wheels in "
+            "rig.yaml",
+        )
     for _ in range(_POLISH):
         distance = disagreement(pairs, best[1], weight)
         factor = max(best[0] / _USUAL, 1e-6)

@@ -10,16 +10,11 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.kinematics import MotionSeen, motion_seen
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters, WheelTrack
-from mobilecal_cli.solvers.initial import (
-    InitialPrior,
-    few_rounds,
-    initial_with_prior,
-    linear_estimate,
-    motion_seen,
-    ratios_of,
-)
+from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 _CLEARLY_BETTER = (
@@ -140,8 +135,8 @@ class _Score:
 
 def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     """Fit of the best of some starts, wheel ratios (2,); None where none gives positive wheels."""
-    pairs = dataset_of(extraction).pairs
-    seen, prior = motion_seen(pairs), InitialPrior(None, extraction.rig.nominal.wheels)
+    data = dataset_of(extraction)
+    pairs, seen, prior = data.pairs, _motion(data), InitialPrior(None, extraction.rig.nominal.wheels)
     full = seen.tilts and seen.turns and seen.drives
     found: list[tuple[float, Parameters]] = []
     for ratios in starts if full else starts[:1]:
@@ -165,8 +160,12 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     return _Score(rms / distance_m, turned)
 
 
+def _motion(data: Dataset) -> MotionSeen:
+    return motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad)
+
+
 def _has_full_motion(extraction: Extraction) -> bool:
-    seen = motion_seen(dataset_of(extraction).pairs)
+    seen = _motion(dataset_of(extraction))
     return seen.tilts and seen.drives and seen.turned_rad > _TURNED_RAD
 
 

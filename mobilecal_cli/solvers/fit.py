@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import motion_seen
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
@@ -20,15 +21,8 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.initial import (
-    FEW_ROUNDS,
-    InitialPrior,
-    few_rounds,
-    initial_with_prior,
-    linear_estimate,
-    motion_seen,
-    ratios_of,
-)
+from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.noise import (
     GUESS,
     UNIFORM,
@@ -160,7 +154,8 @@ class Fitter:
         self._on_step = on_step
         self._constraints = constraints
         self.data = dataset_for(extraction, constraints, data or dataset_of(extraction))
-        self.motion = motion_seen(self.data.pairs)
+        pairs = self.data.pairs
+        self.motion = motion_seen(pairs.T_v_h, pairs.steps.totals_rad, self.data.encoder_step_rad)
         nominal, fixed = extraction.rig.nominal, constraints.fixed
         T_h_c = None
         if nominal.T_h_reference is not None:

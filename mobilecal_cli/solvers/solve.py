@@ -33,7 +33,8 @@ from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.diagnosis import diagnose
 from mobilecal_cli.solvers.findings import budget_of, constants_of, jackknife_std, over_logs, scale_of
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.initial import linear_estimate, ratios_of
+from mobilecal_cli.solvers.initial import linear_estimate
+from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell

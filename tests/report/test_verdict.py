@@ -112,9 +112,13 @@ def test_wheels_far_from_their_nominal_sizes(solution, extraction):
 
 
 def test_a_stereo_pair_that_does_not_fit(solution, extraction):
-    failing(
-        solution, with_seen(extraction, reprojection_px=1.3), "reprojection error of the board is 1.30 px"
-    )
+    failing(solution, with_seen(extraction, reprojection_px=1.3), "reprojection error of the board is 1.3 px")
+
+
+def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
+    verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
+    (check,) = [c for c in verdict.checks if c.name == "stereo reprojection error of the board"]
+    assert check.measured == "0.0031 px (median)"
 
 
 def test_squares_of_another_size(solution, extraction):

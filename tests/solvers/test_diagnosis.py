@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.model import WheelTrack
+from mobilecal_cli.model import WheelGeometry, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -33,6 +33,13 @@ def with_wheels(extraction, right, left, swapped=False):
     a, b = (track.left, track.right) if swapped else (track.right, track.left)
     wheels = (WheelTrack(replace(a, value=right * a.value), replace(b, value=left * b.value)),)
     return replace(extraction, wheels=wheels)
+
+
+def with_nominal_wheels(extraction, radius, separation):
+    nominal = extraction.rig.nominal
+    factors = np.array([radius, radius, separation])
+    nominal = replace(nominal, wheels=WheelGeometry(*(factors * nominal.wheels.vector)))
+    return replace(extraction, rig=replace(extraction.rig, nominal=nominal))
 
 
 def frozen(joint):
@@ -62,6 +69,7 @@ MISTAKES = {
     "both signs": (lambda e: with_joints(e, lambda q: -q), "the signs of all head joints are reversed"),
     "exchanged": (lambda e: with_joints(e, lambda q: q[::-1]), "pan_joint and tilt_joint are exchanged"),
     "degrees": (lambda e: with_joints(e, np.degrees), "the joint readings are in degrees"),
+    "radians": (lambda e: with_joints(e, np.radians), "are in radians, but were taken for degrees"),
     "pan frozen": (lambda e: with_joints(e, frozen(PAN)), "the reading of pan_joint never changes"),
     "tilt frozen": (lambda e: with_joints(e, frozen(TILT)), "the reading of tilt_joint never changes"),
     "right": (lambda e: with_wheels(e, -1, 1), "the right wheel's encoder has the wrong sign"),
@@ -70,6 +78,12 @@ MISTAKES = {
         lambda e: with_wheels(e, -1, -1),
         "right wheel's encoder has the wrong sign and the left",
     ),
+    "diameter for radius": (
+        lambda e: with_nominal_wheels(e, 2.0, 1.0),
+        "The right wheel radius is 82.4 mm, about half of the nominal 164.0 mm",
+    ),
+    "half the ticks": (lambda e: with_wheels(e, 2, 2), "about half of the nominal 82.0 mm"),
+    "twice the ticks": (lambda e: with_wheels(e, 0.5, 0.5), "about twice the nominal 82.0 mm"),
     "swapped": (lambda e: with_wheels(e, 1, 1, swapped=True), "the left and right wheels are swapped"),
 }
 

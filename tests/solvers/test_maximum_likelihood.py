@@ -17,6 +17,7 @@ from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import OutlierSearch
 from tests.bench.simulated import errors, spoiled
+from tests.solvers.test_several_logs import joined
 
 ROBOT = paper_robot()
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
@@ -342,15 +343,11 @@ def test_nothing_more_is_offered_where_nothing_more_is_there(solution):
 
 def two_logs(seeds, robots):
     """Two extractions as two logs of one."""
-    parts = [
-        ideal_extraction(r, plan_route(r, "standard", seed=s), NOISE, s)
-        for s, r in zip(seeds, robots, strict=True)
-    ]
-    return replace(
-        parts[0],
-        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
-        wheels=tuple(part.wheels[0] for part in parts),
-        joint_tracks=tuple(part.joint_tracks[0] for part in parts),
+    return joined(
+        *(
+            ideal_extraction(r, plan_route(r, "standard", seed=s), NOISE, s)
+            for s, r in zip(seeds, robots, strict=True)
+        )
     )
 
 

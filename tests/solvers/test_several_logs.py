@@ -8,13 +8,16 @@ import pytest
 from scipy.special import stdtrit
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.model import NINE, Corners, Provenance, WheelGeometry
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.model import NINE, Corners, Nominal, Provenance, WheelGeometry
 from mobilecal_cli.report import judge, report_json
 from mobilecal_cli.report.findings import log_rows
+from mobilecal_cli.simulate.drive import Drive, Stretch
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.uncertainty import motion_gaps
 from tests.bench.simulated import errors
 
 ROBOT = paper_robot()
@@ -162,3 +165,50 @@ def test_too_few_legs(recordings, stations, method):
     extraction = joined(*(recorded("standard", seed, stations=stations) for seed in range(recordings)))
     with pytest.raises(SolveError, match=rf"with {recordings * (stations - 1)} legs .* \(at least 3 legs"):
         solve(extraction, method)
+
+
+# -- short legs -------------------------------------------------------------------------------------
+
+
+def short_leg(seed, turn_rad):
+    """Two stations 8 mm apart, with the same head pose in all recordings."""
+    route = plan_route(ROBOT, "standard", stations=1, seed=0)
+    step = Stretch(0.1, np.copysign(0.08, np.random.default_rng(seed).normal()), turn_rad / 0.1)
+    route = replace(
+        route,
+        drive=Drive((Stretch(1.0), step, Stretch(1.0))),
+        knots_s=np.array([0.0, 2.1]),
+        rests_s=np.array([[0.0, 1.0], [1.1, 2.1]]),
+    )
+    return ideal_extraction(ROBOT, route, NOISE, seed)
+
+
+def short_legs(turns_rad):
+    """Recordings of two stations each, with the head-eye transform in the description, but no wheels."""
+    extraction = joined(*(short_leg(seed, turn) for seed, turn in enumerate(turns_rad)))
+    nominal = Nominal(ROBOT.T_h_c @ extraction.rig.cameras.T_c_reference, None)
+    return replace(extraction, rig=replace(extraction.rig, nominal=nominal))
+
+
+FIX = constraints_of(["head_eye"], [], [])
+
+
+def test_many_short_legs_show_the_wheels_together():
+    """No leg turns a wheel by 0.1 rad; nominal wheels are not needed."""
+    extraction = short_legs(np.random.default_rng(0).uniform(-0.025, 0.025, 40))
+    legs = dataset_of(extraction).pairs.steps.totals_rad
+    assert np.abs(legs).max() < 0.1
+    assert motion_gaps(extraction, FIX.fixed) == ()
+    found = solve(extraction, constraints=FIX)
+    assert found.uncertainty.observable.tolist() == [False] * 6 + [True] * 3
+    off = found.parameters.wheels.vector - ROBOT.wheels.vector
+    assert np.all(np.abs(off) < 3 * found.uncertainty.std[6:])
+    assert np.all(found.uncertainty.std[6:] < 0.05 * ROBOT.wheels.vector)
+
+
+def test_many_short_legs_without_a_turn_do_not_show_the_separation():
+    extraction = short_legs(np.zeros(40))
+    (gap,) = motion_gaps(extraction, FIX.fixed)
+    assert "separation" in gap.parameters
+    with pytest.raises(SolveError, match="the motion does not show the wheel radii"):
+        solve(extraction, constraints=FIX)
