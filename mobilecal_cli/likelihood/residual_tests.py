@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import fdtri
 
+from mobilecal_cli import se3
 from mobilecal_cli.likelihood.noise import FREE_JOINT
-from mobilecal_cli.likelihood.views import linearize_views
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.likelihood.state import board_in_camera
+from mobilecal_cli.likelihood.views import Views, linearize_views
+from mobilecal_cli.model import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
 
+#: Smaller discrepancies never make an outlier, however small the noise is: they do not matter at work.
+SMALL_M, SMALL_RAD = 3e-4, float(np.radians(0.005))
 _FALSE_ALARM = 1e-4  # chance to reject one good measurement in a recording of 50 stations
 _NO_REDUNDANCY = 0.02
 
@@ -74,17 +78,48 @@ class ResidualTests:
             unknown, five.
         """
         lin = self._lin
-        whole = replace(lin.inliers, views=np.ones(lin.data.stations, dtype=np.bool_))
-        views = linearize_views(lin.data, lin.state, whole, lin.noise)
-        G, g = views.information[:, :6, :6], views.gradient[:, :6]
-        inverse = np.linalg.pinv(G, hermitian=True)
-        off = -np.einsum("nab,nb->na", inverse, g)
+        views, off, inverse = self._apart
         spread = inverse + lin.marginals.views[:, :6, :6]
         freed = np.empty_like(lin.data.joints)
         for j in range(lin.data.joints.shape[1]):
             k = views.by_own[:, :6, j : j + 1]
             freed[:, j] = _mahalanobis(off, spread + FREE_JOINT**2 * (k @ np.swapaxes(k, 1, 2)))
         return _mahalanobis(off, spread), freed
+
+    @cached_property
+    def _apart(self) -> tuple[Views, FloatArray, FloatArray]:
+        """All images, used or not: their residuals, the boards' poses by them alone against the predicted ones as left
+        twists (N, 6), and the covariance of these (N, 6, 6).
+        """
+        lin = self._lin
+        whole = replace(lin.inliers, views=np.ones(lin.data.stations, dtype=np.bool_))
+        views = linearize_views(lin.data, lin.state, whole, lin.noise)
+        inverse: FloatArray = np.asarray(
+            np.linalg.pinv(views.information[:, :6, :6], hermitian=True), np.float64
+        )
+        return views, -np.einsum("nab,nb->na", inverse, views.gradient[:, :6]), inverse
+
+    # -- what does not matter ---------------------------------------------------------------------
+
+    @cached_property
+    def small_views(self) -> BoolArray:
+        """(N,) stations whose images show the board where it is predicted, to `SMALL_RAD` and `SMALL_M`."""
+        lin = self._lin
+        _, off, _ = self._apart
+        middle = se3.act(board_in_camera(lin.data, lin.state), lin.data.points_k.mean(axis=0)[None])[:, 0]
+        shift = off[:, 3:] + np.cross(off[:, :3], middle)
+        return _small(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(shift, axis=1))
+
+    @cached_property
+    def small_legs(self) -> BoolArray:
+        """(L,) legs whose wheels agree with the base poses to `SMALL_RAD` and `SMALL_M`."""
+        x, y, heading = self._lin.legs.residual.T
+        return _small(np.abs(heading), np.hypot(x, y))
+
+    @cached_property
+    def small_readings(self) -> BoolArray:
+        """(N, J) joint readings that are right to `SMALL_RAD`."""
+        return np.asarray(np.abs(self._lin.state.joint_errors) < SMALL_RAD * self._lin.data.joint_units)
 
     @cached_property
     def predicted_legs(self) -> FloatArray:
@@ -99,6 +134,10 @@ class ResidualTests:
         used = (lin.noise.joint_rad * lin.data.joint_units) ** 2
         spread = used + np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : lin.data.joints.shape[1]]
         return np.asarray(lin.state.joint_errors**2 / spread)
+
+
+def _small(turn_rad: FloatArray, shift_m: FloatArray) -> BoolArray:
+    return np.asarray((turn_rad < SMALL_RAD) & (shift_m < SMALL_M))
 
 
 def _mahalanobis(off: FloatArray, covariance: FloatArray) -> FloatArray:

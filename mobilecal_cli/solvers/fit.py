@@ -71,6 +71,7 @@ class Fit:
         components: what each noise level rests on.
         directions: what the data show.
         given: names of the noise levels that are not estimated.
+        noisy: kinds of measurements whose many outliers were taken as noise.
         between: the recordings one by one, where there are several.
         pooled_covariance: (named, named) covariance that allows for the spread between recordings.
     """
@@ -80,6 +81,7 @@ class Fit:
     components: Mapping[str, Component]
     directions: Directions
     given: frozenset[str]
+    noisy: tuple[str, ...] = ()
     between: BetweenLogs | None = None
     pooled_covariance: FloatArray | None = None
 

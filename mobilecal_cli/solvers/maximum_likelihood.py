@@ -95,7 +95,16 @@ class Solver:
                 break
             before.append(again.inliers)
             fit = again
-        return fitter.estimate_noise(fit, FINE)
+        noisy = search.too_many(fit)
+        fit = self._with_all(fit, noisy) if noisy else fit
+        return replace(fitter.estimate_noise(fit, FINE), noisy=noisy)
+
+    def _with_all(self, fit: Fit, noisy: tuple[str, ...]) -> Fit:
+        """A fit of all measurements of some kinds: so many outliers are noise, larger than supposed."""
+        all_of = Inliers.all_of(fit.data)
+        inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
+        _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
+        return self._fitter.estimate_noise(self._fitter.fit(fit.lin.state, inliers, fit.noise))
 
     def _first_fit(self, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
         """A fit of all measurements, or of those on which most legs agree if all together are implausible."""

@@ -19,6 +19,7 @@ _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
 _FEWEST_VIEWS = 4
+_TOO_MANY = 1 / 3  # outliers among the measurements of a kind: that kind's noise is larger than supposed
 # Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
 _APART = 5
@@ -94,7 +95,8 @@ class OutlierSearch:
         if not out.any():
             return None
         as_read, freed = fit.lin.tests.predicted_views
-        agree = out & (as_read < limit(self._data.stations, 6, redundancy))
+        near = fit.lin.tests.small_views
+        agree = out & (near | (as_read < limit(self._data.stations, 6, redundancy)))
         if agree.any():
             return replace(inliers, views=inliers.views | agree)
         least = np.where(out, freed.min(axis=1), np.inf)
@@ -143,7 +145,8 @@ class OutlierSearch:
         else:
             statistic = tests.predicted_readings
             redundancy = self._known_by("joint_rad", joints.redundancy)
-        return np.asarray(statistic / limit(count, _DEGREES[kind], redundancy))
+        beyond = statistic / limit(count, _DEGREES[kind], redundancy)
+        return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
 
     def _known_by(self, level: str, redundancy: float) -> float:
         """Number of residuals that a noise level rests on: very many where it is given."""
@@ -203,6 +206,10 @@ class OutlierSearch:
             if wrong:
                 return trial
         return None
+
+    def too_many(self, fit: Fit) -> tuple[str, ...]:
+        """Kinds of measurements more than a third of which are outliers."""
+        return tuple(kind for kind in _DEGREES if np.mean(~getattr(fit.inliers, kind)) > _TOO_MANY)
 
     def _refitted(self, fit: Fit, inliers: Inliers) -> Fit:
         """A fit of other inliers, from where an earlier one ended, with noise levels of its own."""
