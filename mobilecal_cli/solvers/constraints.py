@@ -20,6 +20,7 @@ _GROUPS = {
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # Constants that depend on the robot's joints: their names are checked when the robot is known.
 _OF_THE_ROBOT = re.compile(r".+_(?:zero|scale|axis_[xyz]|position_[xyz])|backlash_.+|baseline_[xyz]")
+_OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
@@ -54,7 +55,9 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, known, 1)
     meant = f"did you mean {near[0]}? " if near else ""
     if name.startswith("tilt_zero") or name == "tilt":
-        meant = "the zero offset of the last joint is equivalent to a head-eye rotation; "
+        meant = (
+            "the zero offset of the last joint is a head-eye rotation and cannot be estimated separately; "
+        )
     return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known parameters: {', '.join(known)}")
 
 
@@ -80,8 +83,8 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     kinds = [kind.name for kind in nuisance.KINDS]
     for name in requested:
         if name not in (*kinds, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--estimate", name, [*kinds, *fixed_rows])
-    known = [*NINE, *_GROUPS, *fixed_rows]
+            raise _unknown("--estimate", name, [*kinds, *fixed_rows, *_OFTEN])
+    known = [*NINE, *_GROUPS, *fixed_rows, *_OFTEN]
     fixed: dict[str, float | None] = {}
     for text in fix:
         name, given, number = text.partition("=")

@@ -8,14 +8,16 @@ import numpy as np
 
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.predict import gradients_at, variance
-from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Extraction, FloatArray, ScaleCheck
+from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Evidence, Extraction, FloatArray, ScaleCheck
 from mobilecal_cli.solvers.fit import Fit
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
-def scale_of(extraction: Extraction, fit: Fit) -> ScaleCheck | None:
+def scale_of(
+    extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...] = ()
+) -> ScaleCheck | None:
     """Consistency of square size and stereo baseline; None if no square size is stated or one of them is exact.
 
     The board measured with the baseline as stated, over its stated size: what both estimates together say, without
@@ -37,7 +39,9 @@ def scale_of(extraction: Extraction, fit: Fit) -> ScaleCheck | None:
         return None
     ratio, std = value / (1 - share), np.sqrt(after / (1 - share))
     chi2 = value**2 / (before - after)
-    return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, chi2 > _APART_CHI2)
+    wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
+    apart_too_far = wrong or chi2 > _APART_CHI2
+    return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, apart_too_far)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

@@ -186,7 +186,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
             pairs, solver.initial()
         )  # no sign check: an unobservable scale may have any sign
     fit, contradictions = solver.solve_with_wider_priors(linear.parameters)
-    scale = scale_of(extraction, fit)
+    scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 from mobilecal_cli import __version__, se3  # noqa: E402
 from mobilecal_cli.likelihood.dataset import dataset_of  # noqa: E402
 from mobilecal_cli.likelihood.linearization import Linearization  # noqa: E402
-from mobilecal_cli.likelihood.noise import Inliers, Noise  # noqa: E402
+from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise  # noqa: E402
 from mobilecal_cli.likelihood.priors import Priors  # noqa: E402
 from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack  # noqa: E402
 from mobilecal_cli.simulate import ideal  # noqa: E402
@@ -72,6 +72,13 @@ def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
     ]
     turn = se3.log_so3(found.T_h_c[:3, :3] @ X[:3, :3].T)
     return np.concatenate([turn, found.T_h_c[:3, 3] - X[:3, 3], wheels])
+
+
+def as_described(extraction: Extraction) -> Extraction:
+    """The same for a robot that is exactly as described: no uncertain constants, a flat floor."""
+    flat = dict.fromkeys(("floor_rad", "floor_m", "stamp_s", "wheel_share"), EXACT)
+    rig = extraction.rig
+    return replace(extraction, rig=replace(rig, noise=replace(rig.noise, **flat), prior_sigmas={"all": 0.0}))
 
 
 def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:

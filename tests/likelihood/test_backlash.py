@@ -22,7 +22,9 @@ def plain(extraction):
         for j, track in enumerate(extraction.joint_tracks[o.log]):
             earlier = track.value[track.time_ns < o.time_ns]
             away = earlier[np.abs(earlier - o.joints[j]) > 0.002]
-            sides.append(np.sign(o.joints[j] - away[-1]) if len(away) else 0.0)
+            rate = (track.at(np.array([o.time_ns])) - track.at(np.array([o.time_ns - 50_000_000])))[0] / 0.05
+            last = np.sign(o.joints[j] - away[-1]) if len(away) else 0.0
+            sides.append(np.sign(rate) if abs(rate) > 0.03 else last)
     return np.array(sides).reshape(len(extraction.observations), -1)
 
 

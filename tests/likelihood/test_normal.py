@@ -145,5 +145,5 @@ def test_back_substitution_solves_the_dense_equations(case):
     found = case.lin.normal.step(step)
     assert (
         np.abs(np.concatenate([found.base.ravel(), found.own.ravel()]) - other).max()
-        < 1e-5 * np.abs(other).max()
+        < 1e-4 * np.abs(other).max()  # in motion, rates are secants over 40 ms
     )
