@@ -1,0 +1,171 @@
+"""Simulated robots that are not as described, shared by the studies: cases, their solution, and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.model import Extraction, FloatArray, KnownNoise, Parameters, Solution
+from mobilecal_cli.report import judge
+from mobilecal_cli.simulate import ideal
+from mobilecal_cli.simulate.imperfect import (
+    PRIORS,
+    STATION_NOISE,
+    Imperfection,
+    Outside,
+    draw,
+    imperfect_extraction,
+)
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, tick_robot
+from mobilecal_cli.simulate.route import Motion, Route, plan_route
+from mobilecal_cli.solvers import Constraints, solve
+from mobilecal_cli.solvers.fit import Fitter
+from mobilecal_cli.solvers.initial_state import initial_state
+from tests.bench.simulated import RUNS_PER_ROUTE, errors
+
+ROBOTS = {"paper": paper_robot, "pan-tilt": tick_robot}
+_DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
+#: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
+PERFECT, USUAL = ideal.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
+FIVE_SIGMA = 5.0
+_NOTHING = Outside()
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is simulated.
+
+    Attributes:
+        robot: key of `ROBOTS`.
+        stations: number of stops; a moving recording has 40 images.
+        motion: kind of route.
+        kinds: constants that are drawn: kind or name → times its prior's standard deviation.
+        fixed: constants with a given value.
+        noise: of the recording.
+        outside: what no constant describes.
+    """
+
+    robot: str = "pan-tilt"
+    stations: int = 20
+    motion: Motion = "standard"
+    kinds: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    noise: ideal.Noise = PERFECT
+    outside: Outside = _NOTHING
+
+    def constants(self, seed: int) -> dict[str, float]:
+        """The constants of one run."""
+        drawn = dict(self.fixed)
+        for kind, scale in self.kinds.items():
+            drawn |= draw(ROBOTS[self.robot](), np.random.default_rng([seed, 7]), scale, {kind})
+        return drawn
+
+    def extraction(self, seed: int) -> Extraction:
+        """One run."""
+        robot = ROBOTS[self.robot]()
+        route = route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
+        return imperfect_extraction(
+            robot, route, Imperfection(self.constants(seed), self.noise, self.outside), seed
+        )
+
+
+def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
+    """Every kind of constant; the clocks' offsets in moving recordings only, with at most 20 ms."""
+    kinds = dict.fromkeys(PRIORS, scale)
+    clock = kinds.pop("clock")
+    return kinds | ({"clock": 0.1 * clock} if moving else {})
+
+
+@cache
+def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
+    """One of the routes that all runs share."""
+    return plan_route(ROBOTS[robot](), motion, stations=stations, seed=number)
+
+
+def given(noise: ideal.Noise) -> KnownNoise:
+    """All levels of a simulation as known."""
+    names = (*_DEVICES, "floor_rad", "floor_m", "stamp_s", "wheel_share")
+    return KnownNoise(**{name: getattr(noise, name) for name in names})
+
+
+def with_noise(extraction: Extraction, known: KnownNoise) -> Extraction:
+    """The same with given noise levels."""
+    return replace(extraction, rig=replace(extraction.rig, noise=known))
+
+
+@cache
+def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArray:
+    """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
+    true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
+    extraction = ideal.ideal_extraction(true, route)
+    data = Fitter(extraction, Constraints()).data
+    parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
+    fitter = Fitter(extraction, Constraints())
+    noise = Noise(encoder_rad=0.0, **given(USUAL).given)
+    state = initial_state(data, parameters, everything)
+    lin = Linearization.at(data, state, everything, noise, fitter.priors(parameters))
+    bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
+    return bound
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One solved run.
+
+    Attributes:
+        error: (9,) found minus true; NaN where the solver refused.
+        std: (9,) stated standard deviations.
+        nees: (3,) squared normalized error of rotation, translation and wheels, each over 3, and `all`, over 9.
+        level: verdict.
+        named: kind of each contradiction, most significant first.
+        outliers: number of outliers other than single corners.
+    """
+
+    error: FloatArray
+    std: FloatArray
+    nees: FloatArray
+    level: str
+    named: tuple[str, ...]
+    outliers: int
+
+    @property
+    def false_pass(self) -> bool:
+        """PASS, and one of the nine beyond five stated standard deviations."""
+        return self.level == "PASS" and bool(np.any(np.abs(self.error) > FIVE_SIGMA * self.std))
+
+
+def run_of(extraction: Extraction, robot: SimulatedRobot) -> Run:
+    """Solve and judge one extraction."""
+    try:
+        solution = solve(extraction)
+    except MobilecalError as error:
+        nothing = np.full(9, np.nan)
+        return Run(nothing, nothing, np.full(4, np.nan), f"refused: {error.message[:60]}", (), 0)
+    return _judged(solution, extraction, robot)
+
+
+def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:
+    known = solution.uncertainty
+    assert known is not None
+    error, C = errors(solution.parameters, robot), known.covariance
+    parts = [slice(0, 3), slice(3, 6), slice(6, 9), slice(0, 9)]
+    nees = [float(error[p] @ np.linalg.solve(C[p, p], error[p])) / len(error[p]) for p in parts]
+    level = judge(solution, extraction).level
+    named = tuple(found.kind for found in solution.contradictions)
+    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
+    return Run(error, known.std, np.array(nees), level, named, gross)
+
+
+def summary(error: FloatArray, robot: SimulatedRobot) -> str:
+    """Root-mean-square errors (n, 9) of rotation (deg), translation (mm) and wheels (%), as three cells."""
+    rms = np.sqrt(np.nanmean(error**2, axis=0))
+    rotation, translation = np.degrees(np.linalg.norm(rms[:3])), 1e3 * np.linalg.norm(rms[3:6])
+    wheels = 100 * float(np.max(rms[6:] / robot.wheels.vector))
+    return f"{rotation:.3f} | {translation:.2f} | {wheels:.3f}"
