@@ -43,49 +43,70 @@ def head_pose(chain: HeadChain, joints: FloatArray) -> FloatArray:
 class JointFrames:
     """Each moving link's frame before its own motion, and that motion, at N stations.
 
+    Derivatives are left twists in the vehicle's frame, T -> exp(twist) T, tangent order of `se3`.
+
     Attributes:
         links: index in the chain → the link.
-        T_v_j: index → (N, 4, 4) joint coordinates to vehicle coordinates, before the motion, m.
+        R_v_j, p_v_j: index → (N, 3, 3) and (N, 3) joint coordinates to vehicle coordinates, before the motion; the
+            origin as shifted, m.
         motion: index → (N, 4, 4) the motion.
+        columns: index → column of the joint.
+        T_v_h: (N, 4, 4) head coordinates to vehicle coordinates, m.
     """
 
     links: Mapping[int, JointLink]
-    T_v_j: Mapping[int, FloatArray]
+    R_v_j: Mapping[int, FloatArray]
+    p_v_j: Mapping[int, FloatArray]
     motion: Mapping[int, FloatArray]
+    columns: Mapping[int, int]
+    T_v_h: FloatArray
 
     @classmethod
     def at(cls, chain: HeadChain, joints: FloatArray) -> JointFrames:
         """Frames for joint positions (N, J), rad or m."""
         column = {name: i for i, name in enumerate(chain.joints)}
-        T = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
-        links, frames, motions = {}, {}, {}
+        T: FloatArray = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        links, rotations, origins, motions, columns = {}, {}, {}, {}, {}
         for index, link in enumerate(chain.links):
             if isinstance(link, FixedLink):
                 T = T @ link.T_parent_child
                 continue
-            links[index], frames[index] = link, T
-            motions[index] = joint_motion(link, joints[:, column[link.joint]])
+            links[index], columns[index] = link, column[link.joint]
+            rotations[index] = T[:, :3, :3]
+            origins[index] = T[:, :3, 3] + T[:, :3, :3] @ link.shift_m
+            motions[index] = joint_motion(link, joints[:, columns[index]])
             T = T @ motions[index]
-        return cls(links, frames, motions)
+        return cls(links, rotations, origins, motions, columns, T)
+
+    def _about_origin(self, index: int, turn_v: FloatArray) -> FloatArray:
+        """(N, 6) twists of rotations (N, 3) in the vehicle's frame about a joint's origin."""
+        return np.concatenate([turn_v, np.cross(self.p_v_j[index], turn_v)], axis=1)
+
+    def by_joints(self) -> FloatArray:
+        """(N, 6, J) twists by the joint positions."""
+        twists = np.zeros((len(self.T_v_h), 6, 1 + max(self.columns.values(), default=-1)))
+        for index, link in self.links.items():
+            along = self.R_v_j[index] @ (link.multiplier * link.axis)
+            if link.kind == "revolute":
+                twists[:, :, self.columns[index]] += self._about_origin(index, along)
+            else:
+                twists[:, 3:, self.columns[index]] += along
+        return twists
 
     def by_axis(self, index: int, turn: FloatArray) -> FloatArray:
-        """(N, 6) left twists in the vehicle's frame by turning a joint's axis about (3,) in the joint's frame."""
-        link, R, p = self.links[index], self.T_v_j[index][:, :3, :3], self.T_v_j[index][:, :3, 3]
-        moved = self.motion[index]
-        twist = np.zeros((len(p), 6))
+        """(N, 6) twists by turning a joint's axis about (3,) in the joint's frame."""
+        link, moved = self.links[index], self.motion[index]
         if link.kind == "prismatic":
             amount = (moved[:, :3, 3] - link.shift_m) @ link.axis
-            twist[:, 3:] = R @ np.cross(turn, link.axis) * amount[:, None]
-            return twist
-        twist[:, :3] = (R @ (turn - moved[:, :3, :3] @ turn)[..., None])[..., 0]
-        origin = p + R @ link.shift_m
-        twist[:, 3:] = np.cross(origin, twist[:, :3])
-        return twist
+            shift = self.R_v_j[index] @ np.cross(turn, link.axis) * amount[:, None]
+            return np.concatenate([np.zeros_like(shift), shift], axis=1)
+        turned = turn - moved[:, :3, :3] @ turn
+        return self._about_origin(index, (self.R_v_j[index] @ turned[..., None])[..., 0])
 
     def by_origin(self, index: int, along: FloatArray) -> FloatArray:
-        """(N, 6) left twists in the vehicle's frame by shifting a joint's origin along (3,) in the joint's frame."""
-        R = self.T_v_j[index][:, :3, :3]
-        return np.concatenate([np.zeros((len(R), 3)), R @ along], axis=1)
+        """(N, 6) twists by shifting a joint's origin along (3,) in the joint's frame."""
+        shift = self.R_v_j[index] @ along
+        return np.concatenate([np.zeros_like(shift), shift], axis=1)
 
 
 def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:

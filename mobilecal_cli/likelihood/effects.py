@@ -238,6 +238,13 @@ class Sight:
     points_c: FloatArray
     by_point_c: FloatArray
 
+    def by_shift(self, shift_c: FloatArray) -> FloatArray:
+        """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the left camera's frame, m."""
+        x, y, z = np.moveaxis(shift_c, -1, 0)[..., None]
+        J = self.by_point_c
+        moved: FloatArray = J[..., 0] * x + J[..., 1] * y + J[..., 2] * z
+        return moved
+
     def corrected(self, shift: FloatArray) -> FloatArray:
         """(N, M, 2) displacements of pixels before the correction as displacements after it."""
         return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
@@ -278,7 +285,7 @@ class RightTurn(CameraEffect):
             return None
         axis = se3.left_jacobian_so3(sight.change.turn)[:, self.axis]
         arm = sight.points_c - sight.rig.T_c_r[:3, 3]
-        return np.asarray(-np.einsum("nmab,nmb->nma", sight.by_point_c, np.cross(axis, arm)))
+        return -sight.by_shift(np.cross(axis, arm))
 
 
 @dataclass(frozen=True, slots=True)

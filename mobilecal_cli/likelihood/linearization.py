@@ -84,6 +84,15 @@ class Linearization:
                 other.__dict__[name] = self.__dict__[name]
         return other
 
+    def with_noise(self, noise: Noise) -> Linearization:
+        """The same point with other noise levels, and the legs' covariance for the wheels of this state."""
+        other = Linearization.at(self.data, self.state, self.inliers, noise, self.priors)
+        if "views" in self.__dict__:
+            other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
+        if "legs" in self.__dict__ and (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0):
+            other.__dict__["legs"] = self.legs
+        return other
+
     def of_log(self, log: int) -> Linearization:
         """The part that belongs to one recording."""
         data = self.data

@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import JointFrames, head_jacobian, head_pose
+from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ChainEffect, JointEffect, Sight
 from mobilecal_cli.likelihood.noise import Inliers, Noise
@@ -53,6 +53,16 @@ class Views:
     by_base: FloatArray
     by_own: FloatArray
     by_shared: FloatArray
+
+    def scaled(self, factor: float) -> Views:
+        """The same with a corner noise that is so many times larger."""
+        weight = factor**-2
+        return replace(
+            self,
+            information=weight * self.information,
+            gradient=weight * self.gradient,
+            cost=weight * self.cost,
+        )
 
 
 def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
@@ -115,7 +125,7 @@ def corner_residuals(
                     J[:, k, :, :, column] = by_value
             elif isinstance(row.effect, BoardEffect):
                 shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
-                J[:, k, :, :, column] = np.einsum("nmab,nmb->nma", J_c, shift_c)
+                J[:, k, :, :, column] = sight.by_shift(shift_c)
     return residual, J
 
 
@@ -126,14 +136,14 @@ def _pose_columns(
     count, joints = data.joints.shape
     change, positions = chain_change(data, state), joints_at(data, state)
     chain = change.apply(data.chain)
-    frames, T_v_h = JointFrames.at(chain, positions), head_pose(chain, positions)
-    T_floor_v = state.T_floor_v
-    Ad_c_floor = se3.adjoint(se3.inverse(T_floor_v @ T_v_h @ X))
+    frames = JointFrames.at(chain, positions)
+    T_v_c = frames.T_v_h @ X
+    Ad_c_floor, Ad_c_v = se3.adjoint(se3.inverse(np.stack([state.T_floor_v @ T_v_c, T_v_c])))
     by_base = np.zeros((count, width, data.base_width))
     by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
     by_base[data.first] = 0.0  # the world is the base at its first station
     by_own = np.zeros((count, width, data.own_width))
-    by_own[:, :6, :joints] = -se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, positions)
+    by_own[:, :6, :joints] = -Ad_c_v @ frames.by_joints()
     by_own[:, :6, joints:] = -Ad_c_floor @ _floor_twists(state)
     if data.base_width > 5:
         rates = data.joint_rates(joint_clock_s(data, state))
@@ -141,13 +151,16 @@ def _pose_columns(
 
     by_shared = np.zeros((count, width, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
-    Ad_c_v = se3.adjoint(se3.inverse(T_v_h @ X))
+    of_chain = [
+        (k, row.effect) for k, row in enumerate(layout.constants, 9) if isinstance(row.effect, ChainEffect)
+    ]
+    if of_chain:
+        twists = np.stack([effect.twist(frames, change) for _, effect in of_chain], axis=2)
+        by_shared[:, :6, [column for column, _ in of_chain]] = -Ad_c_v @ twists
     for column, row in enumerate(layout.constants, 9):
         if isinstance(row.effect, JointEffect):
             rate = row.effect.rate(data, state.value(row.name))
             by_shared[:, :6, column] = (by_own[:, :6, :joints] @ rate[:, :, None])[..., 0]
-        elif isinstance(row.effect, ChainEffect):
-            by_shared[:, :6, column] = (-Ad_c_v @ row.effect.twist(frames, change)[..., None])[..., 0]
     for pixel_row, (column, _) in enumerate(layout.direct, 6):
         by_shared[:, pixel_row, column] = 1.0
     Ad_c_k = se3.adjoint(T_c_k)

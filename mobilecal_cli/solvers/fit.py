@@ -27,6 +27,7 @@ from mobilecal_cli.solvers.noise import (
     GUESS,
     UNIFORM,
     Component,
+    LevelSearch,
     components,
     converged,
     estimated,
@@ -57,8 +58,9 @@ class Tolerances:
 #: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
 #: that their cost does not grow with the recording.
 LONG_RECORDING = 100
+_WHILE_LEVELS_MOVE = 1e-3  # end of an optimization between two changes of the noise levels, see `optimize`
 _COARSE, _QUICK = Tolerances(0.1, None, NEAR), Tolerances(0.1, 0.02, 1e-3)
-FINE = Tolerances(0.01, None, NEAR)
+FINE = Tolerances(0.03, None, NEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,17 +265,21 @@ class Fitter:
             inliers, noise: the measurements that are used, and their noise.
             tolerances: `coarse` by default.
         """
-        near, user = (tolerances or self.coarse).near, self._user_weight()
+        start = Linearization.at(self.data, state, inliers, noise, self.priors(state.parameters))
+        return self._fit_from(start, (tolerances or self.coarse).near)
+
+    def _fit_from(self, start: Linearization, near: float) -> Fit:
+        user = self._user_weight()
         for _ in range(_OBSERVABILITY_ROUNDS):
-            start = Linearization.at(self.data, state, inliers, noise, self.priors(state.parameters))
             unobservable = start.observable_directions(user).unobservable
             if len(unobservable) or self._constraints.fixed:
                 self._require_nominal(unobservable)
-            optimum = optimize(start.under(self.priors(state.parameters, unobservable)), near, self._on_step)
-            state = optimum.lin.state
+            priors = self.priors(start.state.parameters, unobservable)
+            optimum = optimize(start.under(priors), near, self._on_step)
             shown = optimum.lin.observable_directions(user)
             if _same_space(shown.unobservable, unobservable):
                 break
+            start = optimum.lin.under(self.priors(optimum.lin.state.parameters))
         return self._fitted(optimum.lin, optimum.history, shown)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -287,13 +293,15 @@ class Fitter:
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
-        tolerances = tolerances or self.coarse
+        tolerances, search = tolerances or self.coarse, LevelSearch(self.given)
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(fit.noise, fit.components, self.given, self._guess)
             if tolerances.enough is not None and converged(fit.noise, noise, tolerances.enough):
                 break
             done = converged(fit.noise, noise, tolerances.levels)
-            fit = self.fit(fit.lin.state, fit.inliers, noise, tolerances)
+            near = tolerances.near if done else max(tolerances.near, _WHILE_LEVELS_MOVE)
+            lin = fit.lin.with_noise(noise if done else search.next(fit.noise, noise))
+            fit = self._fit_from(lin.under(self.priors(lin.state.parameters)), near)
             if done:
                 break
         return fit

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Noise
+from mobilecal_cli.model import FloatArray
 
 # Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor.
 GUESS = Noise(
@@ -26,6 +27,7 @@ LEAST = Noise(1e-3, 1e-5, 0.0, 1e-6, floor_rad=1e-6, floor_m=1e-6, stamp_s=1e-6,
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
 MOST = Noise(1e3, 1.0, 1.0, 1.0, floor_rad=0.1, floor_m=0.1, stamp_s=0.1, wheel_share=0.1)
 _WORTH, _FADES_AT = 2.0, 4.0
+_MEMORY, _FARTHEST = 3, 2.0  # rounds that are remembered, and the largest change of a level, as a logarithm
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -101,6 +103,41 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
         level = before * float(np.sqrt(factor))
         changes[name] = min(max(level, getattr(LEAST, name)), getattr(MOST, name))
     return replace(noise, **changes)
+
+
+class LevelSearch:
+    """Anderson's acceleration of the fixed point of noise levels, on their logarithms.
+
+    Levels that few residuals show converge slowly by themselves: tens of rounds.
+
+    Args:
+        given: names of levels that stay.
+    """
+
+    def __init__(self, given: frozenset[str]) -> None:
+        self._given = given
+        self._levels: list[FloatArray] = []
+        self._changes: list[FloatArray] = []
+
+    def next(self, noise: Noise, found: Noise) -> Noise:
+        """Levels for the next round, from those of this round and what its residuals say."""
+        names = [name for name, level in asdict(noise).items() if name not in self._given and level > 0]
+        at = np.log([getattr(noise, name) for name in names])
+        change = np.log([getattr(found, name) for name in names]) - at
+        if self._changes and np.linalg.norm(change) > 2 * np.linalg.norm(self._changes[-1]):
+            self._levels, self._changes = [], []
+        self._levels, self._changes = [*self._levels[-_MEMORY:], at], [*self._changes[-_MEMORY:], change]
+        step = change
+        if len(self._changes) > 1:
+            dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
+            weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
+            step = change - (dX + dF) @ weights
+        step = np.clip(step, -_FARTHEST, _FARTHEST)
+        levels = dict(zip(names, np.exp(at + step).tolist(), strict=True))
+        inside = {
+            name: min(max(level, getattr(LEAST, name)), getattr(MOST, name)) for name, level in levels.items()
+        }
+        return replace(noise, **inside)
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:
