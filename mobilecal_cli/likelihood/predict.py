@@ -78,7 +78,7 @@ def gradients(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatA
 
 def variance(gradient: FloatArray, covariance: FloatArray) -> float:
     """Sum of the variances of k figures, (k, K) and (K, K)."""
-    return float(np.einsum("kp,pq,kq->", gradient, covariance, gradient))
+    return float(np.sum((gradient @ covariance) * gradient))
 
 
 def _expected(by: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
