@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     FiniteFloat,
@@ -243,6 +244,21 @@ class NominalConfig(_Section):
     wheels: WheelsNominal | None = None
 
 
+def _prior_entry(value: object) -> object:
+    """One standard deviation, or a word.
+
+    Raises:
+        ValueError: neither of them.
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value in ("fixed", "free") or (number and 0 <= float(value) < math.inf):  # type: ignore[arg-type]
+        return value
+    raise ValueError("must be a standard deviation (zero or more), fixed or free")
+
+
+PriorEntry = float | Literal["fixed", "free"]
+
+
 class NoiseConfig(_Section):
     """Known standard deviations; the others are estimated from the recording."""
 
@@ -250,6 +266,10 @@ class NoiseConfig(_Section):
     wheel_rad_per_sqrt_rad: PositiveFloat | None = Field(None, description="of a wheel over one radian")
     encoder_rad: PositiveFloat | None = Field(None, description="of one encoder reading")
     joint_rad: PositiveFloat | None = Field(None, description="of one joint reading")
+    floor_rad: PositiveFloat | None = Field(None, description="of the base's roll and pitch at a station")
+    floor_m: PositiveFloat | None = Field(None, description="of the base's height at a station")
+    stamp_s: PositiveFloat | None = Field(None, description="of an image's stamp, in motion")
+    wheel_share: PositiveFloat | None = Field(None, description="of a wheel's rotation over a leg, relative")
 
 
 class RigConfig(_Section):
@@ -263,6 +283,10 @@ class RigConfig(_Section):
     head: HeadConfig = HeadConfig()
     nominal: NominalConfig = NominalConfig()
     noise: NoiseConfig = NoiseConfig()
+    priors: dict[Text, Annotated[PriorEntry, BeforeValidator(_prior_entry)]] = Field(
+        {},
+        description="kind or name of a constant, or all → standard deviation of the stated value, fixed or free",
+    )
     gates: dict[Text, FiniteFloat] = Field({}, description="metric → limit, as for --gate")
     stations: Literal["auto", "all"] = Field(
         "auto",

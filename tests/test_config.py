@@ -165,3 +165,20 @@ def test_an_unknown_key_of_a_joints_field_is_explained(write):
     with pytest.raises(ConfigError, match=r"joints.fields.pan.topics: unknown key") as caught:
         load_rig(write("joints: {fields: {pan: {topics: /head, field: angle}}}"))
     assert "did you mean topic" in caught.value.hint
+
+
+def test_priors_are_numbers_or_words(write):
+    rig = load_rig(write("priors: {all: fixed, focal_length: 0.2, pan_zero: free}"), {"priors.clock": 5})
+    assert rig.priors == {"all": "fixed", "focal_length": 0.2, "pan_zero": "free", "clock": 5}
+    key, value = parse_setting("priors.focal_length=0.1")
+    assert load_rig(None, {key: value}).priors == {"focal_length": 0.1}
+
+
+@pytest.mark.parametrize("value", ["-0.1", ".nan", ".inf", "exact", "true", "[1]", "null"])
+def test_other_priors_are_refused(write, value):
+    with pytest.raises(ConfigError) as caught:
+        load_rig(write(f"priors: {{focal_length: {value}}}"))
+    assert (
+        "priors.focal_length: must be a standard deviation (zero or more), fixed or free"
+        in caught.value.message
+    )

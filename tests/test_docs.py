@@ -12,6 +12,7 @@ import jsonschema
 import pytest
 
 from mobilecal_cli import errors
+from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.conftest import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
@@ -52,6 +53,14 @@ def test_every_error_says_what_to_do(generator):
 def test_the_options_are_up_to_date():
     options = generator_of("options")
     assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
+
+
+def test_the_table_of_priors_is_that_of_the_code():
+    text = (DOCS / "reference" / "rig-yaml.md").read_text(encoding="utf-8")
+    table = text[text.index("| kind | unit | default |") :].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:4]] for line in table.splitlines()[2:]]
+    stated = {name.strip("`"): (unit.split(",")[0], float(default)) for name, unit, default in rows}
+    assert stated == {kind.name: (kind.shown_unit, pytest.approx(kind.sigma * kind.shown)) for kind in KINDS}
 
 
 PAGES = sorted(

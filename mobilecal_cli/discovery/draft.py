@@ -13,6 +13,7 @@ from mobilecal_cli.discovery.joints import pan_and_tilt
 from mobilecal_cli.discovery.wheels import wheel_sources
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import IMAGES, Prelude, Side, WheelSource
 
 _SIDES: tuple[Side, Side] = ("left", "right")
@@ -113,6 +114,19 @@ def _head(prelude: Prelude) -> list[str]:
     ]
 
 
+def _priors() -> list[str]:
+    """The section `priors` with all defaults, as comments."""
+    entries = [(f"#   {kind.name}: {kind.sigma * kind.shown:.4g}", kind) for kind in KINDS]
+    width = max(len(entry) for entry, _ in entries)
+    return [
+        "# how well the stated constants of the robot are known: one standard deviation of each, fixed (exact) or free",
+        "# (ignored). all: fixed makes every constant exact; an entry for a single constant, such as focal_left,",
+        "# overrides that of its kind.",
+        "# priors:",
+        *(f"{entry:{width}}  # {kind.shown_unit}: {kind.meaning}" for entry, kind in entries),
+    ]
+
+
 def draft_rig(prelude: Prelude, log_name: str) -> str:
     """Text of a rig.yaml with the keys found in the recording, and comments on the others.
 
@@ -142,5 +156,7 @@ def draft_rig(prelude: Prelude, log_name: str) -> str:
         "",
         "# known standard deviations; those omitted are estimated from the recording",
         "# noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}",
+        "",
+        *_priors(),
     ]
     return "\n".join(lines) + "\n"

@@ -17,6 +17,7 @@ from mobilecal_cli.discovery.chain import (
     nominal_head_eye,
 )
 from mobilecal_cli.discovery.joints import joint_fields, joint_topics, joint_transforms, pan_and_tilt
+from mobilecal_cli.discovery.priors import prior_sigmas
 from mobilecal_cli.discovery.transforms import urdf_of_transforms
 from mobilecal_cli.discovery.wheels import nominal_wheels, wheel_sources
 from mobilecal_cli.errors import ConfigError, RecordingError
@@ -258,6 +259,7 @@ def settle_rig(
             Sources(images, infos, parts.joints, parts.wheels, parts.elsewhere, layout),
             settled_by,
             KnownNoise(**config.noise.model_dump()),
+            prior_sigmas(config.priors, parts.cameras, chain),
         ),
         parts.head.notes,
     )
@@ -303,6 +305,8 @@ def _find(config: RigConfig, prelude: Prelude, urdf_text: str | None) -> tuple[_
         elsewhere |= tried(lambda: joint_fields(config, prelude, head.chain)) or {}
         elsewhere |= joint_transforms(config, prelude, head.chain, head.urdf)
         joints = tried(lambda: joint_topics(config, prelude, head.chain, elsewhere))
+        if cameras is not None:
+            tried(lambda: prior_sigmas(config.priors, cameras, head.chain))
     if lacks or images is None or cameras is None or wheels is None or head is None or joints is None:
         return None, lacks
     return _Parts(images, topics, rectified, cameras, wheels, head, elsewhere, joints), lacks

@@ -27,8 +27,8 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 6
-_OLDEST_READ = 5  # both wheels at the same times
+SCHEMA_VERSION = 7
+_OLDEST_READ = 5  # both wheels at the same times; 6: no priors of constants
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12

@@ -1,11 +1,12 @@
 """Conversion of frozen dataclasses to plain JSON values and back, by their type annotations.
 
-New fields need no change here.
+New fields need no change here. Those with a default value may be missing, as in data of an earlier version.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ import numpy as np
 
 T = TypeVar("T")
 _SCALARS = (str, int, float, bool)
+_INFINITE = "inf"  # JSON has no such number
 
 
 def to_plain(value: object) -> Any:  # noqa: ANN401  (any JSON value)
@@ -29,6 +31,8 @@ def to_plain(value: object) -> Any:  # noqa: ANN401  (any JSON value)
         return [to_plain(inner) for inner in value]
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, float) and math.isinf(value):
+        return _INFINITE if value > 0 else f"-{_INFINITE}"
     if value is None or isinstance(value, _SCALARS):
         return value
     raise TypeError(f"{type(value).__name__} has no plain form")
@@ -61,7 +65,7 @@ def _decode(kind: Any, data: Any, where: str) -> Any:  # noqa: ANN401
     if origin is Mapping:
         pairs = _expect(data, dict, where).items()
         return {key: _decode(arguments[1], item, f"{where}.{key}") for key, item in pairs}
-    if kind is float and type(data) is int:
+    if kind is float and (type(data) is int or data in (_INFINITE, f"-{_INFINITE}")):
         return float(data)
     if type(data) is not kind:
         raise ValueError(f"{where}: {type(data).__name__} instead of {kind}")
@@ -70,11 +74,21 @@ def _decode(kind: Any, data: Any, where: str) -> Any:  # noqa: ANN401
 
 def _decode_dataclass(kind: type, data: object, where: str) -> object:
     hints = typing.get_type_hints(kind)
-    names = {f.name for f in dataclasses.fields(kind)}
     given = _expect(data, dict, where)
-    if given.keys() != names:
-        raise ValueError(f"{where}: extra or missing keys: {sorted(given.keys() ^ names)}")
+    if wrong := _wrong_keys(kind, given):
+        raise ValueError(f"{where}: extra or missing keys: {wrong}")
     return kind(**{name: _decode(hints[name], given[name], f"{where}.{name}") for name in given})
+
+
+def _wrong_keys(kind: type, given: Mapping[str, object]) -> list[str]:
+    """Keys that a dataclass does not have, and fields without a default value that are missing."""
+    required = {
+        f.name
+        for f in dataclasses.fields(kind)
+        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    }
+    extra = given.keys() - {f.name for f in dataclasses.fields(kind)}
+    return sorted(extra | (required - given.keys()))
 
 
 def _decode_union(kinds: tuple[Any, ...], data: Any, where: str) -> Any:  # noqa: ANN401
@@ -85,7 +99,7 @@ def _decode_union(kinds: tuple[Any, ...], data: Any, where: str) -> Any:  # noqa
         fits = [
             kind
             for kind in others
-            if dataclasses.is_dataclass(kind) and {f.name for f in dataclasses.fields(kind)} == data.keys()
+            if dataclasses.is_dataclass(kind) and isinstance(kind, type) and not _wrong_keys(kind, data)
         ]
         if len(fits) != 1:
             raise ValueError(f"{where}: keys {sorted(data)} match none of {others}")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.discovery import shown_priors
 from mobilecal_cli.model import Board, Extraction, FixedLink, FloatArray, HeadChain, WheelSource
 
 
@@ -107,4 +108,6 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         }
     if rig.noise.given:
         settings["noise"] = rig.noise.given
+    if rig.prior_sigmas:
+        settings["priors"] = shown_priors(rig.prior_sigmas, rig.cameras, rig.chain)
     return settings

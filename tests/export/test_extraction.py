@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import zipfile
 
 import numpy as np
@@ -58,7 +59,9 @@ cameras = st.builds(
 )
 links = st.one_of(
     st.builds(FixedLink, arrays(4, 4)),
-    st.builds(JointLink, names, arrays(3), st.sampled_from(["revolute", "prismatic"]), finite, finite),
+    st.builds(
+        JointLink, names, arrays(3), st.sampled_from(["revolute", "prismatic"]), finite, finite, arrays(3)
+    ),
 )
 wheel_sources = st.builds(
     WheelSource,
@@ -94,7 +97,8 @@ rigs = st.builds(
         wheels=st.fixed_dictionaries(dict.fromkeys(sides, wheel_sources)),
     ),
     settled_by=st.dictionaries(names, names, max_size=3),
-    noise=st.builds(KnownNoise, *[st.none() | finite] * 3),
+    noise=st.builds(KnownNoise, *[st.none() | finite] * 8),
+    prior_sigmas=st.dictionaries(names, finite | st.just(math.inf), max_size=3),
 )
 
 
@@ -190,6 +194,23 @@ def test_a_file_with_both_wheels_at_the_same_times_is_read():
     stream = io.BytesIO()
     np.savez(stream, **content)
     assert_same(extraction, extraction_from_npz(stream.getvalue()))
+
+
+def test_a_file_without_priors_is_read():
+    """Schema version 6, as it was written: no priors of constants, corrections or shifts, and fewer noise levels."""
+
+    def older(header):
+        rig = header["rig"]
+        header["schema_version"] = 6
+        del rig["prior_sigmas"]
+        for level in ("floor_rad", "floor_m", "stamp_s", "wheel_share"):
+            del rig["noise"][level]
+        for side in ("left", "right"):
+            del rig["cameras"][side]["correction"]
+        for link in rig["chain"]["links"]:
+            link.pop("shift_m", None)
+
+    assert_same(make_extraction(n=2), extraction_from_npz(with_header(older)))
 
 
 def test_numpy_alone_can_read_it():
