@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Annotated
 
 import numpy as np
@@ -20,9 +21,11 @@ from pydantic import (
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.likelihood.nuisance import kind
 from mobilecal_cli.model import (
     NINE,
     CalibratedRobot,
+    EstimatedConstant,
     Extraction,
     FloatArray,
     Knowledge,
@@ -33,9 +36,14 @@ from mobilecal_cli.model import (
     StereoRig,
     WheelGeometry,
 )
+from mobilecal_cli.model.text import visible
 from mobilecal_cli.yaml_input import load_yaml
 
+SCHEMA_VERSION = 2
+_OLDEST_READ = 1  # no constants
 NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
+_PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the joint's position
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
 
@@ -57,7 +65,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
     wheels = solution.parameters.wheels
     blocks = [
         "# Robot calibration by mobilecal. Lengths in m, angles in rad unless the key says deg.",
-        "schema_version: 1",
+        f"schema_version: {SCHEMA_VERSION}",
         "",
         *_head_eye_comment(cameras),
         "head_eye:",
@@ -78,6 +86,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # reprojection error: the same in px",
         "",
         *_uncertainty_lines(solution, cameras),
+        *_constant_lines(solution, extraction),
         *_provenance_lines(provenance),
     ]
     return "\n".join(blocks) + "\n"
@@ -107,6 +116,21 @@ def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
         f"  noise: {{pixel_px: {exponential(levels.pixel_px)}, "
         f"wheel_rad_per_sqrt_rad: {exponential(levels.wheel_rad_per_sqrt_rad)}, "
         f"joint_rad: {exponential(levels.joint_rad)}, estimated: {str(bool(levels.estimated)).lower()}}}",
+        "",
+    ]
+
+
+def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
+    """The block `constants`; empty for methods that estimate none."""
+    if solution.uncertainty is None:
+        return []
+    sliding = extraction.rig.chain.prismatic
+    changed = [found for found in solution.constants.values() if found.prior > 0 or found.value]
+    return [
+        "# Constants of the robot description: value is the difference from the stated value, sigma its standard",
+        "# deviation, prior that of the stated value. Units: rad, m, s; share: relative, or of the image width.",
+        "constants:" if changed else "constants: {}",
+        *(_constant_line(found, sliding) for found in changed),
         "",
     ]
 
@@ -168,6 +192,19 @@ def _provenance_lines(provenance: Provenance) -> list[str]:
     ]
 
 
+def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
+    """Unit of a constant: rad, m, s or share; joints that slide are in m."""
+    unit = {"1": "share"}.get(kind(found.kind).unit, kind(found.kind).unit)
+    return "m" if found.kind in _JOINT_POSITIONS and found.part in sliding else unit
+
+
+def _constant_line(found: EstimatedConstant, sliding: frozenset[str]) -> str:
+    name = found.name if _PLAIN_NAME.fullmatch(found.name) else quoted(found.name)
+    numbers = (("value", found.value), ("sigma", found.std), ("prior", found.prior))
+    shown = ", ".join(f"{key}: {exponential(value)}" for key, value in numbers)
+    return f"  {name}: {{{shown}, unit: {_unit(found, sliding)}}}  # {visible(found.part)}: {found.meaning}"
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -211,6 +248,10 @@ class _Uncertainty(_Section):
         return self
 
 
+class _Constant(_Section):
+    value: FiniteFloat
+
+
 class _Log(_Section):
     path: str
     sha256: str
@@ -246,13 +287,14 @@ class _File(_Section):
     head_eye_raw: _HeadEye | None = None
     wheels: _Wheels
     uncertainty: _Uncertainty | None = None
+    constants: dict[str, _Constant] | None = None
     provenance: _Provenance = _Provenance()
 
     @field_validator("schema_version")
     @classmethod
     def _known(cls, value: int) -> int:
-        if value != 1:
-            raise ValueError(f"version {value} is not supported, only 1")
+        if not _OLDEST_READ <= value <= SCHEMA_VERSION:
+            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {SCHEMA_VERSION}")
         return value
 
 
@@ -276,7 +318,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         checked = _File.model_validate(data)
     except ValidationError as error:
         raise ConfigError(f"{name}: {_problems(error)}", _HINT) from error
-    head_eye, wheels = checked.head_eye, checked.wheels
+    head_eye, wheels, constants = checked.head_eye, checked.wheels, checked.constants
     rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
     known = checked.uncertainty
     knowledge = None
@@ -298,6 +340,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         wheel_joints={side: joint for side, joint in joints.items() if joint},
         nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
         rectified=checked.head_eye_raw is not None,
+        constants=None if constants is None else {name: entry.value for name, entry in constants.items()},
     )
 
 

@@ -44,6 +44,8 @@ class CalibratedRobot:
         wheel_joints: names of the wheel joints if the wheels were read from joint states.
         nominal_wheels: nominal wheels, if any.
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
+        constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
+            or as a share; None if the file does not contain them.
     """
 
     parent_frame: str
@@ -56,6 +58,7 @@ class CalibratedRobot:
     wheel_joints: Mapping[Side, str] = field(default_factory=dict)
     nominal_wheels: WheelGeometry | None = None
     rectified: bool = False
+    constants: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, T_parent_child=(4, 4))

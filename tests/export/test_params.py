@@ -15,7 +15,16 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.export.yaml_text import decimal, dump, quoted
-from mobilecal_cli.model import LogSource, Parameters
+from mobilecal_cli.model import (
+    AtWork,
+    Budget,
+    EstimatedConstant,
+    JointLink,
+    LogSource,
+    NoiseLevels,
+    Parameters,
+    Uncertainty,
+)
 from tests.report.example import (
     HOSTILE,
     make_extraction,
@@ -62,7 +71,7 @@ def test_the_whole_file_against_its_golden_copy(extraction, solution):
 def test_the_contract_of_keys(extraction, solution):
     data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
     assert list(data) == ["schema_version", "head_eye", "wheels", "quality", "provenance"]
-    assert data["schema_version"] == 1
+    assert data["schema_version"] == 2
     assert list(data["head_eye"]) == [
         "parent_frame", "child_frame", "translation_m", "quaternion_xyzw", "euler_zyx_deg",
     ]  # fmt: skip
@@ -190,7 +199,10 @@ def test_read_back(extraction, solution):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("schema_version: 1", "schema_version: 2"), "schema_version: version 2 is not supported"),
+        (
+            ("schema_version: 2", "schema_version: 3"),
+            "schema_version: version 3 is not supported, only 1 to 2",
+        ),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
         (("  separation_m: 0", "  separation_m: -0"), "wheels.separation_m: Input should be greater than 0"),
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
@@ -212,3 +224,56 @@ def test_a_bad_file_is_a_config_error(extraction, solution, change, said):
 def test_a_foreign_file_is_a_config_error(text):
     with pytest.raises(ConfigError):
         parameters_from_yaml(text)
+
+
+CONSTANTS = {
+    constant.name: constant
+    for constant in (
+        EstimatedConstant("focal_left", "focal_length", "left camera", "focal length", 1.25e-3, 4e-4, 2e-3),
+        EstimatedConstant("pan_zero", "joint_zero", "head_pan", "zero position", -2e-3, 1e-3, 9e-3),
+        EstimatedConstant("lift # 1_zero", "joint_zero", "lift # 1", "zero position", 1e-4, 1e-5, 9e-4),
+        EstimatedConstant("board_bend_x", "board_bend", "board", "bend along x", 3e-4, 0.0, 0.0),
+        EstimatedConstant("baseline_scale", "baseline_length", "stereo pair", "length", 0.0, 0.0, 0.0),
+    )
+}
+
+
+def with_constants(solution, extraction):
+    """A solution with constants: one of a sliding joint with a strange name, and two that the user fixed."""
+    noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, (), {})
+    uncertainty = Uncertainty(
+        np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
+        np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
+    )  # fmt: skip
+    lift = JointLink("lift # 1", np.array([0.0, 0, 1]), "prismatic")
+    chain = dataclasses.replace(extraction.rig.chain, links=(lift, *extraction.rig.chain.links))
+    rig = dataclasses.replace(extraction.rig, chain=chain)
+    return dataclasses.replace(solution, uncertainty=uncertainty, constants=CONSTANTS), dataclasses.replace(
+        extraction, rig=rig
+    )
+
+
+def test_constants_are_listed_with_their_units(extraction, solution):
+    found, lifted = with_constants(solution, extraction)
+    text = params_yaml(found, lifted, make_provenance(lifted))
+    constants = both_versions(text)["constants"]
+    assert list(constants) == ["focal_left", "pan_zero", "lift # 1_zero", "board_bend_x"]
+    assert constants["focal_left"] == {"value": 1.25e-3, "sigma": 4e-4, "prior": 2e-3, "unit": "share"}
+    assert [entry["unit"] for entry in constants.values()] == ["share", "rad", "m", "m"]
+    assert constants["board_bend_x"] == {"value": 3e-4, "sigma": 0, "prior": 0, "unit": "m"}
+    robot = parameters_from_yaml(text)
+    assert robot.constants == {name: CONSTANTS[name].value for name in constants}
+    numbers = re.findall(r"(?:value|sigma|prior): ([^,]*),", text)
+    assert len(numbers) == 12
+    assert all(PYYAML_FLOAT.fullmatch(number) for number in numbers)
+
+
+def test_without_priors_no_constant_is_listed(extraction, solution):
+    found, _ = with_constants(solution, extraction)
+    text = params_yaml(dataclasses.replace(found, constants={}), extraction, make_provenance(extraction))
+    assert parameters_from_yaml(text).constants == {}
+
+
+def test_a_file_of_version_1_is_read(extraction, solution):
+    text = params_yaml(solution, extraction, make_provenance(extraction))
+    assert parameters_from_yaml(text.replace("schema_version: 2", "schema_version: 1")).constants is None
