@@ -72,6 +72,13 @@ def export(
     right_joint: Annotated[
         str | None, typer.Option(help="Joint of the right wheel. [default: as calibrated]")
     ] = None,
+    with_chain: Annotated[
+        bool,
+        typer.Option(
+            "--with-chain",
+            help="For --to urdf: also write the estimated head chain (joint origins and axes).",
+        ),
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
     ] = None,
@@ -89,7 +96,8 @@ def export(
     given = {"left": left_joint, "right": right_joint}
     if output is not None:
         pipeline.check_file(output, force)
-    made = pipeline.export(params, to, urdf, {side: name for side, name in given.items() if name})  # type: ignore[misc]
+    joints = {side: name for side, name in given.items() if name}
+    made = pipeline.export(params, to, urdf, joints, with_chain)  # type: ignore[arg-type]
     if output is None:
         typer.echo(made.content, nl=False)
     else:

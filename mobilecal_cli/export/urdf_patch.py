@@ -12,6 +12,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import frame_note
+from mobilecal_cli.export.improved import ImprovedChain
+from mobilecal_cli.export.urdf_chain import joint_origins
 from mobilecal_cli.export.xml_text import attribute, comment
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import CalibratedRobot, FloatArray, Side
@@ -40,11 +42,13 @@ class _Places:
 
     Attributes:
         joints: joint name → its own tag and that of its <origin>, if it has one.
+        axes: joint name → its <axis>, if it has one.
         wheels: link name → tags of its cylinders and spheres.
         end: start of the robot's end tag, bytes.
     """
 
     joints: dict[str, tuple[_Tag, _Tag | None]] = field(default_factory=dict)
+    axes: dict[str, _Tag] = field(default_factory=dict)
     wheels: dict[str, list[_Tag]] = field(default_factory=dict)
     end: int = 0
 
@@ -62,21 +66,29 @@ class PatchedUrdf:
     changes: tuple[str, ...]
 
 
-def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]) -> PatchedUrdf:
+def patched_urdf(
+    content: bytes,
+    robot: CalibratedRobot,
+    wheel_joints: Mapping[Side, str],
+    chain: ImprovedChain | None = None,
+) -> PatchedUrdf:
     """A URDF with the calibrated head-eye transform and wheels.
 
     The first joint from the head link to the camera link gets the head-eye transform; the joints after it stay. If
     the camera has no link, one is added at the end of the file. The wheel joints move along their axle about its
     midpoint, and the cylinders and spheres of the wheels (visual and collision) get the calibrated radii. Where the
-    wheel joints start from a frame on the ground, their height becomes the mean radius.
+    wheel joints start from a frame on the ground, their height becomes the mean radius. With a chain, the moving joints
+    from the base to the head get their estimated origins and axes.
 
     Args:
         content: the URDF, UTF-8.
         robot: the calibration.
         wheel_joints: names of the wheel joints; the numbers of a missing side stay.
+        chain: the head chain to write; None to leave it as it is.
 
     Raises:
-        ConfigError: invalid URDF, no fixed joint from the head to the camera, or an unknown wheel joint.
+        ConfigError: invalid URDF, no fixed joint from the head to the camera, an unknown wheel joint, or another head
+            chain than that of the calibration.
     """
     try:
         urdf = parse_urdf(content.decode("utf-8"))
@@ -98,8 +110,12 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
             f"link {robot.child_frame!r}: added with a fixed joint on {robot.parent_frame!r}; no other node may "
             "publish this transform"
         )
+    if chain is not None:
+        moved, told = _chain(content, places, urdf, chain)
+        edits += moved
+        changes += told
     if len(wheel_joints) == len(_SIDES):
-        height_m, told = _height(content, places, urdf, robot, wheel_joints)
+        height_m, heights = _height(content, places, urdf, robot, wheel_joints)
         for name, T in _wheel_origins(urdf, robot, wheel_joints):
             if height_m is not None:
                 T[2, 3] = height_m
@@ -107,7 +123,7 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
         changes.append(
             f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}: {robot.wheels.separation_m:.6g} m apart"
         )
-        changes += told
+        changes += heights
     for side, name in wheel_joints.items():
         link = _joint(urdf, name).child
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
@@ -122,6 +138,34 @@ def patched_urdf(content: bytes, robot: CalibratedRobot, wheel_joints: Mapping[S
     for start, end, new in sorted(edits, reverse=True):
         content = content[:start] + new + content[end:]
     return PatchedUrdf(content, tuple(changes))
+
+
+def _chain(
+    content: bytes, places: _Places, urdf: Urdf, chain: ImprovedChain
+) -> tuple[list[tuple[int, int, bytes]], list[str]]:
+    """The edits that give the head's joints their estimated origins and axes, and notes."""
+    edits, notes = [], []
+    for joint in joint_origins(urdf, chain):
+        edits.append(_moved(content, places, joint.name, joint.T_parent_child))
+        axis, tag = (
+            " ".join(f"{value + 0.0:.12g}" for value in np.round(joint.axis, 12)),
+            places.axes.get(joint.name),
+        )
+        if tag is not None:
+            edits.append((*_span(tag), _with(content, tag, {"xyz": axis})))
+        else:
+            end = places.joints[joint.name][0].end
+            edits.append((end, end, f"<axis xyz={attribute(axis)}/>".encode()))
+        zero = chain.zeros.get(joint.name, 0.0)
+        notes.append(
+            f"joint {joint.name!r}: estimated origin and axis"
+            + (f", with the zero offset {zero:+.6g}" if zero else "")
+        )
+    if chain.others:
+        notes.append(
+            f"not in the URDF, which has no scale and no backlash of joints: {', '.join(chain.others)}"
+        )
+    return edits, notes
 
 
 def _span(tag: _Tag) -> tuple[int, int]:
@@ -310,6 +354,8 @@ def _places(content: bytes) -> _Places:
         elif inside == ["robot", "joint"] and name == "origin":
             joint = stack[-1][1]
             places.joints[joint] = (places.joints[joint][0], tag)
+        elif inside == ["robot", "joint"] and name == "axis":
+            places.axes[stack[-1][1]] = tag
         elif [*inside, name] in _WHEELS:
             places.wheels.setdefault(stack[1][1], []).append(tag)
         stack.append((name, own))

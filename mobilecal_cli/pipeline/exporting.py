@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,15 @@ from pathlib import Path
 from mobilecal_cli.config import LARGEST_URDF_BYTES
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import (
+    ImprovedChain,
     camchain_yaml,
+    camera_constants,
     camera_info_yaml,
     diff_drive_yaml,
     extraction_from_npz,
     frame_note,
+    improved_cameras,
+    improved_chain,
     patched_urdf,
     plain_json,
     rectified_pair,
@@ -22,13 +25,12 @@ from mobilecal_cli.export import (
     static_transform_yaml,
     xacro_properties,
 )
-from mobilecal_cli.likelihood.nuisance import CONSTANTS, camera_change
 from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.targets import Target
-from mobilecal_cli.yaml_input import read_text
 
-_LARGEST_REPORT_BYTES = 2**26
+#: Largest acceptable difference between a distortion model and the estimated lens.
+_LENS_PX = 0.1
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
@@ -46,25 +48,32 @@ class Exported:
 
 
 def export(
-    params: Path, target: Target, urdf: Path | None = None, wheel_joints: Mapping[Side, str] | None = None
+    params: Path,
+    target: Target,
+    urdf: Path | None = None,
+    wheel_joints: Mapping[Side, str] | None = None,
+    with_chain: bool = False,
 ) -> Exported:
     """A calibration in another format.
 
     Args:
-        params: params.yaml; camera_info and camchain also read extraction.npz and report.json next to it.
+        params: params.yaml; camera_info, camchain and the head chain also need extraction.npz next to it.
         target: the format.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
+        with_chain: for the target urdf, also write the estimated head chain.
 
     Raises:
         ConfigError: a file is missing or invalid.
     """
     robot = read_params(params)
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
+    if with_chain and target != Target.urdf:
+        raise ConfigError("--with-chain applies only to --to urdf", "leave it out")
     if target == Target.urdf:
-        return _urdf(robot, urdf, joints)
+        return _urdf(robot, urdf, joints, _chain(params, robot) if with_chain else None)
     if target in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
-        return _cameras(params, target)
+        return _cameras(params, robot, target)
     text: dict[Target, Callable[[], str]] = {
         Target.xacro: lambda: xacro_properties(robot),
         Target.ros2_control: lambda: diff_drive_yaml(robot, joints, robot.nominal_wheels),
@@ -76,7 +85,18 @@ def export(
     return Exported(text[target]().encode(), notes)
 
 
-def _urdf(robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str]) -> Exported:
+def _chain(params: Path, robot: CalibratedRobot) -> ImprovedChain:
+    if robot.constants is None:
+        raise ConfigError(
+            f"{params}: the head chain was not estimated",
+            "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
+        )
+    return improved_chain(_beside(params).rig, robot.constants)
+
+
+def _urdf(
+    robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str], chain: ImprovedChain | None
+) -> Exported:
     if path is None:
         raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
     try:
@@ -87,9 +107,13 @@ def _urdf(robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str])
         ) from error
     if content is None:
         raise ConfigError(f"{path}: larger than {LARGEST_URDF_BYTES} bytes", "give a URDF")
-    patched = patched_urdf(content, robot, joints)
+    patched = patched_urdf(content, robot, joints, chain)
     missing = [side for side in _SIDES if side not in joints]
     notes = patched.changes
+    if chain is None and robot.constants:
+        notes += (
+            "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+        )
     if robot.rectified:
         notes += (frame_note(robot),)
     if missing:
@@ -99,32 +123,38 @@ def _urdf(robot: CalibratedRobot, path: Path | None, joints: Mapping[Side, str])
     return Exported(patched.content, notes)
 
 
-def _cameras(params: Path, target: Target) -> Exported:
-    """The stereo pair of the calibrated robot, as refined."""
-    extraction = _beside(params)
-    extras = _extras(params)
-    cameras = camera_change(CONSTANTS, extras).apply(extraction.rig.cameras)
-    refined = bool(extras)
-    note = (
-        "The stereo pair is as refined by the calibration."
-        if refined
-        else "The stereo pair is as stated in the recording."
-    )
-    if target == Target.camchain:
-        return Exported(camchain_yaml(cameras, extraction.rig.sources.image).encode(), (note,))
-    if not refined:
+def _cameras(params: Path, robot: CalibratedRobot, target: Target) -> Exported:
+    """The stereo pair of the calibrated robot, with the estimated constants."""
+    rig = _beside(params).rig
+    changed = camera_constants(rig, robot.constants or {})
+    kalibr = target == Target.camchain
+    improved = improved_cameras(rig, changed, kalibr)
+    notes: tuple[str, ...] = ("The stereo pair is as estimated by the calibration.",)
+    if not changed:
+        notes = ("The stereo pair is as stated in the recording.",)
+    elif improved.residual_px:
+        notes += (_lens_note(improved.residual_px),)
+    if kalibr:
+        return Exported(camchain_yaml(improved.cameras, rig.sources.image).encode(), notes)
+    if not changed:
         raise ConfigError(
-            f"{params}: the stereo pair was not refined, so its camera_info does not change",
-            "calibrate with --estimate stereo (or focal_length, principal_point) if the recording supports it",
+            f"{params}: the stereo pair was not estimated, so its camera_info does not change",
+            "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",
         )
-    if cameras.rectified:
+    if rig.cameras.rectified:
         raise ConfigError(
             "the calibration was made from rectified images, so it gives no camera_info of the raw images",
             "calibrate from the raw images",
         )
-    return Exported(
-        _camera_info(cameras, "left" if target == Target.camera_info_left else "right").encode(), (note,)
-    )
+    side: Side = "left" if target == Target.camera_info_left else "right"
+    return Exported(_camera_info(improved.cameras, side).encode(), notes)
+
+
+def _lens_note(residual_px: float) -> str:
+    note = f"The distortion model differs from the estimated lens by at most {residual_px:.2g} px"
+    if residual_px <= _LENS_PX:
+        return f"{note}."
+    return f"{note}, more than {_LENS_PX:g} px: it cannot express this lens. Calibrate the camera with a richer model."
 
 
 def _camera_info(cameras: StereoRig, side: Side) -> str:
@@ -141,18 +171,3 @@ def _beside(params: Path) -> Extraction:
             "keep params.yaml in the directory that calibrate wrote",
         )
     return extraction_from_npz(path)
-
-
-def _extras(params: Path) -> dict[str, float]:
-    """Parameters estimated besides the nine, from the report.json next to params.yaml."""
-    path = params.with_name("report.json")
-    try:
-        data = json.loads(read_text(path, _LARGEST_REPORT_BYTES))
-        found = (
-            data["additional_parameters"] if "additional_parameters" in data else data["extras"]
-        )  # schema 1
-        return {str(name): float(entry["value"]) for name, entry in found.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {error}", "keep params.yaml in the directory that calibrate wrote"
-        ) from error
