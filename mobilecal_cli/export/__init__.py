@@ -11,7 +11,13 @@ from mobilecal_cli.export.formats import (
     static_transform_yaml,
     xacro_properties,
 )
-from mobilecal_cli.export.improved import ImprovedChain, camera_constants, improved_cameras, improved_chain
+from mobilecal_cli.export.improved import (
+    Improved,
+    ImprovedChain,
+    camera_constants,
+    improved_cameras,
+    improved_chain,
+)
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.export.plain import from_plain, to_plain
@@ -20,6 +26,7 @@ from mobilecal_cli.export.single_file import check_file, write_file
 from mobilecal_cli.export.urdf_patch import patched_urdf
 
 __all__ = [
+    "Improved",
     "ImprovedChain",
     "camchain_yaml",
     "camera_constants",

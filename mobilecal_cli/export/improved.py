@@ -30,12 +30,13 @@ class Improved:
 
     Attributes:
         cameras: without corrections.
-        residual_px: largest distance between the pixels with the corrections and with the distortion models, over both
-            images.
+        residual_px, residual_rms_px: largest distance between the pixels with the corrections and with the distortion
+            models, over both images; and its root mean square in the worse of them.
     """
 
     cameras: StereoRig
     residual_px: float
+    residual_rms_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,12 +71,14 @@ def improved_cameras(rig: Rig, constants: Mapping[str, float], kalibr: bool = Fa
         kalibr: without the third radial coefficient of plumb_bob, which Kalibr does not have.
     """
     cameras = camera_change(table(rig.cameras, rig.chain), constants).apply(rig.cameras)
-    left, left_px = without_correction(cameras.left, kalibr)
-    right, right_px = without_correction(cameras.right, kalibr)
-    return Improved(replace(cameras, left=left, right=right), max(left_px, right_px))
+    left, off_left = without_correction(cameras.left, kalibr)
+    right, off_right = without_correction(cameras.right, kalibr)
+    largest = max(float(off.max(initial=0.0)) for off in (off_left, off_right))
+    usual = max(float(np.sqrt(np.mean(off**2))) for off in (off_left, off_right))
+    return Improved(replace(cameras, left=left, right=right), largest, usual)
 
 
-def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, float]:
+def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, FloatArray]:
     """A camera whose lens correction is part of its distortion model: K stays, D fits best over the image.
 
     Args:
@@ -83,17 +86,16 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, fl
         kalibr: see `improved_cameras`.
 
     Returns:
-        The camera, and the largest distance of its pixels from those of the given one, px.
+        The camera, and the distances (n,) of its pixels from those of the given one, regularly over the image, px.
     """
     if camera.correction is None:
-        return camera, 0.0
+        return camera, np.zeros(1)
     plain = replace(camera, correction=None)
     if camera.distortion == "none":
         plain = replace(plain, distortion="plumb_bob", D=np.zeros(5))
     rays, pixels = _image_points(camera)
-    free = 4 if kalibr and plain.distortion == "plumb_bob" else len(plain.D)
-    # A tilted sensor moves the principal point, as K does: its angles stay as stated.
-    free = min(free, 12)
+    # Numerator and denominator of the rational model can compensate each other, far beyond the image: one is enough.
+    free = 4 if kalibr else min(5, len(plain.D))
 
     def distorted_by(D: FloatArray) -> Camera:
         return replace(plain, D=np.concatenate([D, plain.D[free:]]))
@@ -102,8 +104,7 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, fl
         return np.asarray((project(distorted_by(D), rays) - pixels).ravel())
 
     found = least_squares(residual, plain.D[:free], x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    off = np.linalg.norm(residual(found.x).reshape(-1, 2), axis=1)
-    return distorted_by(found.x), float(off.max())
+    return distorted_by(found.x), np.linalg.norm(residual(found.x).reshape(-1, 2), axis=1)
 
 
 def _image_points(camera: Camera) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from mobilecal_cli.config import LARGEST_URDF_BYTES
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import (
+    Improved,
     ImprovedChain,
     camchain_yaml,
     camera_constants,
@@ -133,7 +134,7 @@ def _cameras(params: Path, robot: CalibratedRobot, target: Target) -> Exported:
     if not changed:
         notes = ("The stereo pair is as stated in the recording.",)
     elif improved.residual_px:
-        notes += (_lens_note(improved.residual_px),)
+        notes += (_lens_note(improved),)
     if kalibr:
         return Exported(camchain_yaml(improved.cameras, rig.sources.image).encode(), notes)
     if not changed:
@@ -150,11 +151,12 @@ def _cameras(params: Path, robot: CalibratedRobot, target: Target) -> Exported:
     return Exported(_camera_info(improved.cameras, side).encode(), notes)
 
 
-def _lens_note(residual_px: float) -> str:
-    note = f"The distortion model differs from the estimated lens by at most {residual_px:.2g} px"
-    if residual_px <= _LENS_PX:
+def _lens_note(improved: Improved) -> str:
+    largest, usual = improved.residual_px, improved.residual_rms_px
+    note = f"The distortion model differs from the estimated lens by {usual:.2g} px rms and at most {largest:.2g} px"
+    if largest <= _LENS_PX:
         return f"{note}."
-    return f"{note}, more than {_LENS_PX:g} px: it cannot express this lens. Calibrate the camera with a richer model."
+    return f"{note} (limit {_LENS_PX:g} px). To describe the lens better, calibrate the camera with a richer model."
 
 
 def _camera_info(cameras: StereoRig, side: Side) -> str:

@@ -1,0 +1,256 @@
+"""Improved cameras and head chains, exported and read back by parsers that are not ours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+import yourdfpy
+
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project, undistorted
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import (
+    extraction_to_npz,
+    improved_chain,
+    parameters_from_yaml,
+    params_yaml,
+    patched_urdf,
+)
+from mobilecal_cli.export.improved import without_correction
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
+from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.model import Camera, HeadChain, LensCorrection
+from mobilecal_cli.pipeline.exporting import export
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.solvers import solve
+from mobilecal_cli.targets import Target
+from tests.export.test_urdf_patch import robot
+from tests.report.example import make_provenance
+
+K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])
+CENTER = np.array([320.0, 240.0])
+
+
+@pytest.fixture(scope="module", params=["paper", "tick"])
+def calibrated(request, tmp_path_factory):
+    """(robot, extraction, solution, params.yaml) of a robot that is not as described."""
+    described = ROBOTS[request.param]()
+    route = plan_route(described, "standard", 10, seed=5)
+    imperfection = Imperfection(draw(described, np.random.default_rng(3)), STATION_NOISE)
+    extraction = imperfect_extraction(described, route, imperfection, seed=4)
+    solution = solve(extraction)
+    directory = tmp_path_factory.mktemp(request.param)
+    text = params_yaml(solution, extraction, make_provenance(extraction))
+    (directory / "params.yaml").write_text(text, encoding="utf-8")
+    (directory / "extraction.npz").write_bytes(extraction_to_npz(extraction))
+    (directory / "robot.urdf").write_text(urdf_text(described), encoding="utf-8")
+    return described, extraction, solution, directory / "params.yaml"
+
+
+def fitted_cameras(extraction, solution):
+    """The stereo pair of the fit, lens corrections included."""
+    rig = extraction.rig
+    values = {name: found.value for name, found in solution.constants.items()}
+    return camera_change(table(rig.cameras, rig.chain), values).apply(rig.cameras)
+
+
+def over_the_image(camera):
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 23), np.linspace(0, camera.height - 1, 17))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    flat, good = undistorted(camera, pixels)
+    return np.column_stack([flat[good], np.ones(good.sum())]), pixels[good]
+
+
+def stated_px(notes):
+    (note,) = [note for note in notes if "px rms" in note]
+    return float(note.split("at most ")[1].split(" px")[0])
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_camera_info_projects_as_the_fitted_camera(calibrated, side):
+    _, extraction, solution, params = calibrated
+    made = export(params, Target[f"camera_info_{side}"])
+    data = yaml.safe_load(made.content)
+    K_made, D = (
+        np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])
+        for name in ("camera_matrix", "distortion_coefficients")
+    )
+    assert data["distortion_model"] == "plumb_bob"
+    fitted = getattr(fitted_cameras(extraction, solution), side)
+    assert pytest.approx(fitted.K, rel=1e-9) == K_made
+    rays, pixels = over_the_image(fitted)
+    ours = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D[0])[0][:, 0]
+    off = np.linalg.norm(ours - pixels, axis=1).max()
+    assert off <= stated_px(made.notes) * 1.05
+    stated = getattr(extraction.rig.cameras, side)
+    before = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), stated.K, stated.D)[0][:, 0]
+    assert off < np.linalg.norm(before - pixels, axis=1).max() / 5
+
+
+def test_camera_info_rectifies_the_fitted_pair(calibrated):
+    """R and P of both files: a point in the rectified frames of both cameras differs by the baseline alone."""
+    _, extraction, solution, params = calibrated
+    cameras = fitted_cameras(extraction, solution)
+    left, right = (
+        yaml.safe_load(export(params, Target[f"camera_info_{side}"]).content) for side in ("left", "right")
+    )
+    R_left, R_right = (np.array(data["rectification_matrix"]["data"]).reshape(3, 3) for data in (left, right))
+    P_right = np.array(right["projection_matrix"]["data"]).reshape(3, 4)
+    T = se3.transform(R_left, np.zeros(3)) @ cameras.T_c_r @ se3.transform(R_right.T, np.zeros(3))
+    assert T[:3, :3] == pytest.approx(np.eye(3), abs=1e-8)
+    assert T[:3, 3] == pytest.approx([-P_right[0, 3] / P_right[0, 0], 0, 0], abs=1e-8)
+
+
+def test_camchain_projects_as_the_fitted_pair(calibrated):
+    _, extraction, solution, params = calibrated
+    made = export(params, Target.camchain)
+    data = yaml.safe_load(made.content)
+    cameras = fitted_cameras(extraction, solution)
+    assert np.array(data["cam1"]["T_cn_cnm1"]) == pytest.approx(se3.inverse(cameras.T_c_r), abs=1e-9)
+    for name, fitted in (("cam0", cameras.left), ("cam1", cameras.right)):
+        fu, fv, pu, pv = data[name]["intrinsics"]
+        rays, pixels = over_the_image(fitted)
+        K_made, D = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(data[name]["distortion_coeffs"])
+        ours = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D)[0][:, 0]
+        assert np.linalg.norm(ours - pixels, axis=1).max() <= stated_px(made.notes) * 1.05
+
+
+def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
+    described, extraction, solution, params = calibrated
+    made = export(params, Target.urdf, params.with_name("robot.urdf"), with_chain=True)
+    path = tmp_path / "calibrated.urdf"
+    path.write_bytes(made.content)
+    reader = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
+    chain = improved_chain(extraction.rig, {name: found.value for name, found in solution.constants.items()})
+    limits = [joint.limit_rad for joint in described.joints if joint.name]
+    readings = np.random.default_rng(1).uniform(-1, 1, (20, len(limits))) * limits
+    zeros = np.array([chain.zeros.get(name, 0.0) for name in chain.improved.joints])
+    assert np.abs(zeros).max() > 1e-4
+    T_v_c = head_pose(chain.improved, readings + zeros) @ solution.parameters.T_h_c
+    stated = head_pose(extraction.rig.chain, readings) @ solution.parameters.T_h_c
+    for q, T, T_stated in zip(readings, T_v_c, stated, strict=True):
+        reader.update_cfg(dict(zip(chain.improved.joints, q, strict=True)))
+        read = reader.get_transform("stereo_left_optical", "base_link")
+        assert pytest.approx(T, abs=1e-6) == read
+        assert np.abs(read - T_stated).max() > 1e-3
+    (left_out,) = [note for note in made.notes if "no scale and no backlash" in note]
+    assert "pan_scale" in left_out
+    with pytest.raises(ConfigError, match="is not as in the calibrated robot's chain"):
+        export(params, Target.urdf, path, with_chain=True)
+
+
+def test_the_urdf_without_the_chain_says_so(calibrated):
+    described, _, _, params = calibrated
+    made = export(params, Target.urdf, params.with_name("robot.urdf"))
+    assert any("The head chain is unchanged. --with-chain" in note for note in made.notes)
+    drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
+    for joint in described.joints:
+        if joint.name:
+            assert drawn.joints[joint.name].T_parent_child == pytest.approx(
+                kept.joints[joint.name].T_parent_child
+            )
+    with pytest.raises(ConfigError, match="--with-chain applies only to --to urdf"):
+        export(params, Target.xacro, with_chain=True)
+
+
+def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
+    _, extraction, _, params = calibrated
+    text = params.read_text(encoding="utf-8")
+    older = text[: text.index("constants:")] + text[text.index("# Provenance") :]
+    (tmp_path / "params.yaml").write_text(older.replace("schema_version: 2", "schema_version: 1"))
+    (tmp_path / "extraction.npz").write_bytes(params.with_name("extraction.npz").read_bytes())
+    assert parameters_from_yaml(older).constants is None
+    made = export(tmp_path / "params.yaml", Target.camchain)
+    assert made.notes == ("The stereo pair is as stated in the recording.",)
+    intrinsics = yaml.safe_load(made.content)["cam0"]["intrinsics"]
+    assert intrinsics[:2] == pytest.approx(np.diag(extraction.rig.cameras.left.K)[:2])
+    for target, options in ((Target.camera_info_left, {}), (Target.urdf, {"with_chain": True})):
+        with pytest.raises(ConfigError, match="not estimated"):
+            export(tmp_path / "params.yaml", target, params.with_name("robot.urdf"), **options)
+
+
+@pytest.mark.parametrize(
+    ("model", "D", "limit_px"),
+    [
+        ("none", [], 0.01),
+        ("plumb_bob", [0.0] * 5, 0.01),
+        ("plumb_bob", [-0.27, 0.09, 0.0005, -0.0004, 0.0], 0.2),
+        ("rational_polynomial", [-0.3, 0.1, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0], 0.2),
+        ("equidistant", [-0.02, 0.004, -0.002, 0.0005], 0.9),
+    ],
+)
+@pytest.mark.parametrize("shares", [[0.0008, 0, 0, 0], [0.0008, -0.0006, 0.0004, -0.0008]])
+def test_the_distortion_model_takes_over_the_correction(model, D, limit_px, shares):
+    camera = Camera("c", 640, 480, K, np.array(D), model, LensCorrection(np.array(shares), CENTER))
+    fitted, off_px = without_correction(camera)
+    assert fitted.correction is None
+    assert np.array_equal(fitted.K, K)
+    assert fitted.distortion == ("plumb_bob" if model == "none" else model)
+    rays, pixels = over_the_image(camera)
+    off = np.linalg.norm(project(fitted, rays) - pixels, axis=1)
+    assert off.max() <= off_px.max() * 1.05 < limit_px
+    without = np.linalg.norm(project(replace(camera, correction=None), rays) - pixels, axis=1)
+    assert np.sqrt(np.mean(off**2)) < np.sqrt(np.mean(without**2))
+
+
+def test_a_camera_without_a_correction_stays():
+    camera = Camera("c", 640, 480, K, np.array([0.1, 0, 0, 0]), "equidistant")
+    fitted, off_px = without_correction(camera)
+    assert fitted is camera
+    assert off_px.max() == 0
+
+
+MIMIC = b"""<robot name="r">
+  <link name="base"/><link name="slide"/><link name="neck"/><link name="head"/><link name="optical"/>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="slide"/><origin xyz="0 0.1 0.5" rpy="0.1 0 0"/>
+    <axis xyz="0 0 2"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="pan" type="revolute"><parent link="slide"/><child link="neck"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="half" type="revolute"><parent link="neck"/><child link="head"/><origin xyz="0.1 0 0"/>
+    <axis xyz="0 1 0"/><mimic joint="pan" multiplier="0.5" offset="0.1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="eye" type="fixed"><parent link="head"/><child link="optical"/></joint>
+</robot>"""
+
+
+def test_sliding_and_coupled_joints():
+    """By hand: zeros move a sliding joint's origin along its axis, and a coupled joint's by its multiplier."""
+    urdf = parse_urdf(MIMIC.decode())
+    links = chain_links(urdf.path("base", "head"), urdf.joints)
+    chain = HeadChain("base", "head", links, pan="pan")
+    rig = replace(imperfect_rig(), chain=chain)
+    names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
+    values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))
+    improved = improved_chain(rig, values)
+    content = patched_urdf(MIMIC, robot(), {}, improved).content
+    made = parse_urdf(content.decode())
+    readings = np.array([[0.2, -0.7], [0.5, 0.4]])
+    zeros = np.array([values[f"{name}_zero"] for name in ("lift", "pan")])
+    for q, T in zip(readings, head_pose(improved.improved, readings + zeros), strict=True):
+        by_hand = np.eye(4)
+        for joint in made.path("base", "head"):
+            read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
+            amount = multiplier * q[("lift", "pan").index(read)] + offset
+            by_hand = by_hand @ joint.T_parent_child @ moved(joint, amount)
+        assert by_hand == pytest.approx(T, abs=1e-9)
+    assert b'<mimic joint="pan" multiplier="0.5" offset="0.1"/>' in content
+
+
+def moved(joint, amount):
+    if joint.kind == "prismatic":
+        return se3.transform(np.eye(3), amount * joint.axis)
+    return se3.transform(cv2.Rodrigues(amount * joint.axis)[0], np.zeros(3))
+
+
+def imperfect_rig():
+    described = ROBOTS["tick"]()
+    route = plan_route(described, "standard", 3, seed=5)
+    return imperfect_extraction(described, route, Imperfection()).rig
