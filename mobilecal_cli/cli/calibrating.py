@@ -89,16 +89,19 @@ def calibrate(
     fix: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME[=VALUE]", help="Fix a parameter (m, rad), or head_eye or wheels. Repeatable."
+            metavar="NAME[=VALUE]",
+            help="Fix a parameter or constant (m, rad, share), or head_eye or wheels. Repeatable.",
         ),
     ] = None,
     prior: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter. Repeatable.")
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
     ] = None,
     estimate: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME,...", help="Additional parameters to estimate, for example pan_zero or mount."
+            metavar="NAME,...",
+            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation.",
         ),
     ] = None,
     gate: Gates = None,

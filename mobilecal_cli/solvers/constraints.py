@@ -1,4 +1,4 @@
-"""Constraints, priors and additional parameters that the user requests: --fix, --prior and --estimate."""
+"""Constraints, priors and constants to ignore that the user requests: --fix, --prior and --estimate."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # Constants that depend on the robot's joints: their names are checked when the robot is known.
 _OF_THE_ROBOT = re.compile(r".+_(?:zero|scale|axis_[xyz]|position_[xyz])|backlash_.+|baseline_[xyz]")
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
+_KINDS = tuple(kind.name for kind in nuisance.KINDS)
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
 @dataclass(frozen=True, slots=True)
 class Constraints:
-    """Fixed parameters, priors and additional parameters that the user requests.
+    """Fixed parameters, priors and constants to ignore that the user requests.
 
     Attributes:
         fixed: name → value, None for the nominal value. Rotations are relative to the nominal rotation, rad.
@@ -44,26 +45,44 @@ class Constraints:
         Raises:
             ConfigError: an unknown name.
         """
-        known = [*NINE, *(kind.name for kind in nuisance.KINDS), *constants]
         for flag, names in (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants)):
+            known = [*(_KINDS if flag == "--estimate" else NINE), *constants]
             for name in names:
                 if name not in known:
                     raise _unknown(flag, name, known)
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
-    near = difflib.get_close_matches(name, known, 1)
-    meant = f"did you mean {near[0]}? " if near else ""
-    if name.startswith("tilt_zero") or name == "tilt":
-        meant = (
-            "the zero offset of the last joint is a head-eye rotation and cannot be estimated separately; "
+    message = f"{flag} {name}: no such parameter or constant"
+    if name in _KINDS and flag != "--estimate":
+        rows = [row.name for row in nuisance.CONSTANTS if row.kind == name]
+        one = f", or one constant, such as {rows[0]}" if rows else ""
+        return ConfigError(
+            f"{flag} {name}: a kind of constants, not one parameter",
+            f"set all of them with --set priors.{name}={'fixed' if flag == '--fix' else 'NUMBER'}{one}",
         )
-    return ConfigError(f"{flag} {name}: no such parameter", f"{meant}known parameters: {', '.join(known)}")
+    if name in NINE and flag == "--estimate":
+        return ConfigError(
+            f"--estimate {name}: already estimated, like all nine parameters", "name a constant or a kind"
+        )
+    if name.startswith("tilt_zero") or name == "tilt":
+        return ConfigError(
+            message,
+            "the zero offset of the last joint is a head-eye rotation and cannot be estimated separately",
+        )
+    near = difflib.get_close_matches(name, [*known, *_OFTEN], 1)
+    if near:
+        return ConfigError(message, f"did you mean {near[0]}?")
+    kinds = f"kinds: {', '.join(_KINDS)}; " if flag == "--estimate" else f"parameters: {', '.join(NINE)}; "
+    return ConfigError(message, f"{kinds}docs/reference/rig-yaml.md lists all constants")
 
 
 def _value(flag: str, text: str, number: str) -> float:
     if not re.fullmatch(_NUMBER, number.strip()):
-        raise ConfigError(f"{flag} {text}: {number!r} is not a number", "give lengths in m and angles in rad")
+        raise ConfigError(
+            f"{flag} {text}: {number!r} is not a number",
+            "give lengths in m, angles in rad and ratios as shares",
+        )
     return float(number)
 
 
@@ -71,20 +90,19 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     """Parse the values of --fix, --prior and --estimate.
 
     Args:
-        fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of an additional one.
+        fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of a constant.
         prior: NAME=VALUE±SIGMA (or +-).
-        estimate: names of additional parameters or groups, separated by commas.
+        estimate: constants or kinds of constants whose stated values are ignored, separated by commas.
 
     Raises:
         ConfigError: unknown name or wrong format.
     """
     requested = tuple(name.strip() for text in estimate for name in text.split(",") if name.strip())
     fixed_rows = [row.name for row in nuisance.CONSTANTS]
-    kinds = [kind.name for kind in nuisance.KINDS]
     for name in requested:
-        if name not in (*kinds, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--estimate", name, [*kinds, *fixed_rows, *_OFTEN])
-    known = [*NINE, *_GROUPS, *fixed_rows, *_OFTEN]
+        if name not in (*_KINDS, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
+            raise _unknown("--estimate", name, [*_KINDS, *fixed_rows])
+    known = [*NINE, *_GROUPS, *fixed_rows]
     fixed: dict[str, float | None] = {}
     for text in fix:
         name, given, number = text.partition("=")
@@ -106,7 +124,7 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
         if match is None or float(match[2]) <= 0:
             raise ConfigError(
                 f"--prior {text}: not in the format NAME=VALUE±SIGMA",
-                f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad",
+                f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad, ratios as shares",
             )
         priors[name] = (float(match[1]), float(match[2]))
     return Constraints(fixed, priors, requested)

@@ -276,6 +276,11 @@ def test_an_output_nobody_can_make(paper, tmp_path):
         (["--fix", "radius_rihgt"], "radius_rihgt: no such parameter", "did you mean radius_right"),
         (["--prior", "t_x=0.1"], "not in the format NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
         (["--estimate", "tilt_zero"], "no such parameter", "cannot be estimated separately"),
+        (["--estimate", "pan_zro"], "no such parameter", "did you mean pan_zero?"),
+        (["--estimate", "t_x"], "already estimated", "name a constant"),
+        (["--fix", "focal_length"], "a kind of constants", "--set priors.focal_length=fixed"),
+        (["--prior", "joint_zero=0±1"], "a kind of constants", "--set priors.joint_zero=NUMBER"),
+        (["--set", "priors.focal=1"], "this robot has no such constant", "did you mean"),
     ],
 )
 def test_what_cannot_be_asked_for(sample_logs, tmp_path, flags, said, hint):

@@ -157,7 +157,7 @@ def test_fixed_prior_and_more_numbers(first, workplace):
         "--prior",
         "radius_left=0.2275±0.0001",
         "--estimate",
-        "pan_zero,mount",
+        "pan_zero,focal_length",
     ]
     result = run("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
     assert result.code == 0, result.err
@@ -167,7 +167,7 @@ def test_fixed_prior_and_more_numbers(first, workplace):
     assert params["uncertainty"]["std"]["separation"] == 0
     assert params["uncertainty"]["std"]["radius_left"] < 0.00011
     report = json.loads((workplace / "asked/report.json").read_text())
-    assert set(report["additional_parameters"]) >= {"pan_zero", "mount_x", "mount_y"}
+    assert set(report["additional_parameters"]) >= {"pan_zero", "focal_left", "focal_right"}
     assert "Additional estimated parameters" in (workplace / "asked/report.html").read_text()
 
 
