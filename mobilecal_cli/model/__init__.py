@@ -26,6 +26,7 @@ from mobilecal_cli.model.observations import (
 )
 from mobilecal_cli.model.prelude import (
     CAMERA_INFO,
+    CAMERA_INFO_CHANGES,
     IMAGES,
     JOINT_STATE,
     STRING,
@@ -71,6 +72,7 @@ from mobilecal_cli.model.solution import (
 
 __all__ = [
     "CAMERA_INFO",
+    "CAMERA_INFO_CHANGES",
     "IMAGES",
     "JOINT_STATE",
     "NINE",

@@ -10,6 +10,8 @@ from mobilecal_cli.model.rig import CameraInfo
 
 #: Message types used in a calibration, in ROS 2 spelling.
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+#: In notes on recordings with more than one calibration of a camera.
+CAMERA_INFO_CHANGES = "the camera calibration changes"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"

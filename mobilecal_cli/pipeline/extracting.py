@@ -14,6 +14,7 @@ from mobilecal_cli.discovery import settle_rig
 from mobilecal_cli.errors import ConfigError, ObservationError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
     Board,
     Extraction,
     HeadChain,
@@ -39,6 +40,9 @@ from mobilecal_cli.readers import Recording, join_parts, open_recording, read_pr
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
 from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_square
+
+#: Relative difference of camera infos that is rounding.
+_SAME_INFO = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,10 +178,27 @@ def extract(
                 f"{', '.join(seen[0].rig.chain.joints)}",
                 "give recordings of one robot only",
             )
-        seen.append(one)
+        other = _other_cameras(seen[0], one) if seen else ()
+        seen.append(replace(one, notes=(*one.notes, *other)))
     extraction, snapshots = _assembled(seen, sources)
     refuse_equal_recordings(extraction, [one.name for one in seen])
     return extraction, snapshots
+
+
+def _other_cameras(first: Seen, other: Seen) -> tuple[str, ...]:
+    """A note if the camera infos of two recordings differ beyond rounding."""
+    a, b = first.rig.cameras, other.rig.cameras
+    pairs = [
+        (getattr(x, name), getattr(y, name))
+        for x, y in ((a.left, b.left), (a.right, b.right))
+        for name in "KD"
+    ]
+    pairs.append((a.T_c_r, b.T_c_r))
+    if all(x.shape == y.shape and np.allclose(x, y, rtol=_SAME_INFO, atol=_SAME_INFO) for x, y in pairs):
+        return ()
+    return (
+        f"{other.name}: {CAMERA_INFO_CHANGES} from that of {first.name}, which the estimate takes for all recordings",
+    )
 
 
 def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:

@@ -14,6 +14,7 @@ from mobilecal_cli.discovery import lacking, settle_rig
 from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
     Board,
     BoardView,
     GrayImage,
@@ -167,7 +168,8 @@ def _motion(
         turned_deg = float(np.degrees(np.ptp(np.cumsum([0.0, *legs.psi_rad]))))
     share = recording.share(rig.sources.motion, Extent(MOTION_BYTES))
     rests, weak = _rests(rig, signals, times, share, missing)
-    notes = signals.notes if share == 1 else ()
+    # Gaps between the parts that are read would be noted as irregularities.
+    notes = tuple(note for note in signals.notes if share == 1 or CAMERA_INFO_CHANGES in note)
     return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), weak, notes
 
 

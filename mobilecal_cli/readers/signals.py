@@ -25,6 +25,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.channels import NOT_ITS_TYPE, Channel, Payload
 from mobilecal_cli.readers.fields import FieldPath
+from mobilecal_cli.readers.info_changes import InfoChanges
 from mobilecal_cli.readers.joint_states import Columns, JointStates
 from mobilecal_cli.readers.odometry import Odometry
 from mobilecal_cli.readers.recording import Recording
@@ -51,7 +52,7 @@ def read_signals(
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; where a clock
     steps back, the longest run in order is kept (`stamps.in_order`). Readings that are not finite and undecodable
-    messages are dropped. Notes give the counts.
+    messages are dropped. Notes give the counts, and changes of the cameras' calibration.
 
     Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
 
@@ -75,9 +76,13 @@ def read_signals(
     reader.joints_elsewhere(sources.elsewhere)
     for side in SIDES:
         reader.wheel(side, sources.wheels[side])
-    reader.run(extent)
+    infos = InfoChanges(recording, sources.info.values())
+    together = extent is EVERYTHING and infos.cheap_with(reader.topics)
+    reader.run(extent, infos if together else None)
+    if not together:
+        infos.sample()
 
-    notes: list[str] = []
+    notes = list(infos.notes)
     images = {side: reader.image_stamps(side, sources.image[side], notes) for side in sides}
     tracks = {name: reader.joint_track(name, sources.joints, notes) for name in joints}
     wheels: dict[Side, Track] = {}
@@ -229,16 +234,24 @@ class _Reader:
         self._wheels_apart[side] = _Apart(source.topic, field.track)
         self._subscribe(source.topic, field.take)
 
-    def run(self, extent: Extent) -> None:
-        """Run the pass."""
+    @property
+    def topics(self) -> frozenset[str]:
+        """All topics that are read."""
+        return frozenset(self._takers)
+
+    def run(self, extent: Extent, infos: InfoChanges | None = None) -> None:
+        """Run the pass, which may also compare the cameras' calibrations."""
         # If only joints are read from a topic, its messages can be read in batches.
         columns = {
             topic: Columns(joints, self.clocks[topic], self._take)
             for topic, joints in self._joints.items()
             if self._takers[topic] == [joints.take]
         }
-        for channel, log_ns, payload in self.recording.raw(self._takers, extent):
-            if channel.topic in columns:
+        compared = infos.topics - self.topics if infos is not None else frozenset()
+        for channel, log_ns, payload in self.recording.raw(self.topics | compared, extent):
+            if infos is not None and channel.topic in compared:
+                infos.add(channel, log_ns, payload)
+            elif channel.topic in columns:
                 columns[channel.topic].add(channel, log_ns, payload)
             else:
                 self._take(channel, log_ns, payload)

@@ -100,13 +100,23 @@ def compressed(pixels, extension: str, stamp_ns=START_NS, frame="right_optical")
     return make
 
 
-def info(K, D=(), P=None, R=None, model="plumb_bob", size=(640, 480), binning=(0, 0), roi=(0, 0, 0, 0)):
+def info(
+    K,
+    D=(),
+    P=None,
+    R=None,
+    model="plumb_bob",
+    size=(640, 480),
+    binning=(0, 0),
+    roi=(0, 0, 0, 0),
+    stamp_ns=START_NS,
+):
     def make(store: Typestore) -> Any:
         region = store.types["sensor_msgs/msg/RegionOfInterest"](roi[0], roi[1], roi[3], roi[2], False)
         projection = np.hstack([K, np.zeros((3, 1))]) if P is None else P
         matrices = (np.array(D, float), np.ravel(K), np.ravel(np.eye(3) if R is None else R))
         return store.types["sensor_msgs/msg/CameraInfo"](
-            header(store, START_NS, "left_optical"),
+            header(store, stamp_ns, "left_optical"),
             size[1],
             size[0],
             model,

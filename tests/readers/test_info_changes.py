@@ -1,0 +1,91 @@
+"""Camera infos that change in the middle of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import CAMERA_INFO_CHANGES
+from mobilecal_cli.readers import Extent, open_recording, read_signals
+
+from . import recordings as r
+
+P = np.array([[480.0, 0, 310, -57.6], [0, 480, 235, 0], [0, 0, 1, 0]])
+D = [-0.2, 0.1, 0, 0, 0]
+WRITERS = {
+    "mcap": lambda path, items: r.write_mcap(path, items),
+    "mcap-ros1": lambda path, items: r.write_mcap(path, items, profile="ros1", ros1=True),
+    "bag": lambda path, items: r.write_bag(path, items),
+    "rosbag2": lambda path, items: r.write_bag2(path, items),
+}
+
+
+def world(after=None, count=10, at=6, **before):
+    """A recording whose left camera info is published `count` times, and changes at one of them."""
+    usual = {"K": r.K_LEFT, "D": D, "P": P, **before}
+    items = [item for item in r.world() if item.topic != "/left/camera_info"]
+    for k in range(count):
+        log_ns = r.START_NS + k * 100_000_000
+        stated = {**usual, **(after or {})} if k >= at else usual
+        make = r.info(**stated, stamp_ns=log_ns)
+        items.append(r.Item("/left/camera_info", "sensor_msgs/msg/CameraInfo", log_ns, make))
+    return sorted(items, key=lambda item: item.log_ns)
+
+
+def notes_of(tmp_path, items, writer="mcap", extent=None):
+    path = WRITERS[writer](tmp_path / "log", items)
+    with open_recording([path]) as recording:
+        options = {} if extent is None else {"extent": extent}
+        notes = read_signals(recording, r.SOURCES, r.JOINTS, **options).notes
+    return [note for note in notes if CAMERA_INFO_CHANGES in note]
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@pytest.mark.parametrize("extent", [None, Extent(10**9)], ids=["together", "alone"])
+def test_a_change_is_told_with_its_time_and_size(tmp_path, writer, extent):
+    moved = r.K_LEFT + np.array([[0.0, 0, 2.5], [0, 0, 0], [0, 0, 0]])
+    assert notes_of(tmp_path, world({"K": moved}), writer, extent) == [
+        "/left/camera_info: the camera calibration changes 0.6 s after the start: K by up to 2.5 px; 4 of 10 messages "
+        "differ from the first, which is used for all images"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        ({"D": [-0.2, 0.12, 0, 0, 0]}, "D by up to 0.02;"),
+        ({"P": P + 1e-2}, "P by up to 0.01 px;"),
+        ({"R": se3.exp_so3(np.radians([0, 0.3, 0]))}, "R by 0.3 deg;"),
+        ({"size": (320, 240)}, "image size 640 x 480 to 320 x 240;"),
+        (
+            {"D": [0.1] * 8, "model": "rational_polynomial"},
+            "distortion model plumb_bob (5) to rational_polynomial (8);",
+        ),
+    ],
+)
+def test_what_changes_is_named(tmp_path, after, said):
+    (note,) = notes_of(tmp_path, world(after))
+    assert said in note
+
+
+@pytest.mark.parametrize("after", [None, {"K": r.K_LEFT * (1 + 1e-9)}, {"P": P + 1e-10}])
+def test_rounding_and_stamps_are_no_change(tmp_path, after):
+    assert notes_of(tmp_path, world(after)) == []
+
+
+def test_one_wrong_message_is_counted(tmp_path):
+    items = world({"D": [0, 0, 0, 0, 0]}, at=3)
+    later = [item for item in items if item.topic == "/left/camera_info"][4:]
+    usual = {item.log_ns: r.info(r.K_LEFT, D, P, stamp_ns=item.log_ns) for item in later}
+    items = [
+        r.Item(item.topic, item.type, item.log_ns, usual[item.log_ns]) if item in later else item
+        for item in items
+    ]
+    (note,) = notes_of(tmp_path, items)
+    assert "0.3 s after the start" in note
+    assert "1 of 10 messages differ" in note
+
+
+def test_an_invalid_message_is_no_change(tmp_path):
+    assert notes_of(tmp_path, world({"K": np.zeros((3, 3))})) == []
