@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.model import Board, BoolArray, Corners, FloatArray
-from mobilecal_cli.vision.grid import fit_grid, scatter_px, turned, turns
+from mobilecal_cli.model import Board, BoolArray, Camera, Corners, FloatArray
+from mobilecal_cli.vision.grid import scatter_px, turned, turns
+from mobilecal_cli.vision.roughness import roughness_px
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, rms
 
 
@@ -61,7 +62,7 @@ class Shots:
         off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
         return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
 
-    def average(self, board: Board) -> Corners:
+    def average(self, board: Board, camera: Camera) -> Corners:
         """Mean of the corners that more than half of the images show, with the noise of the mean.
 
         The noise is the scatter over the images, pooled over the corners and divided by sqrt(n). Its lower
@@ -72,7 +73,7 @@ class Shots:
         weight = (self.seen & seen)[..., None]
         mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
         if board.markers is None:
-            roughness = fit_grid(mean.reshape(board.rows, board.columns, 2)).sigma_px
+            roughness = roughness_px(camera, mean.reshape(board.rows, board.columns, 2))
         else:
             roughness = rms(scatter_px(board.grid()[seen, :2], mean[seen]))
         sigma_px = max(roughness, FLOOR_PX)

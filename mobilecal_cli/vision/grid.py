@@ -181,10 +181,27 @@ def fit_grid(grid: FloatArray) -> GridMap:
     pixels = grid.reshape(-1, 2)
     H = _homography(frame.products, pixels)
     bent = pixels - _through(H, frame.w)
-    residual = bent - frame.finer @ (frame.finer.T @ bent)
-    sigma_px = float(np.sqrt(np.sum(residual**2) / max(2 * len(pixels) - frame.unknowns, 1)))
+    residual, sigma_px = _scatter(frame, bent)
     bend = np.asarray(frame.solver @ bent)
     return GridMap(H, bend, frame.degree, frame.centre, frame.size, residual.reshape(grid.shape), sigma_px)
+
+
+def homography_px(grid: FloatArray) -> FloatArray:
+    """(rows, columns, 2) corners by the homography that fits (rows, columns, 2) best."""
+    frame = _frame(*grid.shape[:2])
+    pixels = grid.reshape(-1, 2)
+    return _through(_homography(frame.products, pixels), frame.w).reshape(grid.shape)
+
+
+def noise_px(bent: FloatArray) -> float:
+    """Noise of one coordinate, px, from differences (rows, columns, 2) from a homography that are smooth without it."""
+    return _scatter(_frame(*bent.shape[:2]), bent.reshape(-1, 2))[1]
+
+
+def _scatter(frame: _Frame, bent: FloatArray) -> tuple[FloatArray, float]:
+    """Residuals (M, 2) of differences from a homography about a polynomial, and the noise of one coordinate, px."""
+    residual = bent - frame.finer @ (frame.finer.T @ bent)
+    return residual, float(np.sqrt(np.sum(residual**2) / max(2 * len(bent) - frame.unknowns, 1)))
 
 
 def smallest_edge_px(grid: FloatArray) -> float:

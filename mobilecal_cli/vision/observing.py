@@ -194,7 +194,8 @@ def measure(
             "board or robot moved during the stop",
             f"corners drift by {drift_px.max():.2f} px over {len(pairs)} stereo pairs, limit {limit_px:.2f} px",
         )
-    corners_left, corners_right = (shots.select(still).average(board) for shots in (shots_left, shots_right))
+    corners_left = shots_left.select(still).average(board, rig.left)
+    corners_right = shots_right.select(still).average(board, rig.right)
     both = corners_left.seen & corners_right.seen
     if both.sum() < _LEAST_IN_BOTH:
         return rejected(

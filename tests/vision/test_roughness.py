@@ -1,0 +1,96 @@
+"""Noise of corners of boards with few corners, under lenses with distortion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import Board, Camera
+from mobilecal_cli.vision import Detection, detect
+from mobilecal_cli.vision.averaging import Shots
+from mobilecal_cli.vision.grid import fit_grid
+from mobilecal_cli.vision.roughness import roughness_px
+from tests.vision.scenes import random_pose, render, seen, stereo_rig
+
+NOISE_PX = 0.05
+
+
+def slightly_wrong(camera: Camera) -> Camera:
+    """0.3 % longer, the principal point 2 px to the right."""
+    K = camera.K.copy()
+    K[:2, :2] *= 1.003
+    K[0, 2] += 2
+    return replace(camera, K=K)
+
+
+@pytest.mark.parametrize(("columns", "rows", "square_m"), [(9, 6, 0.05), (6, 4, 0.08), (5, 3, 0.1)])
+@pytest.mark.parametrize("kind", ["raw", "fisheye", "rectified"])
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_noise_is_true_for_few_corners_too(
+    columns: int, rows: int, square_m: float, kind: str, exact: bool
+) -> None:
+    rng, rig, board = np.random.default_rng(0), stereo_rig(kind), Board(columns, rows)
+    camera = rig.left if exact else slightly_wrong(rig.left)
+    squares = []
+    for _ in range(100):
+        _, left, _ = seen(rig, random_pose(rng, board, square_m), board, square_m)
+        noisy = left + NOISE_PX * rng.standard_normal(left.shape)
+        squares.append(roughness_px(camera, noisy.reshape(rows, columns, 2)) ** 2)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(NOISE_PX, rel=0.08)
+
+
+def test_without_the_lens_the_same_corners_look_rough() -> None:
+    """Why the camera's model is used: a board of 6 x 4 under a fisheye lens, without any noise."""
+    rig, board = stereo_rig("fisheye"), Board(6, 4)
+    _, left, _ = seen(rig, random_pose(np.random.default_rng(1), board, 0.08), board, 0.08)
+    grid = left.reshape(4, 6, 2)
+    assert fit_grid(grid).sigma_px > 0.1
+    assert roughness_px(rig.left, grid) < 1e-6
+
+
+def test_a_wrong_corner_shows() -> None:
+    rig, board = stereo_rig("raw"), Board(6, 4)
+    _, left, _ = seen(rig, random_pose(np.random.default_rng(2), board, 0.08), board, 0.08)
+    left[8] += 1.0
+    assert roughness_px(rig.left, left.reshape(4, 6, 2)) > 0.1
+
+
+def test_pixels_that_the_model_cannot_produce_fall_back() -> None:
+    camera = replace(stereo_rig("raw").left, D=np.array([-0.9, 0.0, 0.0, 0.0, 0.0]))
+    x, y = np.meshgrid(np.linspace(10, 630, 6), np.linspace(10, 470, 4))
+    grid = np.stack([x, y], axis=-1)
+    assert roughness_px(camera, grid) == fit_grid(grid).sigma_px
+
+
+def test_rendered_boards_claim_their_errors() -> None:
+    """Corners detected in pictures: the claim against the errors that the known pose shows."""
+    rig, board, rng = stereo_rig("raw"), Board(6, 4), np.random.default_rng(5)
+    errors, claims = [], []
+    for seed in range(8):
+        T = random_pose(rng, board, 0.08)
+        image = render(rig.left, T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
+        found = detect(image, 6, 4)
+        assert isinstance(found, Detection)
+        corners = Shots.of([found], board).average(board, rig.left)
+        truth = seen(rig, T, board, 0.08)[1]
+        errors.append(min(np.mean((found.pixels - t) ** 2) for t in (truth, truth[::-1])))
+        claims.append(corners.sigma_px**2)
+    assert np.sqrt(np.mean(claims)) == pytest.approx(np.sqrt(np.mean(errors)), rel=0.25)
+
+
+def test_a_real_board_under_a_fisheye_lens(shared_data: Path) -> None:
+    """BoofCV's picture 3: with a model fitted to all eight pictures, the corners scatter by 0.08 px about its pose."""
+    camera = Camera(
+        "boofcv", 640, 720, [[192.04, 0, 319.15], [0, 192.04, 320.77], [0, 0, 1]],
+        np.array([-8.3238e-3, -9.8244e-4, 1.95207e-3, -1.3119e-3]), "equidistant",
+    )  # fmt: skip
+    image = cv2.imread(str(shared_data / "fisheye/boofcv/3.jpg"), cv2.IMREAD_GRAYSCALE)
+    found = detect(image, 6, 4)
+    assert isinstance(found, Detection)
+    grid = found.pixels.reshape(4, 6, 2)
+    assert fit_grid(grid).sigma_px > 0.6
+    assert roughness_px(camera, grid) == pytest.approx(0.078, rel=0.1)
