@@ -148,11 +148,9 @@ def _extras(params: Path) -> dict[str, float]:
     path = params.with_name("report.json")
     try:
         data = json.loads(read_text(path, _LARGEST_REPORT_BYTES))
-        found = (
-            data["additional_parameters"] if "additional_parameters" in data else data["extras"]
-        )  # schema 1
+        found = next(data[key] for key in ("constants", "additional_parameters", "extras") if key in data)
         return {str(name): float(entry["value"]) for name, entry in found.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
         raise ConfigError(
             f"{path}: cannot be read: {error}", "keep params.yaml in the directory that calibrate wrote"
         ) from error

@@ -46,16 +46,16 @@ FIGURES = (
     Figure("camera_m", "predicted.camera_mm", "camera position in the base", "mm", 1e3, 20.0),
     Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 0.5),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "mm", 1e3),
-    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3, 10.0),
-    Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after the first meter",
+    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3,
+           10.0),
+    Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
            "mm/m", 1e3),
-    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight", "deg/m", _DEG,
-           1.0),
-    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn", "deg", _DEG,
-           5.0),
+    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight", "deg/m",
+           _DEG, 1.0),
+    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn", "deg",
+           _DEG, 5.0),
 )
 # fmt: on
-_OF_FIELD = {figure.field: figure for figure in FIGURES}
 #: Names of the gates that the verdict on use judges.
 USE_GATES = frozenset(figure.gate for figure in FIGURES)
 

@@ -10,7 +10,6 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import Evidence, Extraction, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check, Outcome
-from mobilecal_cli.report.findings import scale_sentence
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.units import value_text
 
@@ -35,8 +34,8 @@ class _Words:
 
 _CAMERA = _Words(
     "camera_info",
-    "Check that camera_info belongs to these images (resolution, crop). Calibrate the camera again, or use the exported "
-    "camera_info.",
+    "Check that camera_info belongs to these images (resolution, crop). Calibrate the camera again, or use the "
+    "exported camera_info.",
 )
 _PAIR = _Words("camera_info", "Recalibrate the stereo pair, or use the exported camera_info.")
 _HEAD = _Words("the URDF", "Correct the URDF, or use the exported URDF.")
@@ -83,9 +82,13 @@ def contradiction_sentences(found: Evidence, solution: Solution) -> tuple[str, s
     """What the data contradict and by how much, and the cure."""
     if found.kind in _SCALES and solution.scale is not None:
         scale = solution.scale
-        off = f"{abs(100 * (scale.ratio - 1)):.2g} ± {std_text(100 * scale.std)} %"
+        off = (
+            f"{value_text(abs(100 * (scale.ratio - 1)), 100 * scale.std, 2)} ± {std_text(100 * scale.std)} %"
+        )
         return (
-            f"The stated squares and the stereo baseline disagree by {off}. {scale_sentence(scale)}",
+            f"The stated squares and the stereo baseline disagree by {off}: with the stated baseline of "
+            f"{scale.baseline_m * 1e3:.2f} mm, the squares measure {scale.square_m * scale.ratio * 1e3:.2f} mm "
+            f"(stated: {scale.square_m * 1e3:.2f} mm).",
             _SCALE_CURE,
         )
     words = _BY_KIND[found.kind]
@@ -121,7 +124,7 @@ def _prior(found: Evidence) -> str:
 
 
 def contradiction_checks(solution: Solution) -> Iterator[Check]:
-    """Whether the data contradict the robot description: each contradiction, or the largest evidence if there is none."""
+    """Whether the data contradict the robot description: each contradiction, or the largest evidence."""
     if solution.uncertainty is None:
         return
     scale_done = False

@@ -81,7 +81,7 @@ class _Geometry:
         return np.stack([np.sum(each**2, axis=(2, 3)).mean(axis=1) for each in (px, motion)])
 
     def own_squares(self, noise: NoiseLevels, extraction: Extraction) -> Mapping[str, FloatArray]:
-        """ "joints" and "floor" → (2, N) mean squares due to the noise at each station."""
+        """Mean squares, (2, N), due to the noise at each station: of "joints" and of "floor"."""
         base = np.zeros((6, 3))
         base[0, 0] = base[1, 1] = noise.floor_rad
         base[5, 2] = noise.floor_m
@@ -156,7 +156,7 @@ def reprojection_sentence(solution: Solution, extraction: Extraction) -> str:
     each = [f"{words[name]} {part.px:.2f} px" for name, part in parts.items()]
     whole = float(np.sqrt(sum(part.px**2 for part in parts.values())))
     return (
-        f"One corner coordinate has a noise of only {noise:.2f} px. The reprojection error compares two stations, so it "
-        f"includes the robot's motion between them. Expected from the noise levels: {', '.join(each)}; together "
+        f"One corner coordinate has a noise of only {noise:.2f} px. The reprojection error compares two stations, so "
+        f"it includes the robot's motion between them. Expected from the noise levels: {', '.join(each)}; together "
         f"{whole:.2f} px."
     )

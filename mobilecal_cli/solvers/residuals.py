@@ -65,9 +65,7 @@ def triangulated_again(extraction: Extraction, cameras: StereoRig) -> FloatArray
     """
     seen = extraction.observations
     points = np.stack([o.points_c for o in seen])
-    pixels = [
-        np.stack([corners.pixels for corners in side]) for side in zip(*((o.left, o.right) for o in seen))
-    ]
+    left, right = (np.stack([getattr(o, side).pixels for o in seen]) for side in ("left", "right"))
     both = np.stack([o.left.seen & o.right.seen for o in seen])
     T_r_c = se3.inverse(cameras.T_c_r)
     for _ in range(_TRIANGULATION_STEPS):
@@ -76,7 +74,7 @@ def triangulated_again(extraction: Extraction, cameras: StereoRig) -> FloatArray
             project_with_jacobian(cameras.right, se3.act(T_r_c, points)),
             strict=True,
         )
-        error = np.concatenate([pixels[0] - at[0], pixels[1] - at[1]], axis=-1)
+        error = np.concatenate([left - at[0], right - at[1]], axis=-1)
         by_point = np.concatenate([J[0], J[1] @ T_r_c[:3, :3]], axis=-2)
         transposed = np.swapaxes(by_point, -1, -2)
         step = np.linalg.solve(transposed @ by_point, transposed @ error[..., None])[..., 0]
