@@ -28,6 +28,7 @@ from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change
 from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.contradictions import contradiction_sentences
+from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
