@@ -122,11 +122,25 @@ def test_a_gate_on_an_unknown_expected_error_fails():
     )
 
 
-@pytest.mark.parametrize(("motion", "fixed"), [("base_fixed", "wheels"), ("head_fixed", "head_eye")])
-def test_fixed_parameters_need_no_motion(motion, fixed):
+@pytest.mark.parametrize(
+    ("motion", "fixed", "limits"),
+    [
+        ("base_fixed", "wheels", {"predicted.camera_deg": 1.0}),
+        ("head_fixed", "head_eye", {}),
+    ],
+)
+def test_fixed_parameters_need_no_motion(motion, fixed, limits):
     solution, extraction = solved(motion=motion, fixed=(fixed,))
-    verdict = judge(solution, extraction)
+    verdict = judge(solution, extraction, limits=limits)
     assert verdict.level == "PASS", verdict.reason
+
+
+def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
+    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)))
+    assert verdict.level == "NOT ENOUGH"
+    assert "The stated zero of a head joint limits the camera rotation in the base" in verdict.reason
+    assert "More stations will not help much" in verdict.next_step
+    assert verdict.next_step.endswith("`priors: joint_zero` in rig.yaml.")
 
 
 def test_a_base_at_rest_is_not_enough_for_the_wheels():
@@ -254,27 +268,28 @@ def test_the_files_hold_budget_and_constants():
     ],
 )
 def test_one_noise_alone_makes_the_reprojection_error(part, noise):
-    """With true constants, parameters and levels, the prediction of one noise is the error that it makes."""
-    robot = tick_robot()
+    """With true levels, the prediction for one noise is the error that it makes."""
     extraction = recorded({}, noise, stations=40)
-    solution = solve(extraction, constraints=constraints_of(["head_eye", "wheels"], [], []))
+    solution = solve(extraction, "lm")
     levels = {name: getattr(noise, name) for name in ("pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad")}
     levels |= {"floor_rad": noise.floor_rad, "floor_m": 0.0, "wheel_share": 0.0}
-    true = replace(solution.uncertainty.noise, **levels)
-    known = replace(solution, uncertainty=replace(solution.uncertainty, noise=true))
+    uncertainty = drawn()[0].uncertainty
+    true = replace(uncertainty, noise=replace(uncertainty.noise, **levels))
+    known = replace(solution, uncertainty=true)
     parts = error_parts(known, extraction)
     assert max(parts, key=lambda name: parts[name].px) == part
     whole = np.sqrt(sum(p.px**2 for p in parts.values()))
     assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
     assert f"together {whole:.2f} px" in reprojection_sentence(known, extraction)
-    assert robot.wheels.vector == pytest.approx(solution.parameters.wheels.vector)
 
 
 # -- jackknife --------------------------------------------------------------------------------------
 
 
 def test_the_jackknife_widens_sigmas_that_are_too_small():
-    extraction = recorded({}, stations=20)
+    right, extraction = drawn()
+    assert (right.uncertainty.widened == 1).all()
+    assert "therefore" not in jackknife_sentence(right)
     given = replace(
         extraction.rig.noise,
         pixel_px=0.02,
@@ -284,10 +299,9 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
         floor_rad=np.radians(0.01),
         floor_m=1e-4,
     )
-    right = solve(extraction)
-    assert (right.uncertainty.widened == 1).all()
-    assert "therefore" not in jackknife_sentence(right)
-    found = solve(replace(extraction, rig=replace(extraction.rig, noise=given))).uncertainty
-    wide = found.widened > 1
+    found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
+    uncertainty = found.uncertainty
+    wide = uncertainty.widened > 1
     assert wide.any()
-    np.testing.assert_allclose(found.std[wide], found.jackknife_std[wide])
+    np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])
+    assert "are therefore those of the jackknife" in jackknife_sentence(found)
