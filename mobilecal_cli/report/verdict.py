@@ -28,6 +28,7 @@ from mobilecal_cli.report.numbers import (
     rejection_counts,
     station_names,
     stations_looked_at,
+    std_text,
 )
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
