@@ -153,7 +153,7 @@ def error_budget(solution: Solution) -> str:
     square = np.array([(0, -0.36), (1, -0.36), (1, 0.36), (0, 0.36)])
     with style():
         drawing, (axes,) = figure(7.2, 4.6, header_in=0.75)
-        axes.set_position((0.18, 0.12, 0.76, 0.72))  # room for the labels
+        axes.set_position((0.18, 0.12, 0.76, 0.72))  # space for the labels
         for k in used:
             boxes = [
                 square * (w, 1) + (x, -y)
