@@ -177,7 +177,12 @@ def test_the_report_says_what_to_record_next(first, workplace):
     assert "1. " in result.out
     assert "head_pan_joint" in result.out
     page = (workplace / "paper_robot_calibration/report.html").read_text()
-    for words in ("What to record next", "heading by dead reckoning per full turn", "jackknife", "Correlations"):
+    for words in (
+        "What to record next",
+        "heading by dead reckoning per full turn",
+        "jackknife",
+        "Correlations",
+    ):
         assert words in page
 
 
