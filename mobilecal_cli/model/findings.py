@@ -36,6 +36,7 @@ class Evidence:
     Attributes:
         kind, part: which constants, see `likelihood.nuisance.Constant`.
         values: name → (value, standard deviation) without the priors of these constants.
+        priors: name → standard deviation of the stated value.
         chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
         sigmas: the same as a number of standard deviations of a normal distribution.
         shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
@@ -44,6 +45,7 @@ class Evidence:
     kind: str
     part: str
     values: Mapping[str, tuple[float, float]]
+    priors: Mapping[str, float]
     chi2: float
     sigmas: float
     shift_sigmas: float

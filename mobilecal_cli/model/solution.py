@@ -91,6 +91,9 @@ class NoiseLevels:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
         encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
+        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        stamp_s: of an image's time stamp, where the robot moves.
+        wheel_share: of each wheel's rotation over a leg, relative to it.
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.
     """
@@ -99,6 +102,10 @@ class NoiseLevels:
     wheel_rad_per_sqrt_rad: float
     encoder_rad: float
     joint_rad: float
+    floor_rad: float
+    floor_m: float
+    stamp_s: float
+    wheel_share: float
     estimated: tuple[str, ...]
     redundancy: Mapping[str, float]
 
@@ -109,7 +116,7 @@ class Uncertainty:
 
     Attributes:
         covariance: (9, 9) in the order of `NINE`, see `Parameters` (rad, m): the inverse of the normal matrix
-            (Cramer-Rao bound), plus the prior variance of unobservable directions.
+            (Cramer-Rao bound), plus the prior variance of unobservable directions, widened by `widened`.
         observable: (9,) whether the recording makes the standard deviation clearly smaller than that of a nominal
             value; false for fixed parameters.
         unobservable: (K, 9) directions that the recording does not show, in units of `scales`, unit length: the
@@ -119,6 +126,7 @@ class Uncertainty:
         noise: noise levels.
         fixed: (9,) parameters fixed by the user; their variance is zero.
         jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, for comparison.
+        widened: (9,) factor on each standard deviation: above 1 where the jackknife is clearly larger.
         at_work: expected errors at work.
         budget: what limits the accuracy.
     """
@@ -131,6 +139,7 @@ class Uncertainty:
     noise: NoiseLevels
     fixed: BoolArray
     jackknife_std: FloatArray
+    widened: FloatArray
     at_work: AtWork
     budget: Budget
 
@@ -142,6 +151,7 @@ class Uncertainty:
             scales=(9,),
             singular_values=("D",),
             jackknife_std=(9,),
+            widened=(9,),
         )
         freeze(self, np.bool_, observable=(9,), fixed=(9,))
 

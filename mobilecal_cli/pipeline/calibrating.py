@@ -36,9 +36,11 @@ from mobilecal_cli.report import (
     gate_checks,
     gates_of,
     judge,
+    recommendation,
     report_html,
     report_json,
     suggestion_sentences,
+    use_limits,
 )
 from mobilecal_cli.solvers import Constraints, clock_offsets, evaluate, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
@@ -98,18 +100,26 @@ def _solved(
 def suggest(
     logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
 ) -> tuple[str, ...]:
-    """Suggested additional stops as numbered lines, the best first.
+    """What limits the result, and suggested additional stops as numbered lines, the best first.
 
     Raises:
         MobilecalError: see `errors`.
     """
     extraction, _ = load(logs, load_rig(config_path, flags), config_path, flags, progress)
     require_stations(extraction)
-    sentences = suggestion_sentences(_solved(extraction, "ml", None, progress), extraction)
+    solution = _solved(extraction, "ml", None, progress)
+    sentences, limiting = suggestion_sentences(solution, extraction), " ".join(recommendation(solution))
     if not sentences:
-        return ("No stop near the last one shows the whole board. Move the robot and record again.",)
+        return (
+            *filter(None, [limiting]),
+            "No stop near the last one shows the whole board. Move the robot and record again.",
+        )
     head = "Additional stop at the end of this recording, most useful first:"
-    return (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
+    return (
+        *filter(None, [limiting]),
+        head,
+        *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)),
+    )
 
 
 def _change(
@@ -177,7 +187,7 @@ def calibrate(
         params = params_yaml(solution, extraction, provenance)
         change = _change(parameters_from_yaml(params), earlier, last, extraction)
         gated = gate_checks(limits, figures_of(solution, extraction, trial))
-        verdict = judge(solution, extraction, (*change_checks(change), *gated))
+        verdict = judge(solution, extraction, (*change_checks(change), *gated), use_limits(limits))
         progress("writing the report", 0, None)
         files = {
             "params.yaml": params.encode(),

@@ -1,5 +1,6 @@
 """Results for people and programs: the verdict, the terminal summary, report.json and report.html. Pure functions."""
 
+from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_checks, change_from_nominal, change_since
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
@@ -9,7 +10,7 @@ from mobilecal_cli.report.evaluation import dependence, evaluation_json, evaluat
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
-from mobilecal_cli.report.gates import evaluated_figures, figures_of, gate_checks, gates_of
+from mobilecal_cli.report.gates import evaluated_figures, figures_of, gate_checks, gates_of, use_limits
 from mobilecal_cli.report.history import history_plot
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
@@ -52,6 +53,7 @@ __all__ = [
     "junit_error_xml",
     "junit_xml",
     "put_together",
+    "recommendation",
     "reference_frame",
     "reference_pose",
     "reference_std",
@@ -59,4 +61,5 @@ __all__ = [
     "report_json",
     "suggestion_sentences",
     "summary_table",
+    "use_limits",
 ]

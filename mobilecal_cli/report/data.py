@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     NINE,
     BoolArray,
     Evaluation,
+    Evidence,
     Extraction,
     FloatArray,
     Parameters,
@@ -22,8 +24,11 @@ from mobilecal_cli.model import (
     Solution,
     StereoRig,
 )
+from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change
 from mobilecal_cli.report.check import OUTCOME_LABELS
+from mobilecal_cli.report.contradictions import contradiction_sentences
+from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
@@ -40,7 +45,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.verdict import Verdict
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 _COUNTS = {"pictures": "images"}
 
 
@@ -66,10 +71,8 @@ def report_json(
         "legs": _legs(solution),
         "uncertainty": _uncertainty(solution, cameras),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
-        "additional_parameters": {
-            name: {"value": c.value, "std": _finite(c.std), "prior": c.prior}
-            for name, c in solution.constants.items()
-        },
+        "constants": _constants(solution),
+        "error_budget": _budget(solution),
         **_findings(solution, extraction),
         "hold_out": None if trial is None else evaluation_data(trial),
         "change": None
@@ -164,6 +167,7 @@ def _quality(solution: Solution, extraction: Extraction) -> dict[str, Any]:
         "point_rms_mm": solution.point_rms_m * 1e3,
         "point_rms_predicted_by_depth_noise_mm": predicted_point_rms_m(extraction, solution) * 1e3,
         "reprojection_rms_px": solution.reprojection_rms_px,
+        "reprojection_parts_px": {name: p.px for name, p in error_parts(solution, extraction).items()},
         "board_distance_m": board_distance_m(extraction),
         "method": solution.method,
     }
@@ -227,6 +231,7 @@ def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | Non
         "noise": asdict(found.noise),
         "fixed": dict(zip(NINE, found.fixed.tolist(), strict=True)),
         "jackknife_std": dict(zip(NINE, found.jackknife_std.tolist(), strict=True)),
+        "widened": dict(zip(NINE, found.widened.tolist(), strict=True)),
         "predicted": asdict(found.at_work),
     }
 
@@ -249,15 +254,11 @@ def _where(known: BoolArray, values: FloatArray) -> list[list[float | None]]:
 def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
     between, scale = solution.between, solution.scale
     return {
-        "evidence": [
-            {
-                "kind": found.kind,
-                "part": found.part,
-                "chi2": found.chi2,
-                "sigmas": found.sigmas,
-                "values": {n: {"value": v, "std": _finite(s)} for n, (v, s) in found.values.items()},
-            }
-            for found in solution.evidence
+        "evidence": [_evidence(found) for found in solution.evidence],
+        "contradictions": [
+            _evidence(found)
+            | dict(zip(("text", "cure"), contradiction_sentences(found, solution), strict=True))
+            for found in solution.contradictions
         ],
         "scale": None
         if scale is None
@@ -266,7 +267,10 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
             "std": scale.std,
             "square_m": scale.square_m,
             "baseline_m": scale.baseline_m,
-            "consistent": not scale.apart,
+            "consistent": not scale.apart
+            and not any(
+                found.kind in ("square_size", "baseline_length") for found in solution.contradictions
+            ),
         },
         "logs": {
             "shift": _where(between.shown, between.shift),
@@ -288,6 +292,54 @@ def _findings(solution: Solution, extraction: Extraction) -> dict[str, Any]:
             }
             for s in solution.suggestions
         ],
+    }
+
+
+def _constants(solution: Solution) -> dict[str, Any]:
+    stated = {name: prior for c in reversed(solution.contradictions) for name, prior in c.priors.items()}
+    return {
+        name: {
+            "kind": c.kind,
+            "part": c.part,
+            "unit": nuisance.kind(c.kind).unit,
+            "value": c.value,
+            "std": _finite(c.std),
+            "prior": _finite(stated.get(name, c.prior)),
+            "used_prior": _finite(c.prior),
+        }
+        for name, c in solution.constants.items()
+    }
+
+
+def _evidence(found: Evidence) -> dict[str, Any]:
+    return {
+        "kind": found.kind,
+        "part": found.part,
+        "chi2": found.chi2,
+        "sigmas": found.sigmas,
+        "shift_sigmas": found.shift_sigmas,
+        "values": {
+            name: {"value": value, "std": _finite(std), "prior": found.priors[name]}
+            for name, (value, std) in found.values.items()
+        },
+    }
+
+
+def _budget(solution: Solution) -> dict[str, Any] | None:
+    """Shares of each source in each variance, and what limits the least certain figure."""
+    if solution.uncertainty is None:
+        return None
+    budget, words = solution.uncertainty.budget, recommendation(solution)
+    shares = dict(zip(NINE, budget.nine.T.tolist(), strict=True))
+    return {
+        "sources": budget.sources,
+        "nine": {name: dict(zip(budget.sources, row, strict=True)) for name, row in shares.items()},
+        "at_work": {
+            field: dict(zip(budget.sources, row.tolist(), strict=True))
+            for field, row in budget.at_work.items()
+        },
+        "limiting": words[0] if words else "",
+        "advice": words[1] if words else "",
     }
 
 

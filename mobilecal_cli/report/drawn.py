@@ -26,6 +26,7 @@ _OF_SOLUTION: dict[str, Callable[[Solution, Extraction], str]] = {
     "wheels": plots.wheel_convergence,
     "refinement": lambda solution, _: plots.refinement_convergence(solution),
     "legs": plots.leg_residuals,
+    "budget": lambda solution, _: residual_plots.error_budget(solution),
     "correlation": lambda solution, _: residual_plots.correlation_matrix(solution),
 }
 

@@ -7,26 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import (
     NINE,
-    EstimatedConstant,
     Extraction,
     HeadChain,
     ScaleCheck,
     Solution,
     Suggestion,
 )
+from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.units import SHOWN, value_text
-
-_SHOWN_UNITS = {
-    "s": ("ms", 1e3),
-    "rad": ("deg", 180 / math.pi),
-    "m": ("mm", 1e3),
-    "px": ("px", 1.0),
-    "1": ("%", 100.0),
-}
 
 #: Noise level → label and unit.
 _LEVELS = {
@@ -34,9 +26,12 @@ _LEVELS = {
     "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad"),
     "encoder_rad": ("encoder reading", "rad"),
     "joint_rad": ("joint reading", "deg"),
+    "floor_rad": ("floor: roll and pitch of the base at each stop", "deg"),
+    "floor_m": ("floor: height of the base at each stop", "mm"),
+    "stamp_s": ("image time stamp in motion", "ms"),
+    "wheel_share": ("wheel rotation on a leg, in proportion to it", "%"),
 }
-# Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
-_JACKKNIFE_SCATTER = 3.6
+_LEVEL_FACTORS = {"floor_rad": 180 / math.pi, "floor_m": 1e3, "stamp_s": 1e3, "wheel_share": 100.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +50,13 @@ class Row:
 
 
 def predicted_rows(solution: Solution) -> tuple[Row, ...]:
-    """Expected errors of a robot in use."""
+    """Expected errors of a robot in use; in `value`, the default limit."""
     found = solution.uncertainty
     if found is None:
         return ()
-    p = found.at_work
     return tuple(
-        Row("", meaning, "", std_text(value), unit)
-        for meaning, value, unit in (
-            ("camera position on the head", p.camera_m * 1e3, "mm"),
-            ("camera orientation on the head", math.degrees(p.camera_rad), "deg"),
-            ("point 2 m in front of the camera", p.point_m * 1e3, "mm"),
-            ("dead reckoning, driving straight: distance", p.along_m_per_m * 1e3, "mm per m"),
-            ("dead reckoning, driving straight: lateral, first meter", p.sideways_m_per_m * 1e3, "mm per m"),
-            ("dead reckoning, driving straight: heading", math.degrees(p.heading_rad_per_m), "deg per m"),
-            ("dead reckoning: heading error per full turn", math.degrees(p.heading_rad_per_turn), "deg"),
-        )
+        Row("", f.meaning, "" if f.limit is None else f"{f.limit:g}", std_text(f.of(found.at_work)), f.unit)
+        for f in FIGURES
     )
 
 
@@ -78,11 +64,14 @@ def noise_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
     """Measurement noise: in `value`, how each level was obtained; none for methods that give none."""
     if solution.uncertainty is None:
         return ()
-    noise = solution.uncertainty.noise
+    noise, given = solution.uncertainty.noise, extraction.rig.noise.given
+    moving = not all(o.at_rest for o in extraction.observations)
     rows = []
     for level, (meaning, unit) in _LEVELS.items():
         std = float(getattr(noise, level))
-        source = "given"
+        source = "given" if level in given else "assumed"
+        if level == "stamp_s" and not moving:
+            continue
         if level in noise.estimated:
             source = f"estimated from {noise.redundancy[level]:.0f} redundant residuals"
         elif level == "encoder_rad":
@@ -90,7 +79,7 @@ def noise_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
                 continue
             source = "given, or derived from the encoder step"
         if level != "joint_rad":
-            rows.append(Row("", meaning, source, std_text(std), unit))
+            rows.append(Row("", meaning, source, std_text(std * _LEVEL_FACTORS.get(level, 1.0)), unit))
             continue
         for kind, factor, kind_unit in joint_kinds(extraction.rig.chain):
             rows.append(Row("", f"{meaning}{kind}", source, std_text(std * factor), kind_unit))
@@ -115,38 +104,23 @@ def jackknife_sentence(solution: Solution) -> str:
     known = (found.std > 0) & (found.jackknife_std > 0)
     if not known.any():
         return ""
-    ratio = found.jackknife_std[known] / found.std[known]
-    usual = 1 + _JACKKNIFE_SCATTER / math.sqrt(max(len(solution.residuals.legs), 1))
-    return (
+    ratio = found.jackknife_std[known] / (found.std / found.widened)[known]
+    usual = usual_jackknife_factor(len(solution.residuals.legs))
+    sentence = (
         "Jackknife test: solving repeatedly, each time without the corners or the joint readings of one station or "
         f"the wheel rotations of one leg, gives {ratio.min():.2f} to {ratio.max():.2f} times the standard deviations "
-        f"above. With {len(solution.residuals.legs)} legs, factors from {1 / usual:.1f} to {usual:.1f} are usual."
+        f"of the noise levels. With {len(solution.residuals.legs)} legs, factors from {1 / usual:.1f} to {usual:.1f} "
+        "are usual."
     )
-
-
-def constant_rows(solution: Solution, extraction: Extraction) -> tuple[Row, ...]:
-    """The constants of the robot description: their differences from the stated values."""
-    return tuple(
-        _square(found, extraction)
-        if found.name == "square_scale" and extraction.board.square_m is None
-        else _constant(found)
-        for found in solution.constants.values()
-    )
-
-
-def _square(found: EstimatedConstant, extraction: Extraction) -> Row:
-    """The square size where none is stated: the scale parameter is relative to the median of the stations."""
-    median_mm = 1e3 * float(np.median([o.square_m for o in extraction.observations]))
-    std_mm = median_mm * found.std
-    shown = value_text(median_mm * (1 + found.value), std_mm, 3)
-    return Row("square", "square size, measured by the stereo pair", shown, std_text(std_mm), "mm")
-
-
-def _constant(found: EstimatedConstant) -> Row:
-    kind = nuisance.kind(found.kind)
-    std = found.std * kind.shown
-    shown = value_text(found.value * kind.shown, std, 3, "+")
-    return Row(found.name, f"{found.part}: {found.meaning}", shown, std_text(std), kind.shown_unit)
+    widened = [
+        f"{name} ({factor:.1f} times)" for name, factor in zip(NINE, found.widened, strict=True) if factor > 1
+    ]
+    if widened:
+        sentence += (
+            f" The standard deviations of {', '.join(widened)} are therefore those of the jackknife: the residuals "
+            "vary more from station to station than their noise levels say."
+        )
+    return sentence
 
 
 def scale_sentence(scale: ScaleCheck) -> str:

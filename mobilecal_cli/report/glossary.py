@@ -25,11 +25,14 @@ class Term:
 
 
 TERMS = (
-    Term("bic", "BIC", "BIC",
-         "The Bayesian information criterion compares a model with additional parameters to the nine-parameter "
-         "model. A positive delta BIC means that the data support the additional parameters."),
+    Term("contradiction", "Contradiction", "contradict(?:ions?|s)?",
+         "A stated value of the robot description that the recording disagrees with by more than four standard "
+         "deviations. The solver then trusts it less."),
     Term("dead-reckoning", "Dead reckoning", "dead reckoning",
          "The path of the base, computed from the wheel rotations alone."),
+    Term("error-budget", "Error budget", "error budget",
+         "What share of a variance comes from each source: corners, joints, floor, wheels, and each kind of stated "
+         "value."),
     Term("gimbal-lock", "Gimbal lock", "gimbal lock",
          "An orientation at which Euler angles are not unique: the middle angle is near ±90°. Use the rotation "
          "vector or the quaternion there."),
@@ -60,7 +63,8 @@ TERMS = (
     Term("point-error", "Point error", "point errors?",
          "The station-to-station corner error in space, root mean square in mm. The paper's Table 1 calls it Error."),
     Term("prior", "Prior", "priors?",
-         "A known value of a parameter with its standard deviation. The solver treats it as one more measurement."),
+         "What is known of a parameter or a constant of the robot description without the recording: a value with its "
+         "standard deviation. The solver treats it as one more measurement."),
     Term("rejected", "Rejected", "rejected|rejections?",
          "A station or image is rejected before the solve if it gives no usable measurement."),
     Term("reprojection", "Reprojection error", "reprojection errors?",

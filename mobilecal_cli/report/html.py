@@ -12,13 +12,15 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.report import overlays
+from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_rows
 from mobilecal_cli.report.check import OUTCOME_LABELS
+from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
 from mobilecal_cli.report.data import coverage, square_mm
+from mobilecal_cli.report.decomposition import reprojection_sentence
 from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
-    constant_rows,
     jackknife_sentence,
     log_rows,
     noise_rows,
@@ -98,7 +100,10 @@ def report_html(
         "outliers": solution.outliers,
         "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),
-        "constants": constant_rows(solution, extraction),
+        "constant_groups": constant_groups(solution, extraction),
+        "contradictions": [contradiction_sentences(found, solution) for found in solution.contradictions],
+        "limiting": recommendation(solution),
+        "reprojection_parts": reprojection_sentence(solution, extraction),
         "scale": scale_sentence(solution.scale) if solution.scale is not None else "",
         "logs_apart": log_rows(solution, extraction),
         "nine": NINE,

@@ -1,18 +1,45 @@
-"""Plots of the residuals across the image and over time, and of the correlations. Each is an <svg> element."""
+"""Plots of residuals, correlations and the error budget. Each is an <svg> element."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import NINE, Extraction, FloatArray, IntArray, Side, Solution
-from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, RED, figure, polygons, style, svg
+from mobilecal_cli.report.at_work import FIGURES
+from mobilecal_cli.report.budget import families
+from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, polygons, style, svg
+
+if TYPE_CHECKING:
+    from matplotlib.patches import Patch
 
 _CELLS = (12, 9)
 _LEAST_IN_CELL = 3  # cells with fewer corners show no mean
+# Error budget: dark shades for measurements, light ones for what the robot description states.
+_FAMILY_COLORS = {
+    "corners": (BLUE, 0.75),
+    "joint readings": (ORANGE, 0.75),
+    "floor": (GREEN, 0.75),
+    "wheels": (RED, 0.75),
+    "encoder steps": (INK, 0.55),
+    "time stamps": (INK, 0.3),
+    "camera_info": (BLUE, 0.35),
+    "head geometry": (ORANGE, 0.35),
+    "board": (GREEN, 0.35),
+    "nominal values": (RED, 0.3),
+    "other": (FAINT, 0.6),
+}
+_BUDGET_LABELS = {
+    "camera_m": "camera position",
+    "camera_rad": "camera rotation",
+    "along_m_per_m": "distance per meter",
+    "heading_rad_per_m": "heading per meter",
+    "heading_rad_per_turn": "heading per turn",
+}
+_LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 _KINDS = {
     "corners": "corners",
     "station": "station",
@@ -108,6 +135,51 @@ def correlation_matrix(solution: Solution) -> str:
         axes.set_ylim(len(NINE) - 0.5, -0.5)
         axes.grid(visible=False)
         return svg(drawing, "correlation", "correlation matrix of the nine parameters")
+
+
+def error_budget(solution: Solution) -> str:
+    """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
+    found = solution.uncertainty
+    if found is None:
+        return ""
+    names, shares = families(solution)
+    at_work = [figure for figure in FIGURES if figure.limit is not None]
+    fields = [*NINE, *found.budget.at_work]
+    columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
+    labels = [*NINE, *(_BUDGET_LABELS[figure.field] for figure in at_work)]
+    shares = shares[:, columns]
+    used = [k for k in range(len(names)) if shares[k].max() > _LEAST_SHARE]
+    left = np.zeros(len(columns))
+    square = np.array([(0, -0.36), (1, -0.36), (1, 0.36), (0, 0.36)])
+    with style():
+        drawing, (axes,) = figure(7.2, 4.6, header_in=0.75)
+        axes.set_position((0.18, 0.12, 0.76, 0.72))  # space for the labels
+        for k in used:
+            boxes = [
+                square * (w, 1) + (x, -y)
+                for y, (x, w) in enumerate(zip(left, shares[k], strict=True))
+                if w > 0
+            ]
+            polygons(axes, boxes, [_FAMILY_COLORS[names[k]]] * len(boxes))
+            for y, (x, w) in enumerate(zip(left, shares[k], strict=True)):
+                if w > _LABELED_SHARE:
+                    axes.text(x + w / 2, -y, f"{100 * w:.0f} %", ha="center", va="center", fontsize=7)
+            left = left + shares[k]
+        axes.set_yticks([-y for y in range(len(labels))], labels, fontsize=8)
+        axes.set_xlim(0, 1)
+        axes.set_ylim(-len(labels) + 0.4, 0.6)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+        axes.set_xlabel("share of the variance")
+        axes.grid(visible=False)
+        patches = [_patch(*_FAMILY_COLORS[names[k]]) for k in used]
+        drawing.legend(patches, [names[k] for k in used], loc="upper right", ncols=5, fontsize=8)
+        return svg(drawing, "budget", "error budget: what each variance consists of")
+
+
+def _patch(color: str, opacity: float) -> Patch:
+    from matplotlib.patches import Patch as NewPatch
+
+    return NewPatch(facecolor=color, alpha=opacity)
 
 
 def over_time(solution: Solution, extraction: Extraction, log: int) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from mobilecal_cli.model import NINE, Evaluation, Extraction, FloatArray, Solution
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.contradictions import contradiction_sentences
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
@@ -64,6 +65,9 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
     ]
     if trial is not None:
         lines += ["Test on the held-out stations", evaluation_text(trial, ()).rstrip("\n")]
+    for found in solution.contradictions:
+        what, cure = contradiction_sentences(found, solution)
+        lines += textwrap.wrap(f"Robot description: {what} {cure}", _WIDTH, subsequent_indent="  ")
     for outlier in solution.outliers:
         lines += textwrap.wrap(f"Outlier: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
     return "\n".join(lines) + "\n"

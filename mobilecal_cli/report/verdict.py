@@ -1,12 +1,13 @@
 """The verdict on a calibration: PASS, FAIL or NOT ENOUGH, with the reason and the next step.
 
-Each criterion is a `Check` with its measured value and its limit. The limits are wide: they catch faults such as
-a slipping wheel, a moved board, a wrong encoder setting or a wrong camera calibration, not higher noise.
+PASS means that the expected errors in use are within their limits (`at_work`), and that nothing contradicts. Each
+criterion is a `Check` with its measured value and its limit. The limits of the other criteria are wide: they catch
+faults such as a slipping wheel, a moved board or a wrong encoder setting, not higher noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,8 +16,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.at_work import MIN_PAN_DEG, MIN_TILT_DEG, use_checks, use_sentence, uses
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
-from mobilecal_cli.report.known import description, outliers_and_noise, sigmas, square, unobservable
+from mobilecal_cli.report.contradictions import contradiction_checks
+from mobilecal_cli.report.decomposition import ErrorPart, error_parts
+from mobilecal_cli.report.known import outliers_and_noise, square, unobservable
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -31,8 +35,6 @@ Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
 
 # Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
 MIN_STATIONS = 8
-# With less motion the signal of a parameter is about as small as the noise.
-MIN_PAN_DEG, MIN_TILT_DEG = 10.0, 5.0
 # Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is
 # 0.9 degrees of heading, more than a wheel without slip loses on one leg.
 POINT_ERROR_LOOK, POINT_ERROR_BAD = 0.008, 0.015
@@ -75,67 +77,76 @@ class Verdict:
     checks: tuple[Check, ...] = ()
 
 
-def judge(solution: Solution, extraction: Extraction, gates: Sequence[Check] = ()) -> Verdict:
-    """The verdict on a solution; NOT ENOUGH takes precedence over FAIL.
+def judge(
+    solution: Solution,
+    extraction: Extraction,
+    gates: Sequence[Check] = (),
+    limits: Mapping[str, float] | None = None,
+) -> Verdict:
+    """The verdict on a solution. The first criterion that is not met decides.
 
     Args:
         solution: the solution.
         extraction: the data it was computed from.
         gates: criteria of the user, see `gate_checks`.
+        limits: gate → limit of an expected error, replacing the default, see `use_limits`.
     """
-    checks = (*_checks(solution, extraction), *gates)
-    for check in _diagnosis(solution):  # a wrong description comes before what it seems to lack
-        return Verdict("FAIL", check.why, check.next_step, checks)
-    levels: tuple[tuple[Outcome, Level], ...] = (("short", "NOT ENOUGH"), ("bad", "FAIL"))
-    for outcome, level in levels:
-        for check in checks:
-            if check.outcome == outcome:
-                return Verdict(level, check.why, check.next_step, checks)
-    share = 100 * solution.point_rms_m / board_distance_m(extraction)
-    reason = (
-        f"The point error over {len(extraction.observations)} stations is {solution.point_rms_m * 1e3:.1f} mm, "
-        f"{share:.1f} % of the distance to the board."
-    )
-    if solution.uncertainty is not None:
-        rotation, position, wheels = np.split(solution.uncertainty.std, 3)
-        known = (
-            f"{name} {std_text(factor * std.max())} {unit}"
-            for name, std, factor, unit in (
-                ("camera rotation about a head axis", rotation, 180 / np.pi, "deg"),
-                ("camera position", position, 1e3, "mm"),
-                ("wheels", wheels, 1e3, "mm"),
-            )
-            if std.any()
+    checks = (*_checks(solution, extraction, limits or {}), *gates)
+    levels: dict[Outcome, Level] = {"short": "NOT ENOUGH", "bad": "FAIL"}
+    for check in checks:
+        if check.outcome in levels:
+            return Verdict(levels[check.outcome], check.why, check.next_step, checks)
+    if solution.uncertainty is None:
+        reason = (
+            f"{_point_error(solution, extraction)} The method {solution.method} gives no standard deviations, so the "
+            "expected errors in use are unknown."
         )
-        reason += f" Largest standard deviations: {', '.join(known)}."
+        next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
+    else:
+        reason = f"{_point_error(solution, extraction)} {use_sentence(solution)}"
+        next_step = "Use params.yaml on the robot."
     look = [check for check in checks if check.outcome == "look"]
-    next_step = "Use params.yaml on the robot."
     if look:
         next_step += f" Check first: {look[0].why} {look[0].next_step}"
     return Verdict("PASS", reason, next_step, checks)
 
 
-def _checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
-    yield from _stations(extraction)
+def _point_error(solution: Solution, extraction: Extraction) -> str:
+    share = 100 * solution.point_rms_m / board_distance_m(extraction)
+    return (
+        f"The point error over {len(extraction.observations)} stations is {solution.point_rms_m * 1e3:.1f} mm, "
+        f"{share:.1f} % of the distance to the board."
+    )
+
+
+def _checks(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> Iterator[Check]:
+    """All criteria: a mistake first, then missing data, then contradictions and faults, then the errors in use."""
+    enough = all(use.within for use in uses(solution, limits))
     yield from _diagnosis(solution)
-    yield from unobservable(solution)
-    yield from _motion(solution)
+    yield from _stations(extraction)
+    yield from unobservable(solution, enough=enough)
+    if solution.uncertainty is None:
+        yield from _motion(solution)
     if not extraction.observations:
         return
+    yield from contradiction_checks(solution)
+    yield from _faults(solution, extraction)
+    yield from use_checks(solution, limits)
+    yield _rejected(extraction)
+
+
+def _faults(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     yield _rival(solution)
     yield _wheels_apart(solution)
     yield from _nominal(solution, extraction)
-    yield from _stereo(extraction)
+    yield from _stereo(solution, extraction)
     yield from square(solution, extraction)
-    yield from description(solution)
     if len(solution.residuals.legs):
         yield from _legs(solution, extraction)
         yield from _errors(solution, extraction)
     if solution.refinement is not None:
         yield _methods(solution)
-    yield from sigmas(solution)
     yield from outliers_and_noise(solution, extraction)
-    yield _rejected(extraction)
 
 
 def _stations(extraction: Extraction) -> Iterator[Check]:
@@ -177,17 +188,7 @@ def _diagnosis(solution: Solution) -> Iterator[Check]:
 
 
 def _motion(solution: Solution) -> Iterator[Check]:
-    """Motion of the head, unless head-eye parameters are fixed, and of the base, unless wheel parameters are.
-
-    Where some are fixed, less motion determines the others: their standard deviations decide.
-    """
-    fixed = solution.uncertainty.fixed if solution.uncertainty is not None else np.zeros(9, dtype=np.bool_)
-    of = {
-        "pan_range_deg": fixed[:6],
-        "tilt_range_deg": fixed[:6],
-        "turned_deg": fixed[6:],
-        "driven_m": fixed[6:],
-    }
+    """Motion of head and base, for methods without standard deviations."""
     for key, name, unit, least, more in (
         (
             "pan_range_deg",
@@ -206,7 +207,7 @@ def _motion(solution: Solution) -> Iterator[Check]:
         ("turned_deg", "rotation of the base", "degrees", MIN_TURNED_DEG, "turn the base between stops"),
         ("driven_m", "path length of the base", "m", MIN_DRIVEN_M, "drive the base further between stops"),
     ):
-        if key in solution.motion and not of[key].any():
+        if key in solution.motion:
             value = solution.motion[key]
             yield Check(
                 name,
@@ -277,11 +278,16 @@ def _times(ratio: float) -> str:
     return f"{ratio:.2f} times"
 
 
-def _stereo(extraction: Extraction) -> Iterator[Check]:
-    px = float(np.median([o.reprojection_px for o in extraction.observations]))
+def _stereo(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Corners against the flat board: with the cameras as estimated, or as stated where there is no estimate."""
+    found = solution.uncertainty
+    stated = float(np.median([o.reprojection_px for o in extraction.observations]))
+    px = stated if found is None else found.noise.pixel_px
     yield Check(
         "stereo reprojection error of the board",
-        f"{std_text(px)} px (median)",
+        f"{std_text(px)} px (median)"
+        if found is None
+        else f"{std_text(px)} px (with camera_info as stated: {std_text(stated)} px)",
         f"under {STEREO_BAD_PX:g} px",
         graded(px, STEREO_LOOK_PX, STEREO_BAD_PX),
         f"The stereo reprojection error of the board is {std_text(px)} px (0.3 px is usual).",
@@ -312,10 +318,15 @@ def _methods(solution: Solution) -> Check:
         "linear against refined solution",
         f"differ by {apart_by}",
         f"under {METHODS_ROTATION_DEG:g} degrees, {METHODS_TRANSLATION_M * 1e3:g} mm and {100 * METHODS_WHEELS:g} %",
-        "bad" if far else "good",
+        _at_most(solution, "bad") if far else "good",
         f"The linear and the refined solution differ by {apart_by}.",
         "Check the head joints for play. Then record again with more stops, head motion and turns.",
     )
+
+
+def _at_most(solution: Solution, outcome: Outcome) -> Outcome:
+    """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
+    return "look" if outcome == "bad" and solution.uncertainty is not None else outcome
 
 
 def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -337,7 +348,7 @@ def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
             f"largest {kind} error of a leg",
             f"{error:.1f} {unit} (median {median:.1f} {unit})",
             f"under {LEG_OUTLIER:g} times the median, or under {share_bad * scale:.1f} {unit}",
-            graded(share, share_look, share_bad) if stands_out else "good",
+            _at_most(solution, graded(share, share_look, share_bad)) if stands_out else "good",
             f"The {kind} error between stations {names[first]} and {names[second]} is {error:.1f} {unit} "
             f"(median {median:.1f} {unit}).",
             "Check for wheel slip and for a moved board between these stations, and record again.",
@@ -347,13 +358,14 @@ def _legs(solution: Solution, extraction: Extraction) -> Iterator[Check]:
 def _errors(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     error, distance = solution.point_rms_m, board_distance_m(extraction)
     predicted = predicted_point_rms_m(extraction, solution)
-    # Depth noise of the cameras is no error of the calibration.
-    unexplained = float(np.sqrt(max(error**2 - predicted**2, 0.0)))
+    floor = error_parts(solution, extraction).get("floor", ErrorPart(0.0, 0.0))
+    # Depth noise of the cameras and an uneven floor are no errors of the calibration.
+    unexplained = float(np.sqrt(max(error**2 - predicted**2 - floor.m**2, 0.0)))
     yield Check(
         "point error",
         f"{error * 1e3:.1f} mm, {100 * error / distance:.2f} % of the distance "
         f"(depth noise alone: {predicted * 1e3:.1f} mm)",
-        f"under {100 * POINT_ERROR_BAD:g} % without depth noise",
+        f"under {100 * POINT_ERROR_BAD:g} % without depth noise and uneven floor",
         graded(unexplained / distance, POINT_ERROR_LOOK, POINT_ERROR_BAD),
         f"The point error is {error * 1e3:.1f} mm at {distance:.1f} m (depth noise alone: {predicted * 1e3:.1f} mm).",
         "Check for wheel slip, a moved board, and errors in the head joints or their URDF.",
@@ -364,7 +376,7 @@ def _errors(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         "reprojection error",
         f"{px:.2f} px",
         f"under {PIXEL_ERROR_BAD * focal_px:.1f} px",
-        graded(px, np.inf, PIXEL_ERROR_BAD * focal_px),
+        graded(max(px**2 - floor.px**2, 0.0), np.inf, (PIXEL_ERROR_BAD * focal_px) ** 2),
         f"The reprojection error is {px:.1f} px (limit {PIXEL_ERROR_BAD * focal_px:.1f} px).",
         "Check for wheel slip, a moved board, and errors in the head joints or their URDF.",
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.likelihood.between import weigh_logs
+from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.predict import gradients_at, variance
 from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Evidence, Extraction, FloatArray, ScaleCheck
 from mobilecal_cli.solvers.fit import Fit
@@ -92,6 +93,18 @@ def jackknife_std(fit: Fit) -> FloatArray:
     C, weight = fit.lin.conditional_covariance, fit.lin.priors.information
     unshown = np.sum(C[:9] ** 2 * weight, axis=1) + np.sum(fit.lin.considered[:9] ** 2, axis=1)
     return np.asarray(np.sqrt(spread + unshown))
+
+
+def widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
+    """Factor on the standard deviation of each of the nine parameters, (9,).
+
+    The jackknife's, where it is larger than its own scatter explains: the residuals then vary more than their noise
+    levels say, or are not independent.
+    """
+    std = np.sqrt(np.diag(fit.covariance)[:9])
+    ratio = jackknife / np.where(std > 0, std, np.inf)
+    usual = usual_jackknife_factor(int(fit.inliers.legs.sum()))
+    return np.where(ratio > usual, ratio, 1.0)
 
 
 def over_logs(fit: Fit) -> Fit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
 from mobilecal_cli.likelihood.legs import wheel_clock_s
 from mobilecal_cli.likelihood.predict import predicted_at
-from mobilecal_cli.likelihood.state import head_at
+from mobilecal_cli.likelihood.state import cameras_at, head_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
@@ -31,14 +31,21 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.diagnosis import diagnose
-from mobilecal_cli.solvers.findings import budget_of, constants_of, jackknife_std, over_logs, scale_of
+from mobilecal_cli.solvers.findings import (
+    budget_of,
+    constants_of,
+    jackknife_std,
+    over_logs,
+    scale_of,
+    widening,
+)
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from mobilecal_cli.solvers.residuals import residuals_of
+from mobilecal_cli.solvers.residuals import residuals_of, triangulated_again
 from mobilecal_cli.solvers.signs import check_signs
 from mobilecal_cli.solvers.transfer import point_rms_m
 
@@ -169,11 +176,17 @@ def _initial_estimate(pairs: MotionPairs, initial: Parameters) -> LinearEstimate
     return LinearEstimate(initial, (initial,), 1, rms, ratios_of(initial.wheels), "nominal", math.inf)
 
 
-def _corrected(pairs: MotionPairs, fit: Fit) -> MotionPairs:
-    """The pairs with the fit's constants applied: time offsets, pan zero, backlash, mount."""
+def _corrected(extraction: Extraction, pairs: MotionPairs, fit: Fit) -> tuple[Extraction, MotionPairs]:
+    """The cameras and the pairs with the fit's constants applied: cameras, time offsets, head chain and joints."""
     data, state = fit.data, fit.lin.state
+    cameras = cameras_at(data, state)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    return replace(pairs, T_v_h=head_at(data, as_read), steps=data.steps(wheel_clock_s(data, state)))
+    return replace(extraction, rig=replace(extraction.rig, cameras=cameras)), replace(
+        pairs,
+        points_c=triangulated_again(extraction, cameras),
+        T_v_h=head_at(data, as_read),
+        steps=data.steps(wheel_clock_s(data, state)),
+    )
 
 
 def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
@@ -196,11 +209,11 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
     if not inliers.any():
         inliers[:] = True
-    corrected = _corrected(pairs, fit)
+    seen, corrected = _corrected(extraction, pairs, fit)
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(extraction, corrected, refinement, linear=linear, inliers=inliers)
+    solution = _solution(seen, corrected, refinement, linear=linear, inliers=inliers)
     return replace(
         solution,
         uncertainty=uncertainty_of(fit),
@@ -216,7 +229,12 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
 
 def uncertainty_of(fit: Fit) -> Uncertainty:
     """Uncertainty of the nine parameters of a fit."""
-    covariance = fit.covariance[:9, :9]
+    jackknife = jackknife_std(fit)
+    widened = widening(fit, jackknife)
+    factor = np.ones(len(fit.covariance))
+    factor[:9] = widened
+    shared = fit.covariance * np.outer(factor, factor)
+    covariance = shared[:9, :9]
     scales, fixed = fit.lin.priors.scales[:9], fit.lin.priors.fixed[:9]
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
@@ -226,15 +244,13 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         scales=scales,
         singular_values=fit.directions.singular_values,
         noise=NoiseLevels(
-            fit.noise.pixel_px,
-            fit.noise.wheel_rad_per_sqrt_rad,
-            fit.noise.encoder_rad,
-            fit.noise.joint_rad,
-            tuple(levels),
-            {name: fit.components[name].redundancy for name in levels},
+            **asdict(fit.noise),
+            estimated=tuple(levels),
+            redundancy={name: fit.components[name].redundancy for name in levels},
         ),
         fixed=fixed,
-        jackknife_std=jackknife_std(fit),
-        at_work=predicted_at(fit.lin, fit.covariance),
+        jackknife_std=jackknife,
+        widened=widened,
+        at_work=predicted_at(fit.lin, shared),
         budget=budget_of(fit),
     )

@@ -167,8 +167,8 @@ def test_fixed_prior_and_more_numbers(first, workplace):
     assert params["uncertainty"]["std"]["separation"] == 0
     assert params["uncertainty"]["std"]["radius_left"] < 0.00011
     report = json.loads((workplace / "asked/report.json").read_text())
-    assert set(report["additional_parameters"]) >= {"pan_zero", "focal_left", "focal_right"}
-    assert "Additional estimated parameters" in (workplace / "asked/report.html").read_text()
+    assert set(report["constants"]) >= {"pan_zero", "focal_left", "focal_right"}
+    assert "All constants of the robot description" in (workplace / "asked/report.html").read_text()
 
 
 def test_the_report_says_what_to_record_next(first, workplace):
@@ -177,7 +177,12 @@ def test_the_report_says_what_to_record_next(first, workplace):
     assert "1. " in result.out
     assert "head_pan_joint" in result.out
     page = (workplace / "paper_robot_calibration/report.html").read_text()
-    for words in ("What to record next", "heading error per full turn", "jackknife", "Correlations"):
+    for words in (
+        "What to record next",
+        "heading by dead reckoning per full turn",
+        "jackknife",
+        "Correlations",
+    ):
         assert words in page
 
 
@@ -185,8 +190,8 @@ def test_a_wrong_square_is_said(workplace, sample_logs):
     log = sample_logs / "paper_robot.mcap"
     result = run("calibrate", log, "--square-m", "0.0812", "-o", "square", cwd=workplace)
     assert result.code == 0, result.err
-    assert "squares measure 80.0" in " ".join(result.out.split())
-    assert "baseline measures 121.8" in " ".join(result.out.split())
+    assert "the squares measure 80.0" in " ".join(result.out.split())
+    assert "(stated: 81.20 mm)" in " ".join(result.out.split())
 
 
 def test_noise_that_the_configuration_knows(workplace, sample_logs):

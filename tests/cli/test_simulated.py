@@ -72,7 +72,7 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     quality = load(tmp_path / "out/params.yaml")["quality"]
     assert quality["stations"] > 30
     assert quality["point_rms_mm"] < 5
-    extras = json.loads((tmp_path / "out/report.json").read_text())["additional_parameters"]
+    extras = json.loads((tmp_path / "out/report.json").read_text())["constants"]
     for clock in ("time_joints", "time_wheels"):
         assert extras[clock]["value"] == pytest.approx(-0.025, abs=max(0.0005, 4 * extras[clock]["std"]))
 

@@ -15,6 +15,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model import (
     CalibratedRobot,
+    EstimatedConstant,
     FleetRow,
     HeadChain,
     JointLink,
@@ -304,7 +305,11 @@ def test_the_table_against_its_golden_copy(extraction, solution):
 def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
     solved = solve(extraction)
     moving = dataclasses.replace(
-        solved, constants={"time_joints": (0.00321, 5e-5), "time_wheels": (-0.0012, 2e-7)}
+        solved,
+        constants={
+            name: EstimatedConstant(name, "clock", "joints", "", value, std, 0.2)
+            for name, value, std in (("time_joints", 0.00321, 5e-5), ("time_wheels", -0.0012, 2e-7))
+        },
     )
     table = summary_table(moving, extraction)
     assert "Cameras to joints                    3.210 ± 0.050 ms" in table
@@ -326,7 +331,7 @@ def test_json_holds_every_number(extraction, solution):
     assert text == report_json(solution, extraction, make_provenance(extraction), verdict)
     data = json.loads(text)
     assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
-    assert data["schema_version"] == 2
+    assert data["schema_version"] == 3
     assert data["verdict"]["level"] == "PASS"
     assert data["parameters"]["radius_left_mm"] == pytest.approx(
         solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15

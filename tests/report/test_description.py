@@ -1,0 +1,307 @@
+"""Verdict by use, contradictions, error budget and error parts, from solutions of simulated robots."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import LogSource, Nominal
+from mobilecal_cli.report import (
+    gate_checks,
+    gates_of,
+    judge,
+    recommendation,
+    report_html,
+    report_json,
+    summary_table,
+    use_limits,
+)
+from mobilecal_cli.report.at_work import FIGURES, uses
+from mobilecal_cli.report.budget import SOURCES, families
+from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
+from mobilecal_cli.report.decomposition import error_parts, reprojection_sentence
+from mobilecal_cli.report.findings import jackknife_sentence, noise_rows
+from mobilecal_cli.simulate.ideal import Noise
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import constraints_of, solve
+from tests.report.example import make_extraction, make_provenance, make_solution
+
+NOISE = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
+QUIET = Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
+SCHEMA = Path(__file__).parents[2] / "docs" / "reference" / "report.schema.json"
+
+
+def recorded(constants, noise=NOISE, motion="standard", stations=12, seed=1):
+    robot = tick_robot()
+    route = plan_route(robot, motion, stations, seed=seed)
+    extraction = imperfect_extraction(robot, route, Imperfection(constants, noise), seed=seed)
+    nominal = Nominal(robot.T_h_c @ extraction.rig.cameras.T_c_reference, robot.wheels)
+    rig = replace(extraction.rig, nominal=nominal)
+    return replace(extraction, rig=rig, logs=(LogSource("log.mcap", "0" * 64),))
+
+
+@cache
+def solved(*constants, motion="standard", fixed=()):
+    extraction = recorded(dict(constants), motion=motion)
+    return solve(extraction, constraints=constraints_of(list(fixed), [], [])), extraction
+
+
+@cache
+def drawn():
+    extraction = recorded(draw(tick_robot(), np.random.default_rng(1)))
+    return solve(extraction), extraction
+
+
+def with_share(solution, source, share):
+    """The solution with a budget in which one source has a share of everything."""
+    budget = solution.uncertainty.budget
+    at = budget.sources.index(source)
+    rest = (1 - share) / (len(budget.sources) - 1)
+    column = np.full(len(budget.sources), rest)
+    column[at] = share
+    budget = replace(
+        budget, nine=np.repeat(column[:, None], 9, axis=1), at_work=dict.fromkeys(budget.at_work, column)
+    )
+    return replace(solution, uncertainty=replace(solution.uncertainty, budget=budget))
+
+
+# -- verdict by use ---------------------------------------------------------------------------------
+
+
+def test_a_robot_drawn_from_the_priors_passes():
+    solution, extraction = drawn()
+    verdict = judge(solution, extraction)
+    assert verdict.level == "PASS", verdict.reason
+    assert "All are within their limits." in verdict.reason
+    assert verdict.next_step.startswith("Use params.yaml on the robot.")
+
+
+def test_the_limits_are_those_of_the_page():
+    text = (Path(__file__).parents[2] / "docs" / "how-to" / "read-the-report.md").read_text()
+    for figure in FIGURES:
+        if figure.limit is not None:
+            assert f"| `{figure.gate}` | {figure.limit:g} {figure.unit} |" in text
+
+
+def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_it():
+    solution, extraction = drawn()
+    at_work = replace(solution.uncertainty.at_work, camera_m=0.025)
+    verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work)), extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert "camera position in the base is 25 mm (limit 20 mm)" in verdict.reason
+    assert "% of its variance" in verdict.reason
+
+
+@pytest.mark.parametrize(("limit", "level"), [(0.01, "NOT ENOUGH"), (1e3, "PASS")])
+def test_a_gate_replaces_a_default_limit(limit, level):
+    solution, extraction = drawn()
+    gates = gates_of([f"predicted.camera_mm={limit}"], {})
+    figures = {"predicted.camera_mm": 5.0}
+    verdict = judge(solution, extraction, tuple(gate_checks(gates, figures)), use_limits(gates))
+    assert verdict.level == level
+    (check,) = [c for c in verdict.checks if "camera position" in c.name]
+    assert check.limit == f"at most {limit:g} mm"
+
+
+def test_a_gate_on_an_unknown_expected_error_fails():
+    extraction = make_extraction()
+    gates = gates_of(["predicted.camera_mm=10"], {})
+    checks = tuple(gate_checks(gates, {"predicted.camera_mm": None}))
+    verdict = judge(make_solution(extraction), extraction, checks, use_limits(gates))
+    assert (verdict.level, verdict.reason) == (
+        "FAIL",
+        "Gate failed: predicted.camera_mm = unknown (limit 10).",
+    )
+
+
+@pytest.mark.parametrize(
+    ("motion", "fixed", "limits"),
+    [
+        ("base_fixed", "wheels", {"predicted.camera_deg": 1.0}),
+        ("head_fixed", "head_eye", {}),
+    ],
+)
+def test_fixed_parameters_need_no_motion(motion, fixed, limits):
+    solution, extraction = solved(motion=motion, fixed=(fixed,))
+    verdict = judge(solution, extraction, limits=limits)
+    assert verdict.level == "PASS", verdict.reason
+
+
+def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
+    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)))
+    assert verdict.level == "NOT ENOUGH"
+    assert "The stated zero of a head joint limits the camera rotation in the base" in verdict.reason
+    assert "More stations will not help much" in verdict.next_step
+    assert verdict.next_step.endswith("`priors: joint_zero` in rig.yaml.")
+
+
+def test_a_base_at_rest_is_not_enough_for_the_wheels():
+    verdict = judge(*solved(motion="base_fixed"))
+    assert verdict.level == "NOT ENOUGH"
+    assert "drive and turn the base" in verdict.next_step
+
+
+def test_methods_without_standard_deviations_say_so():
+    extraction = make_extraction()
+    for method, solution in (("lm", make_solution(extraction)), ("linear", make_solution(extraction, False))):
+        verdict = judge(solution, extraction)
+        assert f"The method {method} gives no standard deviations" in verdict.reason
+        assert "--method ml" in verdict.next_step
+        assert "Use params.yaml" not in verdict.next_step
+
+
+def test_an_unevenness_of_the_floor_is_told():
+    solution, extraction = drawn()
+    noise = replace(solution.uncertainty.noise, floor_rad=np.radians(0.5))
+    verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, noise=noise)), extraction)
+    assert verdict.level == "PASS"
+    assert "The noise of the floor (roll and pitch of the base) is 0.5 degrees" in verdict.next_step
+    rows = {row.meaning: row for row in noise_rows(solution, extraction)}
+    assert rows["floor: roll and pitch of the base at each stop"].unit == "deg"
+    assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
+
+
+# -- contradictions ---------------------------------------------------------------------------------
+
+
+def test_a_turned_camera_is_named_with_its_cure():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    (found,) = solution.contradictions
+    what, cure = contradiction_sentences(found, solution)
+    assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
+    assert what.endswith("deg from camera_info (prior 0.050 deg).")
+    assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
+    value, std = found.values["stereo_r_x"]
+    assert abs(value - np.radians(0.5)) < 4 * std
+    assert what in " ".join(summary_table(solution, extraction).split())
+    groups = dict(constant_groups(solution, extraction))
+    assert next(iter(groups)) == "right camera"
+    first = groups["right camera"][0]
+    assert (first.name, first.level, first.prior) == ("stereo_r_x", "wrong", "0.050")
+
+
+@pytest.mark.parametrize(("shift", "level"), [(1.9, "PASS"), (2.1, "FAIL")])
+def test_a_contradiction_fails_where_the_result_depends_on_it(shift, level):
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    found = replace(solution.contradictions[0], shift_sigmas=shift)
+    verdict = judge(replace(solution, contradictions=(found,)), extraction)
+    assert verdict.level == level
+    assert "Right camera" in verdict.reason + verdict.next_step
+
+
+def test_squares_and_baseline_disagree_together():
+    solution, extraction = solved(("square_scale", 0.02))
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("The stated squares and the stereo baseline disagree by ")
+    assert "The recording cannot tell which of the two is wrong." in verdict.next_step
+    assert solution.scale.ratio == pytest.approx(1.02, abs=0.005)
+
+
+# -- error budget -----------------------------------------------------------------------------------
+
+
+def test_the_words_know_every_source():
+    solution, _ = drawn()
+    assert set(solution.uncertainty.budget.sources) <= set(SOURCES)
+    names, shares = families(solution)
+    assert len(names) == len(shares)
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0, atol=1e-6)
+
+
+def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
+    solution, _ = drawn()
+    worst = max(uses(solution, {}), key=lambda use: use.share)
+    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62))
+    assert limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
+
+
+def test_more_stations_do_not_help_against_stated_values():
+    solution, _ = drawn()
+    _, advice = recommendation(with_share(solution, "square_size", 0.8))
+    assert advice.startswith("More stations will not help much: ")
+    assert "the stated size of the squares 80 %" in advice
+    assert advice.endswith(
+        "Measure the board (ten squares, with a caliper). Then state a smaller `priors: square_size` in rig.yaml."
+    )
+    _, advice = recommendation(with_share(solution, "floor_rad", 0.9))
+    assert advice == "Record on a flat floor, or record more stops."
+
+
+def test_the_files_hold_budget_and_constants():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    verdict, provenance = judge(solution, extraction), make_provenance(extraction)
+    data = json.loads(report_json(solution, extraction, provenance, verdict))
+    jsonschema.validate(data, json.loads(SCHEMA.read_text()))
+    for shares in (*data["error_budget"]["nine"].values(), *data["error_budget"]["at_work"].values()):
+        assert sum(shares.values()) == pytest.approx(1.0)
+    assert data["constants"]["stereo_r_x"]["prior"] == pytest.approx(np.radians(0.05))
+    assert data["constants"]["stereo_r_x"]["used_prior"] > data["constants"]["stereo_r_x"]["prior"]
+    assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
+    page = report_html(solution, extraction, (), provenance, verdict)
+    for words in (
+        "What the description gets wrong",
+        "Error budget",
+        "contradicts",
+        "error budget: what each",
+    ):
+        assert words in page
+
+
+# -- parts of the reprojection error ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("part", "noise"),
+    [
+        ("floor", replace(QUIET, floor_rad=np.radians(0.3))),
+        ("joints", replace(QUIET, joint_rad=np.radians(0.2))),
+        ("wheels", replace(QUIET, wheel_rad_per_sqrt_rad=0.01)),
+    ],
+)
+def test_one_noise_alone_makes_the_reprojection_error(part, noise):
+    """With true levels, the prediction for one noise is the error that it makes."""
+    extraction = recorded({}, noise, stations=40)
+    solution = solve(extraction, "lm")
+    levels = {name: getattr(noise, name) for name in ("pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad")}
+    levels |= {"floor_rad": noise.floor_rad, "floor_m": 0.0, "wheel_share": 0.0}
+    uncertainty = drawn()[0].uncertainty
+    true = replace(uncertainty, noise=replace(uncertainty.noise, **levels))
+    known = replace(solution, uncertainty=true)
+    parts = error_parts(known, extraction)
+    assert max(parts, key=lambda name: parts[name].px) == part
+    whole = np.sqrt(sum(p.px**2 for p in parts.values()))
+    assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
+    assert f"together {whole:.2f} px" in reprojection_sentence(known, extraction)
+
+
+# -- jackknife --------------------------------------------------------------------------------------
+
+
+def test_the_jackknife_widens_sigmas_that_are_too_small():
+    right, extraction = drawn()
+    assert (right.uncertainty.widened == 1).all()
+    assert "therefore" not in jackknife_sentence(right)
+    given = replace(
+        extraction.rig.noise,
+        pixel_px=0.02,
+        joint_rad=1e-4,
+        wheel_rad_per_sqrt_rad=5e-4,
+        wheel_share=1e-4,
+        floor_rad=np.radians(0.01),
+        floor_m=1e-4,
+    )
+    found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
+    uncertainty = found.uncertainty
+    wide = uncertainty.widened > 1
+    assert wide.any()
+    np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])
+    assert "are therefore those of the jackknife" in jackknife_sentence(found)
