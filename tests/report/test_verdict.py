@@ -249,7 +249,7 @@ class TestWithTheSolver:
         assert "between stations 5 and 6" in verdict.next_step
 
     def test_loose_head_joints(self, seed):
-        # So much noise hides a part of the head-eye transform, which then needs a nominal value.
+        # With so much noise, a part of the head-eye transform is unobservable and needs a nominal value.
         rig = make_rig(nominal=Nominal(T_H_C, WHEELS))
         extraction, rng = make_extraction(seed=seed, rig=rig), np.random.default_rng(seed)
         loose = tuple(
