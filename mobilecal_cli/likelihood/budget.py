@@ -75,6 +75,7 @@ def influences(lin: Linearization) -> Iterator[Influence]:
     joints = data.joints.shape[1]
     one = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
     one[:, :joints] *= lin.inliers.readings
+    one[:, joints:] *= data.drives[:, None]
     for columns, parts in (
         (slice(0, joints), {"joint_rad": np.eye(joints)}),
         (slice(joints, None), {"floor_rad": np.diag([1.0, 1.0, 0.0]), "floor_m": np.diag([0.0, 0.0, 1.0])}),

@@ -27,6 +27,7 @@ from mobilecal_cli.model import (
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
+_AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 
 
@@ -134,6 +135,13 @@ class Dataset:
         """Column of the joint with a role, "pan" or "tilt"; None where the chain has no such joint."""
         name = {"pan": self.chain.pan, "tilt": self.chain.tilt}[role]
         return self.chain.joints.index(name) if name in self.chain.joints else None
+
+    @cached_property
+    def drives(self) -> BoolArray:
+        """(N,) stations of recordings in which the base moves: there the floor differs from station to station."""
+        turned = np.abs(self._steps_as_stamped.totals_rad).max(axis=1, initial=0.0)
+        moved = turned > _AT_REST_RAD + 2 * self.encoder_step_rad.max()
+        return np.isin(self.log, self.log[self.legs[moved, 0]])
 
     @property
     def first(self) -> BoolArray:

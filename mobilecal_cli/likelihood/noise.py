@@ -98,8 +98,11 @@ def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
 
 
 def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
-    """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m)."""
-    floor = np.broadcast_to([noise.floor_rad, noise.floor_rad, noise.floor_m], (data.stations, 3))
+    """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m).
+
+    Where the base never moves, the floor is the same at all stations.
+    """
+    floor = np.where(data.drives[:, None], [noise.floor_rad, noise.floor_rad, noise.floor_m], EXACT)
     return np.concatenate([joint_sigmas(data, inliers, noise), floor], axis=1)
 
 

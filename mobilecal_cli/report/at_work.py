@@ -44,7 +44,7 @@ _DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
     Figure("camera_m", "predicted.camera_mm", "camera position in the base", "mm", 1e3, 20.0),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 0.5),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 1.0),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "mm", 1e3),
     Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3,
            10.0),

@@ -71,6 +71,7 @@ def components(lin: Linearization) -> dict[str, Component]:
     sigma, joints = lin.own_sigmas, lin.data.joints.shape[1]
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
     used[:, :joints] &= lin.inliers.readings
+    used[:, joints:] &= lin.data.drives[:, None]
     ratio = np.where(used, (lin.own_errors / sigma) ** 2, 0.0)
     left = np.where(used, 1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2, 0.0)
     columns = {
