@@ -8,7 +8,7 @@ import pytest
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.effects import JointEffect
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
-from mobilecal_cli.report.findings import constant_rows
+from mobilecal_cli.report.contradictions import constant_groups
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -59,7 +59,7 @@ def test_a_made_up_constant_is_estimated_and_reported():
     assert abs(found.value - SHIFT_RAD) < 4 * found.std
     assert found.std < 0.3 * found.prior
     assert next(e for e in solution.evidence if e.kind == "shaky").part == "torso"
-    row = next(row for row in constant_rows(solution, extraction) if row.name == "shaky_joint")
+    row = next(row for part, rows in constant_groups(solution, extraction) for row in rows if part == "torso")
     assert SHAKY.meaning in row.meaning
     assert (row.unit, float(row.value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 

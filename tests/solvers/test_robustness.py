@@ -40,8 +40,10 @@ def test_large_turns_with_bad_stations(seed):
 @pytest.mark.parametrize("station", [0, 5, 11])
 @pytest.mark.parametrize("size_px", [5.0, 500.0])
 def test_a_station_whose_corners_are_all_wrong(station, size_px):
+    """All images of the station are excluded, or all but the few corners that fit the board by chance."""
     found = solve(misread(recorded("standard", 1), station, size_px=size_px))
-    assert [(o.kind, o.observations) for o in found.outliers] == [("station", (station,))]
+    assert {o.observations for o in found.outliers} == {(station,)}
+    assert {o.kind for o in found.outliers} <= {"station", "corners"}
     assert nees(found) < 3
 
 
