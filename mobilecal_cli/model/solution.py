@@ -239,6 +239,7 @@ class Solution:
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.
+        noisy: kinds of measurements ("views", "legs", "readings") whose many outliers were taken as noise.
         constants: the constants of the robot description, by name.
         evidence: how far the data contradict the stated constants, for each kind and part.
         contradictions: stated constants that the data contradict, most significant first; each was found with wider
@@ -259,6 +260,7 @@ class Solution:
     motion: Mapping[str, float]
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
+    noisy: tuple[str, ...] = ()
     constants: Mapping[str, EstimatedConstant] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
     contradictions: tuple[Evidence, ...] = ()

@@ -45,6 +45,7 @@ from mobilecal_cli.report.numbers import (
     std_text,
     written,
 )
+from mobilecal_cli.report.outliers import outlier_sentences
 from mobilecal_cli.report.pages import environment
 from mobilecal_cli.report.units import value_text
 from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
@@ -97,7 +98,7 @@ def report_html(
         "linear": solution.linear,
         "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
         "noise": noise_rows(solution, extraction),
-        "outliers": solution.outliers,
+        "outliers": tuple(outlier_sentences(solution.outliers, extraction)),
         "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),
         "constant_groups": constant_groups(solution, extraction),

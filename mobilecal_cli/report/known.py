@@ -8,6 +8,7 @@ import numpy as np
 
 from mobilecal_cli.model import NINE, Extraction, HeadChain, NoiseLevels, Solution
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, graded
+from mobilecal_cli.report.outliers import noisy_sentence
 
 # Stated square size against the stereo measurement; a difference scales all lengths.
 SQUARE_LOOK, SQUARE_BAD = 0.01, 0.03
@@ -74,6 +75,15 @@ def outliers_and_noise(solution: Solution, extraction: Extraction) -> Iterator[C
         f"{first}" + (f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""),
         "Find the cause. The result uses the remaining measurements.",
     )
+    if solution.noisy:
+        yield Check(
+            "outliers that are noise",
+            ", ".join(solution.noisy),
+            "none",
+            "look",
+            noisy_sentence(solution.noisy),
+            "See the noise levels in the report.",
+        )
     yield from _noise(found.noise, extraction)
 
 

@@ -20,6 +20,7 @@ from mobilecal_cli.report.numbers import (
     stations_looked_at,
     std_text,
 )
+from mobilecal_cli.report.outliers import outlier_sentences
 
 _WIDTH = 80
 _LENGTHS = ("Translation x", "Translation y", "Translation z", "Radius, right", "Radius, left", "Separation")
@@ -68,8 +69,8 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
     for found in solution.contradictions:
         what, cure = contradiction_sentences(found, solution)
         lines += textwrap.wrap(f"Robot description: {what} {cure}", _WIDTH, subsequent_indent="  ")
-    for outlier in solution.outliers:
-        lines += textwrap.wrap(f"Outlier: {visible(outlier.text)}", _WIDTH, subsequent_indent="  ")
+    for sentence in outlier_sentences(solution.outliers, extraction):
+        lines += textwrap.wrap(f"Outlier: {visible(sentence)}", _WIDTH, subsequent_indent="  ")
     return "\n".join(lines) + "\n"
 
 

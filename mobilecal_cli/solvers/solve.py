@@ -218,6 +218,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         solution,
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
+        noisy=fit.noisy,
         constants=constants_of(fit),
         evidence=tuple(fit.lin.evidence()),
         contradictions=contradictions,

@@ -182,3 +182,28 @@ def test_a_recording_without_full_motion_and_a_wrong_fixed_value_is_no_mistake_o
     extraction = ideal_extraction(ROBOT, plan_route(ROBOT, "spin", seed=3), Noise(0.2, 0.003, 0.0, 1e-3), 3)
     found = solve(extraction, constraints=constraints_of(["wheels"], [], []))
     assert found.diagnosis is None
+
+
+def test_many_outliers_of_a_kind_are_noise():
+    """Pan and tilt read wrong by about a degree at half of the stations, where 0.05 degrees are usual."""
+    extraction, random = recorded("standard", 1), np.random.default_rng(0)
+    seen = list(extraction.observations)
+    for k in range(0, len(seen), 2):
+        seen[k] = replace(seen[k], joints=seen[k].joints + np.radians(1.0) * random.normal(size=4))
+    found = solve(replace(extraction, observations=tuple(seen)))
+    assert not found.outliers
+    assert found.uncertainty.noise.joint_rad > np.radians(0.3)
+    assert nees(found) < 3
+
+
+def test_discrepancies_that_do_not_matter_are_no_outliers():
+    """Corners of 0.002 px and exact wheels, and one leg that is wrong by a fifth of a millimeter."""
+    noise = Noise(0.002, 1e-5, 0.0, 1e-6)
+    extraction = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=1), noise, 1)
+    track = extraction.wheels[0]
+    late = track.time_ns > extraction.observations[5].time_ns + 10**9
+    slipped = WheelTrack.at_same_times(
+        track.time_ns, track.right_rad + 5e-4 * late, track.left_rad + 5e-4 * late
+    )
+    found = solve(replace(extraction, wheels=(slipped,)))
+    assert not [o for o in found.outliers if o.kind == "slip"]
