@@ -15,6 +15,7 @@ SAMPLES: dict[str, Scenario] = {
     "paper_robot.bag": Scenario(container="bag"),
     "paper_robot_rosbag2": Scenario(container="rosbag2"),
     "tick_robot.mcap": Scenario(robot="tick", board=_SMALL_BOARD, seed=1),
+    "imperfect_robot.mcap": Scenario(stations=16, seed=2, imperfect=True),
     "head_fixed.mcap": Scenario(motion="head_fixed", stations=10),
     "straight.mcap": Scenario(motion="straight", stations=10),
 }
