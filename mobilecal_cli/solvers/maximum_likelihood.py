@@ -114,7 +114,7 @@ class Solver:
         try:
             state = initial_state(fitter.data, initial, Inliers.all_of(fitter.data))
             fit = fitter.fit(state, inliers, noise)
-            if self._search.plausible(fit):
+            if self._search.plausible(fit) or not len(fitter.data.legs):  # no legs that could agree
                 return fit
         except SolveError as error:
             failure = error

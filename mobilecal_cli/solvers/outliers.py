@@ -209,7 +209,8 @@ class OutlierSearch:
 
     def too_many(self, fit: Fit) -> tuple[str, ...]:
         """Kinds of measurements more than a third of which are outliers."""
-        return tuple(kind for kind in _DEGREES if np.mean(~getattr(fit.inliers, kind)) > _TOO_MANY)
+        used = {kind: getattr(fit.inliers, kind) for kind in _DEGREES}
+        return tuple(kind for kind, of in used.items() if np.sum(~of) > _TOO_MANY * of.size)
 
     def _refitted(self, fit: Fit, inliers: Inliers) -> Fit:
         """A fit of other inliers, from where an earlier one ended, with noise levels of its own."""

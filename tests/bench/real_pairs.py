@@ -1,0 +1,524 @@
+"""Real stereo pairs with a camera_info that is made wrong on purpose: the board before and after the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from mobilecal_cli import camera as lens
+from mobilecal_cli import se3
+from mobilecal_cli.likelihood.noise import EXACT
+from mobilecal_cli.likelihood.nuisance import Constant, camera_change, table
+from mobilecal_cli.likelihood.state import cameras_at
+from mobilecal_cli.model import (
+    NINE,
+    Board,
+    Camera,
+    Corners,
+    Evidence,
+    Extraction,
+    FloatArray,
+    KnownNoise,
+    Observation,
+    Parameters,
+    Rejection,
+    Side,
+    Station,
+    StereoRig,
+    WheelTrack,
+)
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.solvers import Constraints
+from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.maximum_likelihood import Solver
+from mobilecal_cli.vision import (
+    Detection,
+    Miss,
+    absolute_orientation,
+    board_pose,
+    detect,
+    measure,
+    settle_square,
+    square_from_points,
+    triangulate,
+)
+from mobilecal_cli.vision.averaging import Shots
+from tests.bench import tables
+from tests.bench.simulated import conditions
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+_SQUARE_M = 0.03  # stated with Bouguet's pictures; assumed for MRPT's
+_BOARD = Board(9, 6, _SQUARE_M)
+_POINTS_K = _SQUARE_M * _BOARD.grid()
+_CHAIN = ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash", "clock")
+_LEVELS = ("joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share", "wheel_rad_per_sqrt_rad")
+_SECOND_NS = 10**9
+_BIG = 4  # times as wrong, to see what is named
+Pair = tuple[Detection, Detection]
+
+
+def pairs_in(folder: Path) -> tuple[tuple[Pair, ...], tuple[int, int]]:
+    """Corners of all pairs in a folder that show the board in both pictures, and the pictures' (width, height)."""
+    found, size = [], (0, 0)
+    for first in sorted(folder.rglob("*left*.jpg")):
+        second = first.with_name(first.name.replace("left", "right"))
+        pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (first, second)]
+        seen = [detect(picture, _BOARD.columns, _BOARD.rows) for picture in pictures if picture is not None]
+        left, right = (d for d in seen if isinstance(d, Detection))
+        found.append((left, right))
+        size = pictures[0].shape[1], pictures[0].shape[0]
+    return tuple(found), size
+
+
+def _stereo(
+    K: Sequence[FloatArray], D: Sequence[FloatArray], T_r_c: FloatArray, size: tuple[int, int]
+) -> StereoRig:
+    left, right = (
+        Camera(side, *size, np.asarray(K[k], float), np.ravel(D[k]), "plumb_bob")
+        for k, side in enumerate(("left", "right"))
+    )
+    return StereoRig(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+
+
+def published() -> StereoRig:
+    """Bouguet's stereo calibration over all of his pairs, published with them."""
+    K = [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]], [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]
+    D = [-0.288, 0.097, 0.001, -0.0003, 0], [-0.289, 0.107, 0.001, -0.0001, 0]
+    turn = se3.exp_so3(np.array([0.00669, 0.00452, -0.00350]))
+    T_r_c = se3.transform(turn, np.array([-0.099802, 0.001124, 0.000050]))
+    return _stereo([np.array(k) for k in K], [np.array(d) for d in D], T_r_c, (640, 480))
+
+
+def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = False) -> StereoRig:
+    """OpenCV's calibration: each camera by itself, then the pair; jointly: all together after that."""
+    points = [_POINTS_K.astype(np.float32)] * len(pairs)
+    seen = [[pair[k].pixels.astype(np.float32)[:, None] for pair in pairs] for k in range(2)]
+    own = [cv2.calibrateCamera(points, corners, size, None, None, flags=cv2.CALIB_FIX_K3) for corners in seen]
+    cameras = [part for _, K, D, *_ in own for part in (K, D)]
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3 if jointly else cv2.CALIB_FIX_INTRINSIC
+    _, K_l, D_l, K_r, D_r, R, t, *_ = cv2.stereoCalibrate(points, *seen, *cameras, size, flags=flags)
+    return _stereo([K_l, K_r], [D_l, D_r], se3.transform(R, t[:, 0]), size)
+
+
+def wrong_intrinsics(true: StereoRig, folder: Path) -> StereoRig:
+    """The pair with the wrong intrinsics that lie beside the pictures of OpenCV."""
+    file = cv2.FileStorage(str(folder / "intrinsics_wrong.yml"), cv2.FILE_STORAGE_READ)
+    left, right = (
+        replace(camera, K=file.getNode(f"M{k}").mat(), D=np.ravel(file.getNode(f"D{k}").mat()))
+        for k, camera in ((1, true.left), (2, true.right))
+    )
+    return replace(true, left=left, right=right)
+
+
+# -- what is made wrong -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is wrong with a camera_info.
+
+    Attributes:
+        constants: what is added to the true values, as the estimator's constants count.
+        k1: what is added to k1 of each side.
+        right: kinds that are a right answer to "what is wrong?".
+    """
+
+    constants: Mapping[str, float] = field(default_factory=dict)
+    k1: Mapping[Side, float] = field(default_factory=dict)
+    right: tuple[str, ...] = ()
+
+    def times(self, factor: float) -> Case:
+        """The same, so many times as wrong."""
+        constants = {name: factor * value for name, value in self.constants.items()}
+        return Case(constants, {side: factor * value for side, value in self.k1.items()}, self.right)
+
+    def of(self, true: StereoRig) -> StereoRig:
+        """The wrong stereo pair."""
+        rig = camera_change(table(true, tick_robot().chain), self.constants).apply(true)
+        sides: dict[Side, Camera] = {"left": rig.left, "right": rig.right}
+        for side, k1 in self.k1.items():
+            sides[side] = replace(sides[side], D=sides[side].D + k1 * np.eye(len(sides[side].D))[0])
+        return replace(rig, left=sides["left"], right=sides["right"])
+
+    def expected(self, true: StereoRig) -> dict[str, float]:
+        """What the estimate should find, to first order in the errors: constants that make the pair right again."""
+        found = {name: -value for name, value in self.constants.items()}
+        for side in self.k1:
+            camera, stated = (getattr(rig, side) for rig in (true, Case(k1=self.k1).of(true)))
+            found |= {
+                f"distortion_{side}_radial_{k}": value for k, value in enumerate(_radial(camera, stated), 1)
+            }
+        return found
+
+
+def _radial(true: Camera, stated: Camera) -> FloatArray:
+    """(2,) radial terms that come nearest to the true distortion, over the rays that the picture shows."""
+    u, v = np.meshgrid(np.linspace(0, true.width, 33), np.linspace(0, true.height, 25))
+    flat, good = lens.undistorted(true, np.stack([u, v], axis=-1).reshape(-1, 2))
+    rays = np.column_stack([flat[good], np.ones(good.sum())])
+    at = lens.project(stated, rays)
+    terms, _ = lens.lens_terms(stated, stated.K[:2, 2], at)
+    off = lens.project(true, rays) - at
+    A = np.swapaxes(terms[:, :2], 1, 2).reshape(-1, 2)
+    return np.asarray(np.linalg.lstsq(A, off.ravel(), rcond=None)[0])
+
+
+_TURN = float(np.radians(0.2))
+
+
+def cases(width: int) -> dict[str, Case]:
+    """One thing at a time, then all of them; pictures of so many px."""
+    px, both = 5 / width, ("left", "right")
+    focal, point, turned = ("focal_length",), ("principal_point",), ("stereo_rotation",)
+    found = {
+        "nothing": Case(),
+        "focal length of both, +0.5 %": Case({f"focal_{side}": 0.005 for side in both}, right=focal),
+        "focal length of the left, +0.5 %": Case({"focal_left": 0.005}, right=focal),
+        "principal point of the left, x, +5 px": Case({"principal_left_x": px}, right=point),
+        "principal point of the left, y, +5 px": Case({"principal_left_y": px}, right=point),
+        "principal points of both, x and y, +5 px": Case(
+            {f"principal_{side}_{axis}": px for side in both for axis in "xy"}, right=point
+        ),
+        "k1 of the left, +0.02": Case(k1={"left": 0.02}, right=("distortion",)),
+        "k1 of both, +0.02": Case(k1={"left": 0.02, "right": 0.02}, right=("distortion",)),
+    }
+    for axis in "xyz":
+        found[f"right camera, turned by 0.2 deg about {axis}"] = Case(
+            {f"stereo_r_{axis}": _TURN}, right=turned
+        )
+    length = ("baseline_length", "square_size")
+    found["baseline, +0.5 %"] = Case({"baseline_scale": 0.005}, right=length)
+    mixed = {f"focal_{side}": 0.005 for side in both} | {"principal_left_x": px, "baseline_scale": 0.005}
+    mixed |= {f"stereo_r_{axis}": _TURN for axis in "xyz"}
+    right = (*focal, *point, *turned, *length, "distortion")
+    found["focal lengths, principal point x, k1 of the left, turn about x, y, z, baseline"] = Case(
+        mixed, {"left": 0.02}, right
+    )
+    return found
+
+
+# -- the estimate -------------------------------------------------------------------------------------
+
+
+def _corners(rig: StereoRig, pair: Pair) -> tuple[Corners, Corners]:
+    """Corners of both pictures, with their noise as the stated cameras show it."""
+    left, right = (Shots.of([d], _BOARD) for d in pair)
+    return left.average(_BOARD, rig.left), right.average(_BOARD, rig.right)
+
+
+def _observation(rig: StereoRig, number: int, pair: Pair) -> Observation:
+    """The board of one pair, whatever its residuals; a station that the product refuses is observed as well."""
+    left, right = _corners(rig, pair)
+    points = triangulate(rig, left.pixels, right.pixels, left.cov_px2, right.cov_px2)
+    assert not isinstance(points, Miss), points.detail
+    square_m = square_from_points(points.points_c, _BOARD.grid())
+    start = absolute_orientation(points.points_c, square_m * _BOARD.grid())
+    pose = board_pose(rig, _POINTS_K, left.pixels, right.pixels, left.cov_px2, right.cov_px2, start)
+    still = np.zeros(len(tick_robot().joint_names))
+    return Observation(
+        log=number,
+        station=0,
+        time_ns=_SECOND_NS,
+        at_rest=True,
+        joints=still,
+        joints_std=still,
+        left=left,
+        right=right,
+        points_c=points.points_c,
+        points_cov=points.points_cov,
+        T_c_k=pose.T_c_k,
+        T_c_k_cov=pose.T_c_k_cov,
+        square_m=square_m,
+        reprojection_px=pose.rms_px,
+    )
+
+
+def refusal(rig: StereoRig, pair: Pair) -> str | None:
+    """Why the product refuses a station with this pair; None if it does not."""
+    still = np.zeros(len(tick_robot().joint_names))
+    found = measure(
+        0,
+        Station(0, True, (), _SECOND_NS, still, still),
+        *([d] for d in pair),
+        rig,
+        _BOARD,
+    )
+    settled = found if isinstance(found, Rejection) else settle_square(found, _SQUARE_M)
+    return settled.detail if isinstance(settled, Rejection) else None
+
+
+def extraction_of(rig: StereoRig, pairs: Sequence[Pair]) -> Extraction:
+    """A recording of one station for each pair, of a robot whose head and base are exact and do not move."""
+    seen = tuple(_observation(rig, number, pair) for number, pair in enumerate(pairs))
+    robot = replace(
+        tick_robot().rig(),
+        cameras=rig,
+        prior_sigmas=dict.fromkeys(_CHAIN, 0.0),
+        noise=KnownNoise(**dict.fromkeys(_LEVELS, EXACT)),
+    )
+    rest = WheelTrack.at_same_times(np.array([0, 2 * _SECOND_NS]), np.zeros(2), np.zeros(2))
+    return Extraction(robot, _BOARD, seen, (rest,) * len(seen), (), (), (), {})
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The cameras and the board, estimated from some pairs.
+
+    Attributes:
+        fit: the maximum of the likelihood.
+        contradictions: stated constants that the pairs contradict.
+    """
+
+    fit: Fit
+    contradictions: tuple[Evidence, ...]
+
+    @classmethod
+    def of(cls, rig: StereoRig, pairs: Sequence[Pair]) -> Estimate:
+        """The product's estimate from a stated rig; the nine parameters are fixed."""
+        extraction = extraction_of(rig, pairs)
+        nominal = extraction.rig.nominal
+        assert nominal.T_h_reference is not None
+        assert nominal.wheels is not None
+        solver = Solver(extraction, Constraints(dict.fromkeys(NINE)))
+        return cls(*solver.solve_with_wider_priors(Parameters(nominal.T_h_reference, nominal.wheels)))
+
+    @property
+    def rows(self) -> tuple[Constant, ...]:
+        """Rows of the estimated constants."""
+        return self.fit.data.layout.constants
+
+    @property
+    def cameras(self) -> StereoRig:
+        """The improved stereo pair."""
+        return cameras_at(self.fit.data, self.fit.lin.state)
+
+    @cached_property
+    def std(self) -> dict[str, float]:
+        """Name of each constant → its standard deviation."""
+        layout = self.fit.data.layout
+        std = np.sqrt(np.diag(self.fit.covariance))[: layout.named]
+        return dict(zip(layout.names, std.tolist(), strict=True))
+
+    def value(self, name: str) -> float:
+        """Value of a constant."""
+        return self.fit.lin.state.value(name)
+
+    @property
+    def left_out(self) -> int:
+        """Number of corners that were left out as outliers."""
+        return int(np.sum(~self.fit.inliers.used_corners))
+
+
+# -- figures ------------------------------------------------------------------------------------------
+
+FIGURES = (
+    "mean error of the squares (mm)",
+    "their standard deviation (mm)",
+    "every other corner: rotation (deg)",
+    "translation (mm)",
+    "half boards: rotation (deg)",
+    "translation (mm)",
+    "reprojection (px)",
+)
+
+
+def _sides_mm(points: FloatArray) -> FloatArray:
+    """Sides of all squares, from (M, 3) corners in m."""
+    grid = points.reshape(_BOARD.rows, _BOARD.columns, 3)
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
+    return np.asarray(1e3 * np.concatenate(sides))
+
+
+def _apart(rig: StereoRig, pair: Pair, start: FloatArray, first: FloatArray) -> FloatArray:
+    """(6,) board pose from the corners of the first half against that from the others, at the board's center."""
+    center = np.eye(4)
+    center[:3, 3] = _POINTS_K.mean(axis=0)
+    poses, seen = [], _corners(rig, pair)
+    for half in (first, ~first):
+        pixels = [corners.pixels[half] for corners in seen]
+        noise = [corners.cov_px2[half] for corners in seen]
+        poses.append(board_pose(rig, _POINTS_K[half], *pixels, *noise, start).T_c_k @ center)
+    turn = se3.log_so3(poses[0][:3, :3].T @ poses[1][:3, :3])
+    return np.concatenate([turn, poses[1][:3, 3] - poses[0][:3, 3]])
+
+
+def figures(rigs: Sequence[StereoRig], pairs: Sequence[Pair]) -> FloatArray:
+    """(7,) values of `FIGURES`, each pair seen by its own rig."""
+    row, column = np.divmod(np.arange(_BOARD.corners), _BOARD.columns)
+    splits = (row + column) % 2 == 0, column < _BOARD.columns / 2
+    sides, apart, squares = [], [], []
+    for rig, pair in zip(rigs, pairs, strict=True):
+        seen = _observation(rig, 0, pair)
+        sides.append(_sides_mm(seen.points_c))
+        apart.append([_apart(rig, pair, seen.T_c_k, split) for split in splits])
+        squares.append(seen.reprojection_px**2)
+    error = np.concatenate(sides) - 1e3 * _SQUARE_M
+    turns_moves = np.sqrt(np.sum(np.mean(np.array(apart) ** 2, axis=0).reshape(2, 2, 3), axis=2))
+    scaled = turns_moves * [np.degrees(1), 1e3]
+    return np.array([error.mean(), error.std(), *scaled.ravel(), np.sqrt(np.mean(squares))])
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One case.
+
+    Attributes:
+        before, after: figures with the stated rig, and with the one estimated from the same pairs.
+        others: each pair seen with the rig that was estimated from all other pairs; NaN where that was not tried.
+        refused: why the product refuses stations.
+        found: name → (value, standard deviation) of each constant.
+        named: contradicted (kind, part), most significant first.
+        left_out: number of corners that were left out.
+    """
+
+    before: FloatArray
+    after: FloatArray
+    others: FloatArray
+    refused: tuple[str, ...]
+    found: Mapping[str, tuple[float, float]]
+    named: tuple[tuple[str, str], ...]
+    left_out: int
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is compared.
+
+    Attributes:
+        rig: the stated stereo pair.
+        pairs: pictures.
+        right: kinds that are a right answer to "what is wrong?".
+        others: whether each pair is also seen with a rig that was estimated without it.
+    """
+
+    rig: StereoRig
+    pairs: Sequence[Pair]
+    right: tuple[str, ...] = ()
+    others: bool = True
+
+    def result(self) -> Result:
+        """Estimate, and compare."""
+        rig, pairs, count = self.rig, self.pairs, len(self.pairs)
+        refused = tuple(why for pair in pairs if (why := refusal(rig, pair)) is not None)
+        estimate = Estimate.of(rig, pairs)
+        others = np.full(len(FIGURES), np.nan)
+        if self.others:
+            without = [[*pairs[:k], *pairs[k + 1 :]] for k in range(count)]
+            others = figures([Estimate.of(rig, some).cameras for some in without], pairs)
+        return Result(
+            figures([rig] * count, pairs),
+            figures([estimate.cameras] * count, pairs),
+            others,
+            refused,
+            {row.name: (estimate.value(row.name), estimate.std[row.name]) for row in estimate.rows},
+            tuple((e.kind, e.part) for e in estimate.contradictions),
+            estimate.left_out,
+        )
+
+
+# -- tables -------------------------------------------------------------------------------------------
+
+_DIGITS = (3, 3, 3, 3, 2, 2, 3)
+
+
+def _board_row(name: str, result: Result) -> list[str]:
+    values = zip(result.before, result.after, result.others, _DIGITS, strict=True)
+    return [name, *(f"{a:.{n}f} → {b:.{n}f} ({c:.{n}f})" for a, b, c, n in values)]
+
+
+def _named(result: Result, right: Sequence[str]) -> list[str]:
+    said = [f"{part}: {what}{'' if what in right else ' (wrong)'}" for what, part in result.named]
+    return [str(len(result.refused)), str(result.left_out), ", ".join(said) or "none"]
+
+
+def _found_rows(name: str, case: Case, true: StereoRig, both: tuple[Result, Result]) -> Iterator[list[str]]:
+    """Rows of the constants that were made wrong; both: with nothing wrong, and of the case."""
+    nothing, result = both
+    rows = {row.name: row for row in table(true, tick_robot().chain)}
+    for constant, expected in case.expected(true).items():
+        of_kind = rows[constant].of_kind
+        value, std = (of_kind.shown * v for v in result.found[constant])
+        zero = of_kind.shown * nothing.found[constant][0]
+        numbers = (of_kind.shown * expected, zero, value, std)
+        yield [name, f"`{constant}` ({of_kind.shown_unit})", *(f"{v:.3f}" for v in numbers)]
+        name = ""
+
+
+def _tried(task: Task) -> Result:
+    return task.result()
+
+
+def _study(true: StereoRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> str:
+    """All tables of one set of pairs; more: name → rigs that are wrong in another way."""
+    of_case = cases(true.left.width)
+    tasks = {name: Task(case.of(true), pairs, case.right) for name, case in of_case.items()}
+    tasks |= more
+    big = {name: Task(case.times(_BIG).of(true), pairs, case.right, False) for name, case in of_case.items()}
+    with ProcessPoolExecutor() as pool:
+        results = dict(zip(tasks, pool.map(_tried, tasks.values()), strict=True))
+        at_big = dict(zip(big, pool.map(_tried, big.values()), strict=True))
+    board, found, named = [], [], []
+    for name, result in results.items():
+        board.append(_board_row(name, result))
+        other = _named(at_big[name], tasks[name].right) if name in at_big else [""] * 3
+        named.append([name, *_named(result, tasks[name].right), *other])
+        if name in of_case:
+            found += list(_found_rows(name, of_case[name], true, (results["nothing"], result)))
+    causes = ("refused stations", "corners left out", "contradictions named")
+    return "\n".join(
+        [
+            tables.table(["wrong", *FIGURES], board),
+            tables.table(
+                ["wrong", "constant", "to be found", "found with nothing wrong", "found", "sigma"], found
+            ),
+            tables.table(["wrong", *causes, *(f"{cause}, {_BIG} times as wrong" for cause in causes)], named),
+        ]
+    )
+
+
+def bouguet() -> str:
+    """Tables of the seven pairs with Bouguet's published calibration as the truth."""
+    folder = DATA / "stereo" / "opencv_samples"
+    pairs, size = pairs_in(folder)
+    odd, even = pairs[::2], pairs[1::2]
+    intrinsics = ("distortion", "focal_length", "principal_point")
+    direction = ("baseline_direction",)  # 1.1 and 1.2 degrees from the published one
+    more = {
+        "`intrinsics_wrong.yml`": Task(wrong_intrinsics(published(), folder), pairs, intrinsics),
+        "calibrated by OpenCV from pairs 1, 3, 5, 7; used on 2, 4, 6": Task(
+            by_opencv(odd, size), even, direction
+        ),
+        "calibrated by OpenCV from pairs 2, 4, 6; used on 1, 3, 5, 7": Task(
+            by_opencv(even, size), odd, direction
+        ),
+        "nothing; used on 2, 4, 6": Task(published(), even),
+        "nothing; used on 1, 3, 5, 7": Task(published(), odd),
+    }
+    return _study(published(), pairs, more)
+
+
+def mrpt() -> str:
+    """Tables of the four pairs with OpenCV's joint calibration from all of them as the truth."""
+    pairs, size = pairs_in(DATA / "stereo" / "mrpt_stereo_calib")
+    steps = Task(by_opencv(pairs, size), pairs, ("stereo_rotation", "principal_point"))
+    return _study(by_opencv(pairs, size, jointly=True), pairs, {"calibrated by OpenCV in two steps": steps})
+
+
+def main() -> None:
+    """All tables."""
+    print(conditions() + f", opencv {cv2.__version__}\n")
+    if not DATA.is_dir():
+        print("The pictures for this study are not available.")
+        return
+    print("### Bouguet's seven pairs\n\n" + bouguet())
+    print("### MRPT's four pairs\n\n" + mrpt())
+
+
+if __name__ == "__main__":
+    main()

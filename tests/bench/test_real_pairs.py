@@ -1,0 +1,83 @@
+"""Real stereo pairs with a wrong camera_info: the estimated cameras see the board better."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.bench.real_pairs import FIGURES, Estimate, Task, by_opencv, cases, figures, pairs_in, published
+
+MEAN, SPREAD, HALVES, REPROJECTION = 0, 1, 4, len(FIGURES) - 1
+FOCAL, POINT, MIXED = (
+    "focal length of the left, +0.5 %",
+    "principal point of the left, x, +5 px",
+    "focal lengths, principal point x, k1 of the left, turn about x, y, z, baseline",
+)
+
+
+@pytest.fixture(scope="module")
+def opencv(shared_data):
+    return pairs_in(shared_data / "stereo" / "opencv_samples")
+
+
+@pytest.fixture(scope="module")
+def mrpt(shared_data):
+    return pairs_in(shared_data / "stereo" / "mrpt_stereo_calib")
+
+
+def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_calibration(opencv):
+    """Each pair is seen with the cameras that were estimated from the other pairs."""
+    pairs, (width, _) = opencv
+    case = cases(width)[MIXED]
+    result = Task(case.of(published()), pairs, case.right).result()
+    best = figures([published()] * len(pairs), pairs)
+    assert result.before[MEAN] > 2.0
+    for figure in (SPREAD, HALVES, REPROJECTION):
+        assert result.before[figure] > 3 * best[figure]
+        assert result.others[figure] < 1.05 * best[figure]
+    assert abs(result.others[MEAN]) < 0.03  # mm of 30: a wrong baseline is shared with the squares
+    assert {kind for kind, _ in result.named} <= set(case.right)
+
+
+@pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
+def test_one_wrong_constant(opencv, name):
+    pairs, (width, _) = opencv
+    true = published()
+    case = cases(width)[name]
+    result = Task(case.of(true), pairs, case.right, others=False).result()
+    assert not result.refused
+    assert result.left_out == 0
+    assert abs(result.after[MEAN]) < 0.01
+    assert result.after[SPREAD] < result.before[SPREAD]
+    assert result.after[REPROJECTION] < result.before[REPROJECTION]
+    for constant, expected in case.expected(true).items():
+        value, std = result.found[constant]
+        assert abs(value - expected) < 2 * std
+
+
+def test_a_wrong_cause_is_named(opencv):
+    """Four times as wrong, the left camera's distortion is what the pairs contradict, and nothing else."""
+    pairs, (width, _) = opencv
+    case = cases(width)["k1 of the left, +0.02"].times(4)
+    result = Task(case.of(published()), pairs, case.right, others=False).result()
+    assert result.named == (("distortion", "left camera"),)
+
+
+def test_other_pictures(mrpt):
+    pairs, size = mrpt
+    true = by_opencv(pairs, size, jointly=True)
+    case = cases(size[0])[MIXED]
+    result = Task(case.of(true), pairs, case.right, others=False).result()
+    best = figures([true] * len(pairs), pairs)
+    assert result.before[SPREAD] > 3 * best[SPREAD]
+    assert result.after[SPREAD] < 1.1 * best[SPREAD]
+    assert {kind for kind, _ in result.named} <= set(case.right)
+
+
+def test_a_board_that_a_first_fit_leaves_out_is_used_without_legs(mrpt):
+    """No legs between stations could say whether the board is wrong."""
+    pairs, size = mrpt
+    case = cases(size[0])["k1 of the left, +0.02"].times(4)
+    true = by_opencv(pairs, size, jointly=True)
+    estimate = Estimate.of(case.of(true), pairs)
+    assert estimate.fit.inliers.views.all()
+    assert [(e.kind, e.part) for e in estimate.contradictions] == [("distortion", "left camera")]
