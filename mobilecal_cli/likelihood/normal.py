@@ -103,22 +103,13 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     data, views, legs, weight = lin.data, lin.views, lin.legs, lin.leg_weight
     count, P, B = data.stations, data.layout.size, data.base_width
 
-    # Joint errors and the floor, eliminated station by station.
-    sigma = lin.own_sigmas
-    GJ = views.information @ views.by_own
-    JtG = np.swapaxes(GJ, 1, 2)
-    E = np.swapaxes(views.by_own, 1, 2) @ GJ
-    diagonal = np.arange(E.shape[1])
-    E[:, diagonal, diagonal] += sigma**-2
-    E[:, diagonal, diagonal] *= 1 + damping
-    E_inverse: FloatArray = np.asarray(np.linalg.inv(E), dtype=np.float64)
-    e = np.einsum("nqj,nq->nj", views.by_own, views.gradient) + lin.own_errors / sigma**2
-    E_base, E_shared = JtG @ views.by_base, JtG @ views.by_shared
-    GB, GS = views.information @ views.by_base, views.information @ views.by_shared
+    own = _eliminated_own(lin, damping)
+    E_base, E_shared = own.across @ views.by_base, own.across @ views.by_shared
+    GB, GS = own.information @ views.by_base, own.information @ views.by_shared
     Bt = np.swapaxes(views.by_base, 1, 2)
     D, C, H = Bt @ GB, Bt @ GS, _summed(views.by_shared, GS)
-    b = np.einsum("nqb,nq->nb", views.by_base, views.gradient)
-    h = np.einsum("nqp,nq->p", views.by_shared, views.gradient)
+    b = np.einsum("nqb,nq->nb", views.by_base, own.gradient)
+    h = np.einsum("nqp,nq->p", views.by_shared, own.gradient)
 
     # Legs.
     off = np.zeros((count, B, B))
@@ -145,14 +136,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     D[:, blocks, blocks] *= 1 + damping
     H[np.arange(P), np.arange(P)] *= 1 + damping
 
-    reduce = np.swapaxes(E_base, 1, 2) @ E_inverse
-    D -= reduce @ E_base
-    C -= reduce @ E_shared
-    b -= np.einsum("nbj,nj->nb", reduce, e)
-    solved = E_inverse @ E_shared
-    H -= _summed(E_shared, solved)
-    h -= np.einsum("njp,nj->p", solved, e)
-    gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e))
+    gain = float(np.einsum("nj,njk,nk->", own.e, own.inverse, own.e))
 
     factor = cholesky_banded(banded(D, off), lower=True, check_finite=False)
     C_flat = C.reshape(-1, P)
@@ -164,15 +148,62 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         S=H - C_flat.T @ Y,
         s=h - C_flat.T @ y,
         gain=gain,
-        _E_inverse=E_inverse,
+        _E_inverse=own.inverse,
         _E_base=E_base,
         _E_shared=E_shared,
-        _e=e,
+        _e=own.e,
         _Y=Y,
         _y=y,
         _diagonal=D,
         _off=off,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Own:
+    """Joint errors and floors, eliminated station by station.
+
+    Attributes:
+        information, gradient: (N, Q, Q) and (N, Q) of (delta, direct constants) without them.
+        inverse: (N, E, E) their covariance for a known rest.
+        e: (N, E) their gradient.
+        across: (N, E, Q) their information with (delta, direct constants).
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    inverse: FloatArray
+    e: FloatArray
+    across: FloatArray
+
+
+def _eliminated_own(lin: Linearization, damping: float) -> _Own:
+    """Eliminate each station's own errors without cancellation.
+
+    They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
+    delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
+    matrices that agree to all digits where the corners are much better than joints and floor.
+    """
+    views, sigma = lin.views, lin.own_sigmas
+    J, G = views.by_own[:, :6], views.information
+    P = sigma**2 / (1 + damping)
+    A = (J * P[:, None, :]) @ np.swapaxes(J, 1, 2)
+    shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
+    information, back = np.empty_like(G), G[:, 6:, :6] @ A
+    information[:, :6] = shrink @ G[:, :6]
+    information[:, 6:, :6] = np.swapaxes(information[:, :6, 6:], 1, 2)
+    information[:, 6:, 6:] = G[:, 6:, 6:] - back @ information[:, :6, 6:]
+    # With the present errors o the gradient is that of delta - J o: moved back to where the prior wants them.
+    wanted = views.gradient - (G[:, :, :6] @ (J @ lin.own_errors[..., None]))[..., 0]
+    gradient = np.empty_like(wanted)
+    gradient[:, :6] = (shrink @ wanted[:, :6, None])[..., 0]
+    gradient[:, 6:] = wanted[:, 6:] - (back @ gradient[:, :6, None])[..., 0]
+    root = np.sqrt(P)
+    across = np.swapaxes(J, 1, 2) @ G[:, :6]
+    M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
+    inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
+    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / P
+    return _Own(information, gradient, inverse, e, across)
 
 
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:

@@ -27,7 +27,8 @@ LEAST = Noise(1e-3, 1e-5, 0.0, 1e-6, floor_rad=1e-6, floor_m=1e-6, stamp_s=1e-6,
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
 MOST = Noise(1e3, 1.0, 1.0, 1.0, floor_rad=0.1, floor_m=0.1, stamp_s=0.1, wheel_share=0.1)
 _WORTH, _FADES_AT = 2.0, 4.0
-_MEMORY, _FARTHEST = 3, 2.0  # rounds that are remembered, and the largest change of a level, as a logarithm
+# Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
+_MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -133,7 +134,8 @@ class LevelSearch:
             dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
-        step = np.clip(step, -_FARTHEST, _FARTHEST)
+        farthest = _FARTHEST * np.abs(change) + _ANYWAY
+        step = np.clip(step, -farthest, farthest)
         levels = dict(zip(names, np.exp(at + step).tolist(), strict=True))
         inside = {
             name: min(max(level, getattr(LEAST, name)), getattr(MOST, name)) for name, level in levels.items()
