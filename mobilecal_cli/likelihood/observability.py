@@ -58,7 +58,8 @@ def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
     free = np.ones(layout.size, dtype=np.bool_)
     free[: layout.named] = ~fixed
     others = np.flatnonzero(free)[np.flatnonzero(free) >= nine]
-    unit = 1 / np.sqrt(np.diag(S)[others])
+    own = np.diag(S)[others]
+    unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))  # far from the optimum, rounding may exceed what is known
     across = S[:nine, others] * unit
     inner = S[np.ix_(others, others)] * np.outer(unit, unit)
     reduced = S[:nine, :nine] - across @ np.linalg.solve(inner, across.T)

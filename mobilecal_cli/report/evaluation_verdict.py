@@ -18,7 +18,7 @@ from mobilecal_cli.report.check import Check, Outcome
 from mobilecal_cli.report.verdict import MIN_STATIONS, PIXEL_ERROR_BAD, Verdict
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
-CAMERA_DEG, CAMERA_MM, RADIUS_PERCENT, SEPARATION_PERCENT = 0.5, 20.0, 1.0, 2.0
+CAMERA_DEG, CAMERA_MM, RADIUS_PERCENT, SEPARATION_PERCENT = 0.75, 20.0, 1.0, 2.0
 #: A difference counts from so many standard deviations on.
 SIGMAS = 3.0
 #: The standard deviation may be this share of the limit: a difference of twice the limit is then 4 sigma.

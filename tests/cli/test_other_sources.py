@@ -103,6 +103,5 @@ def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
     )
     a, b = usual.parameters, found.solution.parameters
     # The same chain otherwise parametrised: the pose of the head in the base is the same, and so is everything else.
-    np.testing.assert_allclose(a.T_h_c, b.T_h_c, atol=2e-5)
-    assert a.wheels.separation_m == pytest.approx(b.wheels.separation_m, rel=1e-4)
-    assert a.wheels.radius_left_m == pytest.approx(b.wheels.radius_left_m, rel=1e-4)
+    # Only the priors differ a little: they count from other zeros.
+    assert np.abs(a.minus(b) / found.solution.uncertainty.std).max() < 0.1

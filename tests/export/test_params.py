@@ -240,10 +240,10 @@ CONSTANTS = {
 
 def with_constants(solution, extraction):
     """A solution with constants: one of a sliding joint with a strange name, and two that the user fixed."""
-    noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, (), {})
+    noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, (), {})
     uncertainty = Uncertainty(
         np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
-        np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
+        np.ones(9), np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
     )  # fmt: skip
     lift = JointLink("lift # 1", np.array([0.0, 0, 1]), "prismatic")
     chain = dataclasses.replace(extraction.rig.chain, links=(lift, *extraction.rig.chain.links))

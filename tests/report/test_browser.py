@@ -87,7 +87,7 @@ def test_the_report_fits_every_screen(browser, page, width, dark):
 def test_colours_have_contrast(browser, page, dark):
     """WCAG's contrast of text and ground, at least 4.5 to 1 for running text."""
     browser.open(page, dark=dark)
-    pairs = {"p.say": ".verdict + .facts + section", "td": "section:not(.verdict)", ".verdict p": ".verdict"}
+    pairs = {"p.say": ".facts ~ section", "td": "section:not(.verdict)", ".verdict p": ".verdict"}
     for text, ground in pairs.items():
         colours = browser.evaluate(
             f"[getComputedStyle(document.querySelector('{text}')).color, "

@@ -135,7 +135,8 @@ def test_a_board_out_of_the_picture_or_cut_by_its_edge_is_drawn(lens, through_le
 def test_a_bent_board_through_a_lens_that_displaces_pixels(lens):
     """A board 2 % too large, bent by 5 mm, in a camera whose pixels are off by up to 1 % of the width."""
     center, shares = np.array([310.0, 250.0]), np.array([0.004, -0.006, 0.003, -0.002])
-    camera = Lens(lens.frame_id, lens.width, lens.height, lens.K, lens.D, lens.distortion, center, shares)
+    stated = (lens.frame_id, lens.width, lens.height, lens.K, lens.D, lens.distortion)
+    camera = Lens(*stated, center_px=center, shares=shares)
     shape = BoardShape(BOARD, np.array([1.02, 1.01]), np.array([0.005, -0.004, 0.003]))
     T_c_k = board_pose(1.4, 4, 20, -25, (0.05, 0.03))
     x, y, _ = CORNERS_K.T
