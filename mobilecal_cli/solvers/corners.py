@@ -54,7 +54,8 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
     Returns:
         (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
-    data = data.with_constants(())  # of no use here: their derivatives would only take time
+    if not state.constants:  # as stated: the derivatives by constants would only take time
+        data = data.with_constants(())
     size = np.concatenate([_own_misfit(data, state, block) for block in blocks_of(data.stations)])
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
     own = _median(size, data.seen) / 1.1774

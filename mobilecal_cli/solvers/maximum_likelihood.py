@@ -25,6 +25,7 @@ _MOST_DECISIONS = 60
 #: Data that contradict stated constants by more than this are evidence of a wrong description.
 CONTRADICTION_SIGMAS = 4.0
 _MOST_CONTRADICTIONS = 4
+_CORNER_ROUNDS = 4
 
 
 class Solver:
@@ -87,7 +88,7 @@ class Solver:
         noise = fitter.first_noise(own_px)
         inliers = replace(everything, corners=corners, views=boards)
         fit = self._first_fit(initial, noise, inliers)
-        fit = fitter.estimate_noise(fit)
+        fit = self._corners_restored(fitter.estimate_noise(fit))
         before: list[Inliers] = [fit.inliers]
         for _ in range(_MOST_DECISIONS):
             again = search.decided(fit) or search.swapped(fit)
@@ -98,6 +99,17 @@ class Solver:
         noisy = search.too_many(fit)
         fit = self._with_all(fit, noisy) if noisy else fit
         return replace(fitter.estimate_noise(fit, FINE), noisy=noisy)
+
+    def _corners_restored(self, fit: Fit) -> Fit:
+        """The fit with corners restored that fit the board in the estimated cameras: the stated ones may be wrong."""
+        for _ in range(_CORNER_ROUNDS):
+            corners, _, _ = gross_corners(fit.data, fit.lin.state)
+            restored = fit.inliers.corners | (corners & fit.inliers.corners.any(axis=2, keepdims=True))
+            if np.array_equal(restored, fit.inliers.corners):
+                break
+            inliers = replace(fit.inliers, corners=restored)
+            fit = self._fitter.estimate_noise(self._fitter.fit(fit.lin.state, inliers, fit.noise))
+        return fit
 
     def _with_all(self, fit: Fit, noisy: tuple[str, ...]) -> Fit:
         """A fit of all measurements of some kinds: so many outliers are noise, larger than supposed."""

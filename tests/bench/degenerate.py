@@ -19,7 +19,15 @@ from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve
-from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, conditions, map_runs, route_of
+from tests.bench.simulated import (
+    DISTURBED,
+    GIVEN,
+    RUNS_PER_ROUTE,
+    as_described,
+    conditions,
+    map_runs,
+    route_of,
+)
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
 _CASES = (
@@ -64,7 +72,8 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
     rig = replace(rig, nominal=Nominal(T_h_reference, WheelGeometry.of(nominal.wheels.vector)))
     try:
         solution = solve(
-            replace(extraction, rig=rig), constraints=constraints_of([fix] if fix else [], [], [])
+            as_described(replace(extraction, rig=rig)),
+            constraints=constraints_of([fix] if fix else [], [], []),
         )
     except SolveError as error:
         return np.full(9 + len(_DERIVED), np.nan), (f"refused: {error.message[:40]}",)

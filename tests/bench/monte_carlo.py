@@ -19,6 +19,7 @@ from tests.bench.simulated import (
     GIVEN,
     HEADER,
     RUNS_PER_ROUTE,
+    as_described,
     both_sizes,
     bound_of,
     errors,
@@ -39,7 +40,8 @@ def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool
     result = {}
     for name, known in _LEVELS.items():
         try:
-            fit = maximum_likelihood(replace(extraction, rig=replace(extraction.rig, noise=known)))
+            known_noise = replace(extraction, rig=replace(extraction.rig, noise=known))
+            fit = maximum_likelihood(as_described(known_noise))
         except SolveError:
             result[name] = _NOTHING
             continue

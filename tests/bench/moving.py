@@ -9,7 +9,7 @@ import numpy as np
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import DISTURBED, HEADER, conditions, errors, map_runs, route_of, row
+from tests.bench.simulated import DISTURBED, HEADER, as_described, conditions, errors, map_runs, route_of, row
 
 _LATE_S = 0.025
 _CLOCKS = ("time_joints", "time_wheels")
@@ -19,7 +19,7 @@ def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.nd
     """Error, sigma, NEES / 9 of the nine; error and sigma of the two offsets; how much was left out."""
     robot = paper_robot()
     extraction = ideal_extraction(robot, route_of(12, seed, "moving"), DISTURBED, seed, camera_late_s=_LATE_S)
-    solution = solve(extraction)
+    solution = solve(as_described(extraction))
     found = solution.uncertainty
     assert found is not None
     error = errors(solution.parameters, robot)

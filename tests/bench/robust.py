@@ -18,6 +18,7 @@ from tests.bench.simulated import (
     DISTURBED,
     HEADER,
     RUNS_PER_ROUTE,
+    as_described,
     both_sizes,
     errors,
     information_of,
@@ -41,7 +42,7 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
     bound = np.linalg.inv(information_of(robot, route, replace(good, views=views, legs=legs)))[:9, :9]
     start = time.perf_counter()
     try:
-        fit = maximum_likelihood(extraction)
+        fit = maximum_likelihood(as_described(extraction))
     except SolveError:
         return np.full(9, np.nan), np.sqrt(np.diag(bound)), np.nan, "refused", time.perf_counter() - start
     seconds = time.perf_counter() - start

@@ -6,12 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import JointLink, Nominal, Parameters, WheelTrack
 from mobilecal_cli.report import judge
 from mobilecal_cli.report.findings import noise_rows
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
+from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.solvers.corners import gross_corners
+from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import errors, spoiled
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
@@ -207,3 +213,18 @@ def test_discrepancies_that_do_not_matter_are_no_outliers():
     )
     found = solve(replace(extraction, wheels=(slipped,)))
     assert not [o for o in found.outliers if o.kind == "slip"]
+
+
+def test_corners_that_only_the_stated_camera_rejects_are_used():
+    """The left camera's radial distortion is 20 times its usual error: corners near the edges miss a flat board."""
+    robot = tick_robot()
+    noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
+    bent = Imperfection({"distortion_left_radial_1": 0.016}, noise)
+    extraction = imperfect_extraction(robot, plan_route(robot, stations=12, seed=3), bent, seed=3)
+    data = dataset_of(extraction)
+    truth = Parameters(robot.T_h_c, robot.wheels)
+    corners, _, _ = gross_corners(data, initial_state(data, truth, Inliers.all_of(data)))
+    assert not corners.all()
+    found = solve(extraction)
+    assert not found.outliers
+    assert "distortion" in {e.kind for e in found.contradictions}
