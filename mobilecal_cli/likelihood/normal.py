@@ -193,7 +193,7 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
     information[:, :6] = shrink @ G[:, :6]
     information[:, 6:, :6] = np.swapaxes(information[:, :6, 6:], 1, 2)
     information[:, 6:, 6:] = G[:, 6:, 6:] - back @ information[:, :6, 6:]
-    # With the present errors o the gradient is that of delta - J o: moved back to where the prior wants them.
+    # With the present errors o the gradient is that of delta - J o: moved back by them.
     wanted = views.gradient - (G[:, :, :6] @ (J @ lin.own_errors[..., None]))[..., 0]
     gradient = np.empty_like(wanted)
     gradient[:, :6] = (shrink @ wanted[:, :6, None])[..., 0]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from mobilecal_cli.model import Extraction, Outlier
 from mobilecal_cli.report.numbers import station_names
 
-_LISTED = 3  # outliers of one kind that are told one by one
+_LISTED = 3  # outliers of one kind that are listed singly
 _KINDS = {
     "station": "stations whose images do not fit the others: a moved or wrong board, or wrong joint readings",
     "slip": "legs whose wheels do not fit the cameras: wheel slip or a moved board",
@@ -18,7 +18,7 @@ _NOISY = {"views": "stations' images", "legs": "legs' wheel rotations", "reading
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:
-    """A few outliers of a kind one by one; many as a count, their stations, and the first of them."""
+    """A few outliers of a kind singly; many as a count, their stations, and the first of them."""
     names = station_names(extraction)
     for kind, cause in _KINDS.items():
         mine = [outlier for outlier in outliers if outlier.kind == kind]

@@ -1,4 +1,4 @@
-"""Outliers in words: a few one by one, many by count."""
+"""Outliers in words: a few singly, many by count."""
 
 from mobilecal_cli.model import Outlier
 from mobilecal_cli.report.outliers import noisy_sentence, outlier_sentences
@@ -13,7 +13,7 @@ def moved(*stations):
     return [Outlier("station", 0, (i,), i, f"Station {i} is off.") for i in stations]
 
 
-def test_a_few_are_told_one_by_one():
+def test_a_few_are_listed_singly():
     slip = Outlier("slip", 0, (2, 3), 3, "Slip.")
     assert list(outlier_sentences([slip, *moved(1, 5)], EXTRACTION)) == [
         "Station 1 is off.",
