@@ -83,7 +83,7 @@ def influences(lin: Linearization) -> Iterator[Influence]:
         at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
         at[:, columns] = one[:, columns, None] * np.eye(at.shape[2])
         leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
-        yield _of_stations(lin, None, at, (errors * one)[:, columns], leverage, parts)
+        yield Influence(_onto(lin, own=at), (errors * one)[:, columns], leverage, parts)
     if len(data.legs):
         yield _of_legs(lin)
     if lin.noise.encoder_rad:
@@ -91,30 +91,25 @@ def influences(lin: Linearization) -> Iterator[Influence]:
         base[:, 3:5] = np.diag(1 / lin.encoder_sigmas)
         leverage = marginal.encoders[:, :, None] * np.diag(lin.encoder_sigmas**-2)
         off = lin.state.encoder_errors / lin.encoder_sigmas
-        yield _of_stations(lin, base, None, off, leverage, {"encoder_rad": np.eye(2)})
+        yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": np.eye(2)})
     if data.base_width > 5:
         base = np.zeros((data.stations, data.base_width, 1))
         base[:, 5] = 1 / lin.noise.stamp_s
         leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
         off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
-        yield _of_stations(lin, base, None, off, leverage, {"stamp_s": np.eye(1)})
+        yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": np.eye(1)})
 
 
-def _of_stations(
-    lin: Linearization,
-    base: FloatArray | None,
-    own: FloatArray | None,
-    residual: FloatArray,
-    leverage: FloatArray,
-    parts: Mapping[str, FloatArray],
-) -> Influence:
-    """Measurements of a station's base block (N, B, m) or of its own errors (N, E, m)."""
-    data, m = lin.data, residual.shape[1]
-    count, P = data.stations, data.layout.size
+def _onto(lin: Linearization, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
+    """(N, P, m) influence of m measurements of each station's base block (N, B, m), or of its own errors (N, E, m)."""
+    data, given = lin.data, base if base is not None else own
+    assert given is not None
+    count, m = data.stations, given.shape[2]
     base = np.zeros((count, data.base_width, m)) if base is None else base
     own = np.zeros((count, data.own_width, m)) if own is None else own
-    onto = lin.normal.onto_shared(np.arange(count), base, own, np.zeros((count, P, m)))
-    return Influence(lin.conditional_covariance @ onto, residual, leverage, parts)
+    onto = lin.normal.onto_shared(np.arange(count), base, own, np.zeros((count, data.layout.size, m)))
+    influence: FloatArray = lin.conditional_covariance @ onto
+    return influence
 
 
 def _of_images(lin: Linearization) -> Influence:

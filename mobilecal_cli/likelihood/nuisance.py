@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -198,9 +198,11 @@ def _of_joints(chain: HeadChain) -> Iterator[Constant]:
             done.add(link.joint)
             unit = chain.joint_units[column]
             if index != max(keys):  # the head-eye transform absorbs the last zero exactly
-                yield _scaled(f"{key}_zero", "joint_zero", part, "zero position", JointZero(column), unit)
+                yield _scaled(
+                    _row(f"{key}_zero", "joint_zero", part, "zero position", JointZero(column)), unit
+                )
             yield _row(f"{key}_scale", "joint_scale", part, "scale of the reading", JointScale(column))
-            yield _scaled(f"backlash_{key}", "backlash", part, "backlash", JointPlay(column), unit)
+            yield _scaled(_row(f"backlash_{key}", "backlash", part, "backlash", JointPlay(column)), unit)
         for letter, e in _across(link.axis):
             meaning = f"direction of the axis, about {letter}"
             yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, AxisTurn(index, e))
@@ -209,8 +211,9 @@ def _of_joints(chain: HeadChain) -> Iterator[Constant]:
                 yield _row(f"{key}_position_{letter}", "joint_position", part, meaning, OriginShift(index, e))
 
 
-def _scaled(name: str, kind: str, part: str, meaning: str, effect: Effect, unit: float) -> Constant:
-    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma * unit)
+def _scaled(row: Constant, unit: float) -> Constant:
+    """The same for a joint whose unit is not 1 rad."""
+    return replace(row, sigma=row.sigma * unit)
 
 
 def table(cameras: StereoRig, chain: HeadChain) -> tuple[Constant, ...]:
@@ -243,7 +246,7 @@ def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterat
         sigma = sigmas.get(row.name, sigmas.get(row.kind, sigmas.get("all", row.sigma)))
         if sigma > 0:
             wide = FREE * row.sigma if math.isinf(sigma) else sigma
-            yield Constant(row.name, row.kind, row.part, row.meaning, row.effect, wide)
+            yield replace(row, sigma=wide)
 
 
 def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str, ...]:
