@@ -64,15 +64,19 @@ def nanoseconds(times_s: FloatArray) -> IntArray:
     return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
 
 
-def floor_in_base(noise: Noise, count: int, random: np.random.Generator) -> FloatArray:
-    """Roll, pitch and height of the base on an uneven floor, at each station: (count, 4, 4), base axes."""
+def floor_in_base(noise: Noise, count: int, random: np.random.Generator, still: bool = False) -> FloatArray:
+    """Roll, pitch and height of the base on an uneven floor, at each station: (count, 4, 4), base axes.
+
+    They are the same at all stations of a base that stands still.
+    """
     turns, lifts = noise.floor_rad * random.normal(size=(count, 2)), noise.floor_m * random.normal(size=count)
-    return np.array(
+    poses = np.array(
         [
             pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
             for (roll, pitch), lift in zip(turns, lifts, strict=True)
         ]
     )
+    return np.repeat(poses[:1], count, axis=0) if still else poses
 
 
 def rolled_as_read(
@@ -165,7 +169,7 @@ def extraction_of(
     rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
     times_s = station_times_s(route)
     stamps_s = times_s + camera_late_s
-    floor = floor_in_base(noise, len(times_s), other_random)
+    floor = floor_in_base(noise, len(times_s), other_random, still=route.motion == "base_fixed")
     if not at_rest:
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)

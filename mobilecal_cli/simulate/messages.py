@@ -178,7 +178,8 @@ def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, Fl
     rests_s = world.route.rests_s
     if len(rests_s):
         rest = np.searchsorted(rests_s[:, 0], times_s) - 1
-        return floor_in_base(world.noise, len(rests_s), random)[rest], np.zeros(len(times_s))
+        still = world.route.motion == "base_fixed"
+        return floor_in_base(world.noise, len(rests_s), random, still)[rest], np.zeros(len(times_s))
     floor = floor_in_base(world.noise, len(times_s), random)
     return floor, world.noise.stamp_s * random.normal(size=len(times_s))
 
