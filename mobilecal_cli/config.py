@@ -309,7 +309,8 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
         data = _read_yaml(path)
     for key, value in (flags or {}).items():
         if value is not None:
-            _assign(data, key.split("."), value)
+            section, _, name = key.partition(".")  # names of gates contain dots
+            _assign(data, [section, name] if section == "gates" else key.split("."), value)
     try:
         rig = RigConfig.model_validate(data)
     except ValidationError as error:

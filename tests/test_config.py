@@ -182,3 +182,8 @@ def test_other_priors_are_refused(write, value):
         "priors.focal_length: must be a standard deviation (zero or more), fixed or free"
         in caught.value.message
     )
+
+
+def test_gates_have_dots_in_their_names():
+    key, value = parse_setting("gates.std.wheels.separation_m=0.002")
+    assert load_rig(None, {key: value}).gates == {"std.wheels.separation_m": 0.002}

@@ -63,7 +63,14 @@ def _fields(robot: CalibratedRobot) -> dict[str, str]:
 
 
 def static_transform_launch(robot: CalibratedRobot) -> str:
-    """A ROS 2 launch file (XML) that publishes the head-eye transform with tf2_ros."""
+    """A ROS 2 launch file (XML) that publishes the head-eye transform with tf2_ros.
+
+    Raises:
+        ConfigError: a frame has a name that a launch file would change or that XML does not allow.
+    """
+    for frame in (robot.parent_frame, robot.child_frame):
+        if "$(" in frame:
+            raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
     words = " ".join(f"--{name} {value}" for name, value in _fields(robot).items())
     frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
     return "\n".join(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -30,6 +30,7 @@ from mobilecal_cli.model import (
     FloatArray,
     Knowledge,
     LogSource,
+    NoiseLevels,
     Provenance,
     Side,
     Solution,
@@ -59,7 +60,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         extraction: its measurements.
         provenance: time, version, recordings and settings.
     """
-    cameras, chain = extraction.rig.cameras, extraction.rig.chain
+    cameras, chain = solution.cameras, extraction.rig.chain
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
     frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
     wheels = solution.parameters.wheels
@@ -85,24 +86,22 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         "  # point error: station-to-station corner error in space, rms, mm",
         f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # reprojection error: the same in px",
         "",
-        *_uncertainty_lines(solution, cameras),
+        *_uncertainty_lines(solution),
         *_constant_lines(solution, extraction),
         *_provenance_lines(provenance),
     ]
     return "\n".join(blocks) + "\n"
 
 
-def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
+def _uncertainty_lines(solution: Solution) -> list[str]:
     """The block `uncertainty`; empty for methods that give none."""
     found = solution.uncertainty
     if found is None:
         return []
-    covariance = found.referred(solution.parameters.T_h_c, cameras.T_c_reference)
-    covariance = (covariance + covariance.T) / 2
+    covariance = (found.reference_covariance + found.reference_covariance.T) / 2
     std = np.sqrt(np.diag(covariance))
     seen = found.observable
     shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(NINE, std, strict=True))
-    levels = found.noise
     return [
         "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
         "# A parameter that the recording does not determine (observable: false) keeps its nominal value, and has the",
@@ -113,11 +112,16 @@ def _uncertainty_lines(solution: Solution, cameras: StereoRig) -> list[str]:
         "  covariance:",
         *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
         f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in zip(NINE, seen, strict=True))}}}",
-        f"  noise: {{pixel_px: {exponential(levels.pixel_px)}, "
-        f"wheel_rad_per_sqrt_rad: {exponential(levels.wheel_rad_per_sqrt_rad)}, "
-        f"joint_rad: {exponential(levels.joint_rad)}, estimated: {str(bool(levels.estimated)).lower()}}}",
+        f"  noise: {{{_noise(found.noise)}}}",
         "",
     ]
+
+
+def _noise(levels: NoiseLevels) -> str:
+    """Every noise level, and the names of those that were estimated from the residuals."""
+    names = (name for name, kind in get_type_hints(NoiseLevels).items() if kind is float)
+    shown = (f"{name}: {exponential(getattr(levels, name))}" for name in names)
+    return f"{', '.join(shown)}, estimated: [{', '.join(levels.estimated)}]"
 
 
 def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
@@ -237,6 +241,7 @@ class _Uncertainty(_Section):
     order: tuple[str, ...]
     covariance: Annotated[tuple[_Row, ...], Field(min_length=9, max_length=9)]
     observable: dict[str, bool]
+    noise: dict[str, Any] = {}
 
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
@@ -323,7 +328,9 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     known = checked.uncertainty
     knowledge = None
     if known is not None:
-        knowledge = Knowledge(np.array(known.covariance), np.array([known.observable[name] for name in NINE]))
+        noise = {name: s for name, s in known.noise.items() if isinstance(s, float)}
+        observable = np.array([known.observable[name] for name in NINE])
+        knowledge = Knowledge(np.array(known.covariance), observable, noise)
     settings = checked.provenance.config
     joints: dict[Side, str | None] = {
         "left": settings.wheels.left.joint,

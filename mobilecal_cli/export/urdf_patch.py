@@ -21,6 +21,7 @@ from mobilecal_cli.model import CalibratedRobot, FloatArray, Side
 _SIDES: tuple[Side, Side] = ("left", "right")
 #: A frame is at ground level if the wheel centers are one radius above it, to this much, m.
 _GROUND_M = 1e-3
+_SAME_PLACE_M = 1e-6
 _WHEELS = [
     ["robot", "link", kind, "geometry", shape]
     for kind in ("visual", "collision")
@@ -43,12 +44,14 @@ class _Places:
     Attributes:
         joints: joint name → its own tag and that of its <origin>, if it has one.
         axes: joint name → its <axis>, if it has one.
+        links: names of all links, also of those without a joint.
         wheels: link name → tags of its cylinders and spheres.
         end: start of the robot's end tag, bytes.
     """
 
     joints: dict[str, tuple[_Tag, _Tag | None]] = field(default_factory=dict)
     axes: dict[str, _Tag] = field(default_factory=dict)
+    links: set[str] = field(default_factory=set)
     wheels: dict[str, list[_Tag]] = field(default_factory=dict)
     end: int = 0
 
@@ -87,8 +90,8 @@ def patched_urdf(
         chain: the head chain to write; None to leave it as it is.
 
     Raises:
-        ConfigError: invalid URDF, no fixed joint from the head to the camera, an unknown wheel joint, or another head
-            chain than that of the calibration.
+        ConfigError: invalid URDF, no fixed joint from the head to the camera, an unknown wheel joint, wheels at one
+            place or with one joint, or another head chain than that of the calibration.
     """
     try:
         urdf = parse_urdf(content.decode("utf-8"))
@@ -105,7 +108,7 @@ def patched_urdf(
             f"{robot.parent_frame!r}"
         )
     else:
-        edits.append(_added(places.end, urdf, robot))
+        edits.append(_added(places, urdf, robot))
         changes.append(
             f"link {robot.child_frame!r}: added with a fixed joint on {robot.parent_frame!r}; no other node may "
             "publish this transform"
@@ -135,9 +138,24 @@ def patched_urdf(
             else "no cylinder or sphere, no radius set"
         )
         changes.append(f"link {link!r}: {radii}")
+    return PatchedUrdf(_edited(content, edits), tuple(changes))
+
+
+def _edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
+    """The file with byte ranges replaced.
+
+    Raises:
+        ConfigError: two edits change the same tag, as for one joint of two wheels.
+    """
+    later = (len(content), len(content))
     for start, end, new in sorted(edits, reverse=True):
-        content = content[:start] + new + content[end:]
-    return PatchedUrdf(content, tuple(changes))
+        if end > later[0] or (start, end) == later:
+            raise ConfigError(
+                "URDF: one joint or link would have to change in two ways",
+                "give different joints for the two wheels, and the URDF of the robot that was calibrated",
+            )
+        content, later = content[:start] + new + content[end:], (start, end)
+    return content
 
 
 def _chain(
@@ -146,16 +164,16 @@ def _chain(
     """The edits that give the head's joints their estimated origins and axes, and notes."""
     edits, notes = [], []
     for joint in joint_origins(urdf, chain):
-        edits.append(_moved(content, places, joint.name, joint.T_parent_child))
-        axis, tag = (
-            " ".join(f"{value + 0.0:.12g}" for value in np.round(joint.axis, 12)),
-            places.axes.get(joint.name),
-        )
+        start, end, origin = _moved(content, places, joint.name, joint.T_parent_child)
+        axis = " ".join(f"{value + 0.0:.12g}" for value in np.round(joint.axis, 12))
+        (own, _), tag = places.joints[joint.name], places.axes.get(joint.name)
         if tag is not None:
             edits.append((*_span(tag), _with(content, tag, {"xyz": axis})))
+        elif (start, end) == (own.end, own.end):
+            origin += f"<axis xyz={attribute(axis)}/>".encode()
         else:
-            end = places.joints[joint.name][0].end
-            edits.append((end, end, f"<axis xyz={attribute(axis)}/>".encode()))
+            edits.append((own.end, own.end, f"<axis xyz={attribute(axis)}/>".encode()))
+        edits.append((start, end, origin))
         zero = chain.zeros.get(joint.name, 0.0)
         notes.append(
             f"joint {joint.name!r}: estimated origin and axis"
@@ -188,22 +206,25 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
     return path[0], robot.T_parent_child @ se3.inverse(T_mount_camera)
 
 
-def _added(end: int, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
-    """The edit that adds the camera link and joint before the end of the robot."""
+def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
+    """The edit that adds the camera's joint, and its link if there is none, before the end of the robot."""
     if robot.parent_frame not in urdf.links:
         raise ConfigError(
             f"URDF: neither {robot.child_frame!r} nor {robot.parent_frame!r} is a link",
             f"links: {', '.join(urdf.links) or 'none'}",
         )
+    name, number = f"{robot.child_frame}_joint", 2
+    while name in urdf.joints:
+        name, number = f"{robot.child_frame}_joint{number}", number + 1
     lines = (
-        f"<link name={attribute(robot.child_frame)}/>",
-        f'<joint name={attribute(f"{robot.child_frame}_joint")} type="fixed">',
+        *([f"<link name={attribute(robot.child_frame)}/>"] if robot.child_frame not in places.links else []),
+        f'<joint name={attribute(name)} type="fixed">',
         f"  <parent link={attribute(robot.parent_frame)}/><child link={attribute(robot.child_frame)}/>",
         f"  {_origin(robot.T_parent_child)}",
         "</joint>",
         *([f"<!-- {comment(frame_note(robot))} -->"] if robot.rectified else []),
     )
-    return end, end, "".join(f"  {line}\n" for line in lines).encode()
+    return places.end, places.end, "".join(f"  {line}\n" for line in lines).encode()
 
 
 def _wheel_origins(
@@ -219,6 +240,11 @@ def _wheel_origins(
         T[side] = (T_root_parent, above[-1].T_parent_child)
     center = {side: (parent @ own)[:3, 3] for side, (parent, own) in T.items()}
     axle = center["left"] - center["right"]
+    if np.linalg.norm(axle) < _SAME_PLACE_M:
+        raise ConfigError(
+            f"URDF: joints {wheel_joints['left']!r} and {wheel_joints['right']!r} are at the same place",
+            "correct their origins, or give the wheel joints with --left-joint and --right-joint",
+        )
     middle = (center["left"] + center["right"]) / 2
     for side, sign in (("left", 0.5), ("right", -0.5)):
         place = middle + sign * robot.wheels.separation_m * axle / np.linalg.norm(axle)
@@ -352,10 +378,12 @@ def _places(content: bytes) -> _Places:
         if inside == ["robot"] and name == "joint":
             places.joints[own] = (tag, None)
         elif inside == ["robot", "joint"] and name == "origin":
-            joint = stack[-1][1]
-            places.joints[joint] = (places.joints[joint][0], tag)
+            joint, first = places.joints[stack[-1][1]]
+            places.joints[stack[-1][1]] = (joint, first or tag)
         elif inside == ["robot", "joint"] and name == "axis":
-            places.axes[stack[-1][1]] = tag
+            places.axes.setdefault(stack[-1][1], tag)
+        elif inside == ["robot"] and name == "link":
+            places.links.add(own)
         elif [*inside, name] in _WHEELS:
             places.wheels.setdefault(stack[1][1], []).append(tag)
         stack.append((name, own))

@@ -19,10 +19,12 @@ class Knowledge:
     Attributes:
         covariance: (9, 9) in the order of `NINE`: small rotation vector in the parent frame, rad; m.
         observable: (9,) false for parameters fixed at nominal values; `covariance` does not apply to them.
+        noise: noise level → standard deviation, as far as the file states them; see `NoiseLevels`.
     """
 
     covariance: FloatArray
     observable: BoolArray
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, covariance=(9, 9))

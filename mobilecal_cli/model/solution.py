@@ -21,6 +21,7 @@ from mobilecal_cli.model.findings import (
     Suggestion,
 )
 from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import StereoRig
 
 Method = Literal["linear", "paper", "lm", "ml"]
 Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str, Setting] | None"
@@ -117,6 +118,8 @@ class Uncertainty:
     Attributes:
         covariance: (9, 9) in the order of `NINE`, see `Parameters` (rad, m): the inverse of the normal matrix
             (Cramer-Rao bound), plus the prior variance of unobservable directions, widened by `widened`.
+        reference_covariance: (9, 9) the same with the pose of the reference camera, which also depends on the
+            estimated stereo pair.
         observable: (9,) whether the recording makes the standard deviation clearly smaller than that of a nominal
             value; false for fixed parameters.
         unobservable: (K, 9) directions that the recording does not show, in units of `scales`, unit length: the
@@ -125,13 +128,16 @@ class Uncertainty:
         singular_values: of the whitened, scaled Jacobian, decreasing: scale over sigma along each direction.
         noise: noise levels.
         fixed: (9,) parameters fixed by the user; their variance is zero.
-        jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, for comparison.
+        jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, with the pose of the
+            reference camera, for comparison.
+        noise_std: (9,) the same from the noise levels alone, without `widened`.
         widened: (9,) factor on each standard deviation: above 1 where the jackknife is clearly larger.
         at_work: expected errors at work.
         budget: what limits the accuracy.
     """
 
     covariance: FloatArray
+    reference_covariance: FloatArray
     observable: BoolArray
     unobservable: FloatArray
     scales: FloatArray
@@ -139,6 +145,7 @@ class Uncertainty:
     noise: NoiseLevels
     fixed: BoolArray
     jackknife_std: FloatArray
+    noise_std: FloatArray
     widened: FloatArray
     at_work: AtWork
     budget: Budget
@@ -147,10 +154,12 @@ class Uncertainty:
         freeze(
             self,
             covariance=(9, 9),
+            reference_covariance=(9, 9),
             unobservable=("K", 9),
             scales=(9,),
             singular_values=("D",),
             jackknife_std=(9,),
+            noise_std=(9,),
             widened=(9,),
         )
         freeze(self, np.bool_, observable=(9,), fixed=(9,))
@@ -159,13 +168,6 @@ class Uncertainty:
     def std(self) -> FloatArray:
         """Standard deviations, (9,), rad and m; 0 for fixed parameters."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    def referred(self, T_h_c: FloatArray, T_c_reference: FloatArray) -> FloatArray:
-        """Covariance for the reference camera, (9, 9): its position also depends on the rotation."""
-        J = np.eye(9)
-        J[3:6, :3] = np.cross(np.eye(3), T_h_c[:3, :3] @ T_c_reference[:3, 3]).T
-        C: FloatArray = J @ self.covariance @ J.T
-        return C
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +233,7 @@ class Solution:
     Attributes:
         method: method of `parameters`.
         parameters: the nine parameters.
+        cameras: the stereo pair as estimated; as stated for methods that do not estimate it.
         linear: the linear solution.
         refinement: None for the method "linear".
         residuals: at `parameters`.
@@ -252,6 +255,7 @@ class Solution:
 
     method: Method
     parameters: Parameters
+    cameras: StereoRig
     linear: LinearEstimate
     refinement: Refinement | None
     residuals: Residuals

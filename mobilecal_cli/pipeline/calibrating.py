@@ -169,7 +169,7 @@ def calibrate(
         directory = output if output is not None else default_output(logs[0])
         check_output(directory, force)
         config = load_rig(config_path, flags)
-        limits = gates_of(gates, config.gates)
+        limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
         earlier = None if last is None else read_params(last)
         whole, snapshots = load(logs, config, config_path, flags or {}, draughtsman.watching(progress), jobs)
         extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)

@@ -12,6 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import (
     CalibratedRobot,
     Evaluation,
@@ -156,10 +157,9 @@ def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | Mobile
 
 
 def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedRobot) -> OwnEstimate:
-    cameras, found = extraction.rig.cameras, solution.uncertainty
+    cameras, found = solution.cameras, solution.uncertainty
     assert found is not None  # the default method always has one
-    T_c_reference = cameras.T_c_reference
-    knowledge = Knowledge(found.referred(solution.parameters.T_h_c, T_c_reference), found.observable)
+    knowledge = Knowledge(found.reference_covariance, found.observable)
     own = CalibratedRobot(
         robot.parent_frame,
         robot.child_frame,
@@ -202,7 +202,9 @@ def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) ->
             f"frame is {here[1]!r} and the head frame is {here[0]!r}",
             "set head.head_frame and cameras.reference as for the calibration",
         )
-    return Parameters(robot.T_parent_child @ se3.inverse(cameras.T_c_reference), robot.wheels)
+    rows = table(cameras, extraction.rig.chain)
+    estimated = camera_change(rows, robot.constants or {}).apply(cameras)
+    return Parameters(robot.T_parent_child @ se3.inverse(estimated.T_c_reference), robot.wheels)
 
 
 def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extraction]:

@@ -208,8 +208,8 @@ def _recorded(record: Path, key: str, job: FleetJob) -> FleetRow | None:
 
 
 def _row(job: FleetJob, done: Calibration) -> FleetRow:
-    solution, cameras = done.solution, done.extraction.rig.cameras
-    T, wheels = reference_pose(solution.parameters, cameras), solution.parameters.wheels
+    solution = done.solution
+    T, wheels = reference_pose(solution.parameters, solution.cameras), solution.parameters.wheels
     lengths = (*T[:3, 3].tolist(), wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
     return FleetRow(
         job.name,
@@ -219,7 +219,7 @@ def _row(job: FleetJob, done: Calibration) -> FleetRow:
         len(done.extraction.observations),
         tuple(se3.log_so3(T[:3, :3]).tolist()),
         lengths,
-        reference_std(solution, cameras),
+        reference_std(solution),
     )
 
 

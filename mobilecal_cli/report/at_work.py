@@ -108,7 +108,8 @@ def use_checks(solution: Solution, limits: Mapping[str, float]) -> Iterator[Chec
     """Whether each expected error is within its limit; the least certain first."""
     for use in sorted(uses(solution, limits), key=lambda use: -use.share):
         figure = use.figure
-        value, limit = f"{std_text(use.value)} {figure.unit}", f"{use.limit:g} {figure.unit}"
+        value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
+        limit = f"{use.limit:g} {figure.unit}"
         why = f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {limit})."
         yield Check(
             f"expected error: {figure.meaning}",
@@ -146,14 +147,15 @@ def use_sentence(solution: Solution) -> str:
     found = solution.uncertainty
     if found is None:
         return ""
-    camera_m, camera_rad, along, per_m, per_turn = (
-        f"{std_text(figure.of(found.at_work))} {figure.unit}"
-        for figure in FIGURES
-        if figure.limit is not None
-    )
+    values = [(figure.of(found.at_work), figure.unit) for figure in FIGURES if figure.limit is not None]
+    camera_m, camera_rad, along, per_m, per_turn = (f"{std_text(value)} {unit}" for value, unit in values)
+    camera = f"{camera_m} and {camera_rad}" if any(value for value, _ in values[:2]) else "fixed by the user"
+    wheels = f"{along}, {per_m} and {per_turn} per full turn"
+    if not any(value for value, _ in values[2:]):
+        wheels = "with wheels fixed by the user"
     return (
-        f"Expected errors (1 sigma): camera in the base {camera_m} and {camera_rad}; dead reckoning {along}, {per_m} "
-        f"and {per_turn} per full turn. All are within their limits."
+        f"Expected errors (1 sigma): camera in the base {camera}; dead reckoning {wheels}. "
+        "All are within their limits."
     )
 
 

@@ -19,16 +19,14 @@ class Source:
     """A source of errors.
 
     Attributes:
-        label: as the subject of a sentence.
-        family: its group in the chart.
+        label: as in a list.
+        family: its group, a key of `FAMILIES`.
         advice: what reduces it, as a command without a full stop.
-        plural: whether the label is a plural.
     """
 
     label: str
     family: str
     advice: str
-    plural: bool = False
 
 
 _STATED_CAMERA = "calibrate the cameras again with more images"
@@ -42,7 +40,7 @@ SOURCES: dict[str, Source] = {
     "floor_m": Source("the uneven floor (height)", "floor", "record on a flat floor, or record more stops"),
     "wheel_rad_per_sqrt_rad": Source("wheel noise", "wheels", "record more stops with shorter legs, on a firm floor"),
     "wheel_share": Source("wheel noise in proportion to the distance", "wheels", "record more legs, on a firm floor"),
-    "encoder_rad": Source("encoder steps", "encoder steps", "record more legs, or use finer encoders", plural=True),
+    "encoder_rad": Source("encoder steps", "encoder steps", "record more legs, or use finer encoders"),
     "stamp_s": Source("jitter of the image time stamps", "time stamps", "stop for images, or use hardware time stamps"),
     "clock": Source("the stated clock offset", "time stamps", "synchronize the clocks"),
     "focal_length": Source("the stated focal length", "camera_info", _STATED_CAMERA),
@@ -56,8 +54,8 @@ SOURCES: dict[str, Source] = {
     "board_bend": Source("the flatness of the board", "board", "mount the board on a flat plate"),
     "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints"),
     "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings"),
-    "joint_axis": Source("the stated axes of the head joints", "head geometry", _STATED_HEAD, plural=True),
-    "joint_position": Source("the stated positions of the head joints", "head geometry", _STATED_HEAD, plural=True),
+    "joint_axis": Source("the stated axes of the head joints", "head geometry", _STATED_HEAD),
+    "joint_position": Source("the stated positions of the head joints", "head geometry", _STATED_HEAD),
     "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides"),
     "nominal": Source("the uncertainty of the nominal values", "nominal values", "record more varied motion"),
     "unobservable": Source("the missing motion", "nominal values", "record the missing motion"),
@@ -65,6 +63,20 @@ SOURCES: dict[str, Source] = {
     "other": Source("other errors", "other", "record more stops"),
 }
 # fmt: on
+#: Group of sources, in the chart's order → its name with a verb.
+FAMILIES = {
+    "corners": "Corner noise limits",
+    "joint readings": "Joint reading noise limits",
+    "floor": "The uneven floor limits",
+    "wheels": "Wheel noise limits",
+    "encoder steps": "Encoder steps limit",
+    "time stamps": "Errors of the image time stamps limit",
+    "camera_info": "The stated camera calibration (camera_info) limits",
+    "board": "The stated geometry of the board limits",
+    "head geometry": "The stated geometry of the head limits",
+    "nominal values": "The uncertainty of the nominal values limits",
+    "other": "Other errors limit",
+}
 
 
 def source(name: str) -> Source:
@@ -82,28 +94,20 @@ def _shares(solution: Solution, field: str) -> list[tuple[float, str]]:
 
 
 def limiting_sentence(solution: Solution, field: str, meaning: str) -> str:
-    """What contributes most to an expected error; "" where nothing is known.
+    """Which group of sources contributes most to an expected error; "" where nothing is known.
 
     Args:
         solution: the solution.
         field: of `AtWork`.
         meaning: its label.
     """
-    shares = _shares(solution, field)
-    if not shares:
+    sums = dict.fromkeys(FAMILIES, 0.0)
+    for share, name in _shares(solution, field):
+        sums[source(name).family] += share
+    family = max(sums, key=lambda name: sums[name])
+    if not sums[family]:
         return ""
-    share, name = shares[0]
-    limiting = source(name)
-    label = f"{limiting.label[0].upper()}{limiting.label[1:]}"
-    return (
-        f"{label} limit{'' if limiting.plural else 's'} the {meaning}: {100 * share:.0f} % of its variance."
-    )
-
-
-def stated_share(solution: Solution, field: str) -> float:
-    """Share of an expected error's variance that comes from stated values of the robot description, 0 to 1."""
-    kinds = {kind.name for kind in nuisance.KINDS}
-    return sum(share for share, name in _shares(solution, field) if name in kinds)
+    return f"{FAMILIES[family]} the {meaning}: {100 * sums[family]:.0f} % of its variance."
 
 
 def advice(solution: Solution, field: str) -> str:
@@ -135,7 +139,7 @@ def families(solution: Solution) -> tuple[tuple[str, ...], FloatArray]:
         return (), np.zeros((0, len(NINE)))
     budget = found.budget
     columns = np.concatenate([budget.nine, np.stack(list(budget.at_work.values()), axis=1)], axis=1)
-    sums: dict[str, FloatArray] = {each.family: np.zeros(columns.shape[1]) for each in SOURCES.values()}
+    sums: dict[str, FloatArray] = {family: np.zeros(columns.shape[1]) for family in FAMILIES}
     for name, row in zip(budget.sources, columns, strict=True):
         sums[source(name).family] += np.maximum(row, 0.0)
     return tuple(sums), np.array(list(sums.values()))

@@ -58,18 +58,18 @@ def report_json(
     change: Change | None = None,
 ) -> str:
     """All numbers of the report: keys sorted, units as suffixes, the same bytes for the same values."""
-    cameras = extraction.rig.cameras
+    cameras = solution.cameras
     data = {
         "schema_version": SCHEMA_VERSION,
         "verdict": _verdict(verdict),
         "parameters": _parameters(solution.parameters, cameras)
-        | _rotation_std(solution, cameras)
+        | _rotation_std(solution)
         | {"parent_frame": extraction.rig.chain.head_frame, "child_frame": reference_frame(cameras)},
         "quality": _quality(solution, extraction),
         "linear": _linear(solution, cameras),
         "refinement": _refinement(solution, cameras),
         "legs": _legs(solution),
-        "uncertainty": _uncertainty(solution, cameras),
+        "uncertainty": _uncertainty(solution),
         "outliers": [asdict(outlier) for outlier in solution.outliers],
         "constants": _constants(solution),
         "error_budget": _budget(solution),
@@ -144,8 +144,8 @@ def _parameters(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
     }
 
 
-def _rotation_std(solution: Solution, cameras: StereoRig) -> dict[str, Any]:
-    rotation = rotation_of(solution, cameras)
+def _rotation_std(solution: Solution) -> dict[str, Any]:
+    rotation = rotation_of(solution)
     return {
         "rotation_vector_std_deg": rotation.vector_std_deg,
         "euler_zyx_std_deg": rotation.euler_std_deg,
@@ -212,11 +212,11 @@ def _legs(solution: Solution) -> list[dict[str, Any]]:
     ]
 
 
-def _uncertainty(solution: Solution, cameras: StereoRig) -> dict[str, Any] | None:
+def _uncertainty(solution: Solution) -> dict[str, Any] | None:
     found = solution.uncertainty
     if found is None:
         return None
-    covariance = found.referred(solution.parameters.T_h_c, cameras.T_c_reference)
+    covariance = found.reference_covariance
     std = np.sqrt(np.diag(covariance))
     known = np.where(std > 0, std, 1.0)
     return {

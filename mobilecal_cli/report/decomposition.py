@@ -14,6 +14,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import Noise
 from mobilecal_cli.model import Extraction, FloatArray, NoiseLevels, Solution
+from mobilecal_cli.report.numbers import std_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +154,10 @@ def reprojection_sentence(solution: Solution, extraction: Extraction) -> str:
         "floor": "the uneven floor",
         "wheels": "wheels",
     }
-    each = [f"{words[name]} {part.px:.2f} px" for name, part in parts.items()]
+    each = [f"{words[name]} {std_text(part.px)} px" for name, part in parts.items()]
     whole = float(np.sqrt(sum(part.px**2 for part in parts.values())))
     return (
-        f"One corner coordinate has a noise of only {noise:.2f} px. The reprojection error compares two stations, so "
-        f"it includes the robot's motion between them. Expected from the noise levels: {', '.join(each)}; together "
-        f"{whole:.2f} px."
+        f"One corner coordinate has a noise of only {std_text(noise)} px. The reprojection error compares two "
+        f"stations, so it includes the robot's motion between them. Expected from the noise levels: "
+        f"{', '.join(each)}; together {std_text(whole)} px."
     )

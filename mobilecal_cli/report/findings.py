@@ -101,10 +101,10 @@ def jackknife_sentence(solution: Solution) -> str:
     found = solution.uncertainty
     if found is None:
         return ""
-    known = (found.std > 0) & (found.jackknife_std > 0)
+    known = (found.noise_std > 0) & (found.jackknife_std > 0)
     if not known.any():
         return ""
-    ratio = found.jackknife_std[known] / (found.std / found.widened)[known]
+    ratio = found.jackknife_std[known] / found.noise_std[known]
     usual = usual_jackknife_factor(len(solution.residuals.legs))
     sentence = (
         "Jackknife test: solving repeatedly, each time without the corners or the joint readings of one station or "

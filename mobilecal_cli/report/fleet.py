@@ -87,8 +87,8 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
     )
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
-        words = (" ".join(out.get(row.name, ())), row.skipped, _harmless(row.reason))
-        table.writerow([row.name, row.verdict, row.exit_code, row.stations, *cells, *words])
+        words = (" ".join(out.get(row.name, ())), _harmless(row.skipped), _harmless(row.reason))
+        table.writerow([_harmless(row.name), row.verdict, row.exit_code, row.stations, *cells, *words])
     return stream.getvalue()
 
 
@@ -139,13 +139,13 @@ def _template() -> Template:
 def fleet_text(rows: Sequence[FleetRow]) -> str:
     """One line per robot, for the terminal."""
     out = standing_out(rows)
-    width = max(len(row.name) for row in rows)
+    width = max(len(visible(row.name)) for row in rows)
     lines = []
     for row in rows:
         if row.verdict == "SKIPPED":
             continue
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
-        lines.append(f"  {row.name:<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
+        lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
     skipped = skipped_text(rows)
     return "\n".join([*lines, *([skipped] if skipped else [])]) + "\n"
 

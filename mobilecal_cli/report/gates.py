@@ -59,7 +59,7 @@ class Gate:
 
 
 def gates_of(
-    flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False
+    flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False, hold_out: bool = True
 ) -> tuple[Gate, ...]:
     """Gates of the command line and the configuration; the command line takes precedence.
 
@@ -67,9 +67,10 @@ def gates_of(
         flags: `NAME=LIMIT`.
         config: name → limit.
         evaluating: for `evaluate`; gates of the configuration that apply to `calibrate` only are ignored.
+        hold_out: whether stations are held out.
 
     Raises:
-        ConfigError: the limit is missing or no number, or the figure is unknown.
+        ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
     """
     known = _EVALUATED if evaluating else _CALIBRATED
     every = {*_EVALUATED, *_CALIBRATED}
@@ -91,6 +92,11 @@ def gates_of(
             raise ConfigError(
                 f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
             )
+    tested = next((name for name in limits if name.startswith("hold_out.")), None)
+    if tested is not None and not hold_out:
+        raise ConfigError(
+            f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
+        )
     return tuple(Gate(name, limit) for name, limit in limits.items())
 
 
@@ -102,7 +108,7 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
 
 def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None) -> Figures:
     """Every figure of a calibration that a gate can limit."""
-    cameras, found = extraction.rig.cameras, solution.uncertainty
+    found = solution.uncertainty
     figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
     figures |= {
         "stations": float(len(extraction.observations)),
@@ -111,7 +117,7 @@ def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation 
         "left_out": float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
     }
     if found is not None:
-        figures |= dict(zip(_STD_KEYS, reference_std(solution, cameras), strict=True))
+        figures |= dict(zip(_STD_KEYS, reference_std(solution), strict=True))
         figures |= {figure.gate: figure.of(found.at_work) for figure in FIGURES}
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}

@@ -81,7 +81,7 @@ def report_html(
     """
     from markupsafe import Markup  # SVG made here; matplotlib has escaped every text in it
 
-    rig, rotation = extraction.rig, rotation_of(solution, extraction.rig.cameras)
+    rig, rotation = extraction.rig, rotation_of(solution)
     template = _template()
     page: dict[str, Any] = {
         "verdict": verdict,
@@ -96,7 +96,7 @@ def report_html(
         "rotation": rotation,
         "euler": _euler(rotation),
         "linear": solution.linear,
-        "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution, rig.cameras)],
+        "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution)],
         "noise": noise_rows(solution, extraction),
         "outliers": tuple(outlier_sentences(solution.outliers, extraction)),
         "predicted": predicted_rows(solution),
@@ -109,7 +109,7 @@ def report_html(
         "logs_apart": log_rows(solution, extraction),
         "nine": NINE,
         "change": change,
-        "changes": change_rows(change, [s.value for s in sigmas(solution, rig.cameras)]),
+        "changes": change_rows(change, [s.value for s in sigmas(solution)]),
         "change_in_sigma": change is not None and bool(np.isfinite(change.sigmas).any()),
         "change_in_percent": change is not None and bool(np.isfinite(change.percent).any()),
         "trial": trial,
@@ -161,8 +161,8 @@ def _template() -> Template:
 
 def _table_one(solution: Solution, extraction: Extraction, rotation: Rotation) -> list[dict[str, Any]]:
     """Rows of the nine parameters: rotation vector, translation, wheels; in deg and mm."""
-    cameras = extraction.rig.cameras
-    std: list[float | None] = [s.value for s in sigmas(solution, cameras)] or [None] * 9
+    cameras = solution.cameras
+    std: list[float | None] = [s.value for s in sigmas(solution)] or [None] * 9
     unknown = ["fixed" if s is None else "–" for s in std]  # "–": another part of the rotation is fixed
     std[:3] = [None] * 3 if rotation.vector_std_deg is None else rotation.vector_std_deg.tolist()
     linear_R = reference_pose(solution.linear.parameters, cameras)[:3, :3]

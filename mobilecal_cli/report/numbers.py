@@ -89,18 +89,18 @@ class Rotation:
     lock_deg: float
 
 
-def rotation_of(solution: Solution, cameras: StereoRig) -> Rotation:
+def rotation_of(solution: Solution) -> Rotation:
     """Rotation vector, quaternion and Euler angles of the reference camera, with first-order standard deviations.
 
     The covariance is that of a small rotation r about the head's axes: `R_true = exp(r) R`.
     """
-    R = reference_pose(solution.parameters, cameras)[:3, :3]
+    R = reference_pose(solution.parameters, solution.cameras)[:3, :3]
     vector_deg, found = np.degrees(se3.log_so3(R)), solution.uncertainty
     lock_deg = se3.gimbal_margin_deg(R)
     euler_deg = np.array(se3.euler_zyx_deg(R)) if lock_deg >= NEAR_LOCK_DEG else None
     vector_std = euler_std = None
     if found is not None and not found.fixed[:3].any():
-        C = found.covariance[:3, :3]
+        C = found.reference_covariance[:3, :3]
         J = np.linalg.inv(se3.left_jacobian_so3(np.radians(vector_deg)))
         vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
         if euler_deg is not None:
@@ -132,12 +132,12 @@ class Sigma:
     observable: bool
 
 
-def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
+def sigmas(solution: Solution) -> tuple[Sigma, ...]:
     """Standard deviations in params.yaml's order, in deg and mm; empty for methods that give none.
 
     The first three are of a small rotation about the head's axes, not of the components of the rotation vector.
     """
-    std, found = reference_std(solution, cameras), solution.uncertainty
+    std, found = reference_std(solution), solution.uncertainty
     if found is None:
         return ()
     meanings = [
@@ -153,7 +153,7 @@ def sigmas(solution: Solution, cameras: StereoRig) -> tuple[Sigma, ...]:
     )
 
 
-def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
+def reference_std(solution: Solution) -> tuple[float | None, ...]:
     """Nine standard deviations for the reference camera, rad and m; None where the user fixed a parameter.
 
     Empty for methods that give none.
@@ -161,21 +161,8 @@ def reference_std(solution: Solution, cameras: StereoRig) -> tuple[float | None,
     found = solution.uncertainty
     if found is None:
         return ()
-    std = np.sqrt(np.diag(found.referred(solution.parameters.T_h_c, cameras.T_c_reference)))
+    std = np.sqrt(np.diag(found.reference_covariance))
     return tuple(None if fixed else float(s) for s, fixed in zip(std, found.fixed, strict=True))
-
-
-def nine_std(solution: Solution, cameras: StereoRig) -> tuple[float | None, ...]:
-    """Nine standard deviations in the order and units of `QUANTITIES`, so the first three are of Euler angles.
-
-    None where a parameter is fixed, and for Euler angles near gimbal lock. Empty for methods that give none.
-    """
-    std = reference_std(solution, cameras)
-    if not std:
-        return ()
-    euler = rotation_of(solution, cameras).euler_std_deg
-    angles = (None, None, None) if euler is None else tuple(float(s) for s in euler)
-    return (*angles, *(None if s is None else 1e3 * s for s in std[3:]))
 
 
 def written(sigma: Sigma) -> str:
@@ -248,6 +235,12 @@ def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int
     at = np.floor(pixels / [width, height] * cells).astype(int)
     inside = np.all((at >= 0) & (at < cells), axis=-1)
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
+
+
+def recording_name(extraction: Extraction, log: int) -> str:
+    """Path of a recording; its number where the files do not tell, as for recordings of several files."""
+    paths = [source.path for source in extraction.logs]
+    return paths[log] if len(paths) == len(extraction.wheels) else f"recording {log + 1}"
 
 
 def station_names(extraction: Extraction) -> list[str]:

@@ -83,8 +83,7 @@ def refinement_convergence(solution: Solution) -> str:
 
 
 def _history(solution: Solution, extraction: Extraction) -> FloatArray:
-    cameras = extraction.rig.cameras
-    return np.stack([nine_numbers(parameters, cameras) for parameters in solution.linear.history])
+    return np.stack([nine_numbers(parameters, solution.cameras) for parameters in solution.linear.history])
 
 
 def _round_axis(axes: Axes, solution: Solution) -> None:

@@ -114,8 +114,9 @@ def correlation_matrix(solution: Solution) -> str:
     found = solution.uncertainty
     if found is None:
         return ""
-    std = np.where(found.std > 0, found.std, np.nan)
-    correlation = found.covariance / np.outer(std, std)
+    std = np.sqrt(np.diag(found.reference_covariance))
+    std = np.where(std > 0, std, np.nan)
+    correlation = found.reference_covariance / np.outer(std, std)
     with style():
         drawing, (axes,) = figure(5.2, 4.4, header_in=0.1)
         square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])

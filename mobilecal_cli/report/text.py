@@ -32,10 +32,10 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
 
     Names from the recording are escaped, so that they cannot control the terminal.
     """
-    cameras = extraction.rig.cameras
+    cameras = solution.cameras
     numbers = nine_numbers(solution.parameters, cameras)
     known = solution.uncertainty
-    std_m = reference_std(solution, cameras)[3:] or (math.nan,) * 6
+    std_m = reference_std(solution)[3:] or (math.nan,) * 6
     seen = [True] * 6 if known is None else (known.observable | known.fixed)[3:].tolist()
     lengths = [
         _row(name, value, None if s is None else 1e3 * s, "mm" if ok else "mm, unobservable", 2)
@@ -76,7 +76,7 @@ def summary_table(solution: Solution, extraction: Extraction, trial: Evaluation 
 
 def _rotation(solution: Solution, extraction: Extraction) -> Iterator[str]:
     """Rotation vector and quaternion; away from gimbal lock also the Euler angles."""
-    found, known = rotation_of(solution, extraction.rig.cameras), solution.uncertainty
+    found, known = rotation_of(solution), solution.uncertainty
     yield from _angles("Rotation vector {}", found.vector_deg, found.vector_std_deg)
     if known is not None and found.vector_std_deg is None:
         fixed = [name for name, ok in zip(NINE[:3], ~known.fixed[:3], strict=True) if not ok]

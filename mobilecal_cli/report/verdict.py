@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, Extraction, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.at_work import MIN_PAN_DEG, MIN_TILT_DEG, use_checks, use_sentence, uses
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
@@ -129,6 +129,7 @@ def _checks(solution: Solution, extraction: Extraction, limits: Mapping[str, flo
         yield from _motion(solution)
     if not extraction.observations:
         return
+    yield from _camera_info(extraction)
     yield from contradiction_checks(solution)
     yield from _faults(solution, extraction)
     yield from use_checks(solution, limits)
@@ -217,6 +218,20 @@ def _motion(solution: Solution) -> Iterator[Check]:
                 f"The {name} in the recording is {value:.1f} {unit} only (limit {least:g}).",
                 f"Record again and {more}.",
             )
+
+
+def _camera_info(extraction: Extraction) -> Iterator[Check]:
+    """One calibration of each camera for the whole recording; the estimate uses the first."""
+    changes = [note for note in extraction.notes if CAMERA_INFO_CHANGES in note]
+    if changes:
+        yield Check(
+            "camera_info",
+            f"{len(changes)} changes",
+            "the same in the whole recording",
+            "look",
+            f"{visible(changes[0])}.",
+            "Record again with one camera calibration, or state the correct one in rig.yaml.",
+        )
 
 
 def _rival(solution: Solution) -> Check:

@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
+from mobilecal_cli.likelihood.effects import CameraEffect
+from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.predict import gradients_at, variance
+from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Evidence, Extraction, FloatArray, ScaleCheck
 from mobilecal_cli.solvers.fit import Fit
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
+_STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
@@ -81,18 +86,35 @@ def budget_of(fit: Fit) -> Budget:
     return Budget(tuple(nine), parts[0], dict(zip(gradients, parts[1].T, strict=True)))
 
 
-def jackknife_std(fit: Fit) -> FloatArray:
-    """Jackknife standard deviations of the nine parameters, (9,), rad and m.
+def jackknife_covariance(fit: Fit) -> FloatArray:
+    """Jackknife covariance of the nine parameters, the constants and the boards, (P, P).
 
     The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
     is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
     that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
     not show them.
     """
-    spread = sum(np.diag(influence.spread)[:9] for influence in fit.lin.influences)
-    C, weight = fit.lin.conditional_covariance, fit.lin.priors.information
-    unshown = np.sum(C[:9] ** 2 * weight, axis=1) + np.sum(fit.lin.considered[:9] ** 2, axis=1)
-    return np.asarray(np.sqrt(spread + unshown))
+    spread = sum(influence.spread for influence in fit.lin.influences)
+    C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.information, fit.lin.considered
+    return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
+
+
+def reference_jacobian(fit: Fit) -> FloatArray:
+    """(9, K) derivative of the nine parameters of the reference camera by those of the left one and the constants."""
+    data, state = fit.data, fit.lin.state
+    J = np.eye(9, data.layout.named)
+    if data.cameras.reference == "left":
+        return J
+    R_h_c, cameras = state.parameters.T_h_c[:3, :3], cameras_at(data, state)
+    J[3:6, :3] = -se3.skew(R_h_c @ cameras.T_c_r[:3, 3])
+    for k, row in enumerate(data.layout.constants, 9):
+        if isinstance(row.effect, CameraEffect):
+            moved = {**state.constants, row.name: state.value(row.name) + _STEP}
+            T = camera_change(data.layout.constants, moved).apply(data.cameras).T_c_r
+            turn = se3.log_so3(T[:3, :3] @ cameras.T_c_r[:3, :3].T)
+            J[:3, k] = R_h_c @ turn / _STEP
+            J[3:6, k] = R_h_c @ (T[:3, 3] - cameras.T_c_r[:3, 3]) / _STEP
+    return J
 
 
 def widening(fit: Fit, jackknife: FloatArray) -> FloatArray:

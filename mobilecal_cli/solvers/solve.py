@@ -34,8 +34,9 @@ from mobilecal_cli.solvers.diagnosis import diagnose
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
-    jackknife_std,
+    jackknife_covariance,
     over_logs,
+    reference_jacobian,
     scale_of,
     widening,
 )
@@ -161,6 +162,7 @@ def _solution(
     return Solution(
         method=best.method if isinstance(best, Refinement) else "linear",
         parameters=best.parameters,
+        cameras=extraction.rig.cameras,
         linear=linear,
         refinement=best if isinstance(best, Refinement) else None,
         residuals=residuals,
@@ -230,8 +232,9 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
 
 def uncertainty_of(fit: Fit) -> Uncertainty:
     """Uncertainty of the nine parameters of a fit."""
-    jackknife = jackknife_std(fit)
-    widened = widening(fit, jackknife)
+    jackknife, J = jackknife_covariance(fit), reference_jacobian(fit)
+    widened = widening(fit, np.sqrt(np.diag(jackknife)[:9]))
+    named = np.s_[: J.shape[1], : J.shape[1]]
     factor = np.ones(len(fit.covariance))
     factor[:9] = widened
     shared = fit.covariance * np.outer(factor, factor)
@@ -240,6 +243,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
+        reference_covariance=J @ shared[named] @ J.T,
         observable=(np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed,
         unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
@@ -250,7 +254,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
             redundancy={name: fit.components[name].redundancy for name in levels},
         ),
         fixed=fixed,
-        jackknife_std=jackknife,
+        jackknife_std=np.sqrt(np.diag(J @ jackknife[named] @ J.T)),
+        noise_std=np.sqrt(np.diag(J @ fit.covariance[named] @ J.T)),
         widened=widened,
         at_work=predicted_at(fit.lin, shared),
         budget=budget_of(fit),

@@ -137,14 +137,16 @@ def test_strings_and_keys_that_look_like_values_stay_strings(word):
 def test_head_eye_speaks_of_the_reference_camera(extraction, solution):
     stereo = dataclasses.replace(extraction.rig.cameras, reference="right")
     right = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=stereo))
+    solution = dataclasses.replace(solution, cameras=stereo)
     robot = parameters_from_yaml(params_yaml(solution, right, make_provenance(right)))
     assert robot.child_frame == "stereo_right_optical"
     expected = solution.parameters.T_h_c @ stereo.T_c_r
     np.testing.assert_allclose(robot.T_parent_child, expected, rtol=0, atol=1e-12)
 
 
-def test_rectified_pictures_name_both_frames(solution):
+def test_rectified_pictures_name_both_frames():
     extraction = make_extraction(rig=make_rig(rectified=True))
+    solution = make_solution(extraction)
     data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
     assert data["head_eye"]["child_frame"] == "stereo_left_optical"
     raw = data["head_eye_raw"]
@@ -242,8 +244,8 @@ def with_constants(solution, extraction):
     """A solution with constants: one of a sliding joint with a strange name, and two that the user fixed."""
     noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, (), {})
     uncertainty = Uncertainty(
-        np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
-        np.ones(9), np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
+        np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
+        np.ones(9), np.ones(9), np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
     )  # fmt: skip
     lift = JointLink("lift # 1", np.array([0.0, 0, 1]), "prismatic")
     chain = dataclasses.replace(extraction.rig.chain, links=(lift, *extraction.rig.chain.links))

@@ -16,6 +16,7 @@ from pytransform3d.urdf import UrdfTransformManager
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import patched_urdf
+from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, WheelGeometry
 
 JOINTS = {"left": "wheel_left_joint", "right": "wheel_right_joint"}
@@ -156,6 +157,23 @@ def test_a_camera_without_a_link_is_added(tmp_path):
         assert pytest.approx(robot().T_parent_child, abs=1e-10) == T
 
 
+def test_an_added_camera_is_doubled_nowhere(tmp_path):
+    """The name of its joint is taken, or its link is there without a joint."""
+    taken = robot(child="eye")
+    joint = (
+        b'<link name="x"/><joint name="eye_joint" type="fixed"><parent link="head"/><child link="x"/></joint>'
+    )
+    for content in (
+        URDF.replace(b"</robot>\n", joint + b"</robot>\n"),
+        URDF.replace(b'axle"/>', b"axle\"/><link name='eye'/>", 1),
+    ):
+        made = patched_urdf(content, taken, {}).content
+        assert made.count(b'eye_joint"') == content.count(b'eye_joint"') + (b"eye_joint" not in content)
+        parse_urdf(made.decode())
+        for T in two_readers(tmp_path, made, "eye", "head"):
+            assert pytest.approx(taken.T_parent_child, abs=1e-10) == T
+
+
 @given(st.lists(st.floats(-3.1, 3.1), min_size=6, max_size=6))
 def test_any_pose_survives(numbers):
     T = se3.transform(se3.exp_so3(np.array(numbers[:3])), np.array(numbers[3:]))
@@ -169,6 +187,10 @@ def test_any_pose_survives(numbers):
 @pytest.mark.parametrize(
     ("content", "calibrated", "joints", "says"),
     [
+        (URDF.replace(b"-0.15", b"0.25"), robot(), JOINTS, "are at the same place"),
+        (URDF, robot(), dict.fromkeys(JOINTS, "wheel_left_joint"), "at the same place|in two ways"),
+        (URDF, robot(), {"left": "wheel_left_joint", "right": "mount"}, "in two ways"),
+        (URDF, robot(child="eye\x07"), {}, "characters that XML does not allow"),
         (b"<robot", robot(), {}, "not valid XML"),
         (URDF.decode().encode("utf-16"), robot(), {}, "not UTF-8"),
         (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', robot(), {}, "not valid XML"),

@@ -260,6 +260,7 @@ def make_solution(extraction: Extraction, refined: bool = True) -> Solution:
     return Solution(
         method="lm" if refined else "linear",
         parameters=answer,
+        cameras=extraction.rig.cameras,
         linear=estimate,
         refinement=refinement if refined else None,
         residuals=residuals,

@@ -11,7 +11,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import LogSource, Nominal
+from mobilecal_cli import se3
+from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, LogSource, Nominal
 from mobilecal_cli.report import (
     gate_checks,
     gates_of,
@@ -23,10 +25,11 @@ from mobilecal_cli.report import (
     use_limits,
 )
 from mobilecal_cli.report.at_work import FIGURES, uses
-from mobilecal_cli.report.budget import SOURCES, families
+from mobilecal_cli.report.budget import FAMILIES, SOURCES, families, limiting_sentence
 from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
 from mobilecal_cli.report.decomposition import error_parts, reprojection_sentence
 from mobilecal_cli.report.findings import jackknife_sentence, noise_rows
+from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.simulate.ideal import Noise
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -139,7 +142,7 @@ def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     narrow = {"predicted.camera_deg": 0.2}
     verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), limits=narrow)
     assert verdict.level == "NOT ENOUGH"
-    assert "The stated zero of a head joint limits the camera rotation in the base" in verdict.reason
+    assert "The stated geometry of the head limits the camera rotation in the base" in verdict.reason
     assert "More stations will not help much" in verdict.next_step
     assert verdict.next_step.endswith("`priors: joint_zero` in rig.yaml.")
 
@@ -281,7 +284,102 @@ def test_one_noise_alone_makes_the_reprojection_error(part, noise):
     assert max(parts, key=lambda name: parts[name].px) == part
     whole = np.sqrt(sum(p.px**2 for p in parts.values()))
     assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
-    assert f"together {whole:.2f} px" in reprojection_sentence(known, extraction)
+    assert f"together {std_text(whole)} px" in reprojection_sentence(known, extraction)
+
+
+def test_a_small_corner_noise_is_not_rounded_to_zero():
+    solution, extraction = drawn()
+    noise = replace(solution.uncertainty.noise, pixel_px=0.0041)
+    quiet = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
+    assert "has a noise of only 0.0041 px" in reprojection_sentence(quiet, extraction)
+
+
+def test_the_sentence_and_the_chart_group_the_sources_alike():
+    solution, _ = drawn()
+    names, shares = families(solution)
+    column = [*NINE, *solution.uncertainty.budget.at_work].index("heading_rad_per_turn")
+    share = dict(zip(names, shares[:, column], strict=True))
+    family = max(share, key=share.get)
+    sentence = limiting_sentence(solution, "heading_rad_per_turn", "heading")
+    assert sentence == f"{FAMILIES[family]} the heading: {100 * share[family]:.0f} % of its variance."
+
+
+def test_a_fixed_camera_is_not_known_to_zero_millimeters():
+    solution, extraction = drawn()
+    at_work = replace(solution.uncertainty.at_work, camera_m=0.0, camera_rad=0.0)
+    fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
+    verdict = judge(fixed, extraction)
+    assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
+    (check,) = [c for c in verdict.checks if c.name == "expected error: camera position in the base"]
+    assert check.measured == "fixed by the user"
+
+
+def test_a_camera_info_that_changes_is_no_silent_pass():
+    solution, extraction = drawn()
+    note = f"/left/camera_info: {CAMERA_INFO_CHANGES} 3.0 s after the start: K by up to 5 px"
+    verdict = judge(solution, replace(extraction, notes=(note,)))
+    assert verdict.level == "PASS"
+    assert f"Check first: {note}." in verdict.next_step
+
+
+# -- reference camera -------------------------------------------------------------------------------
+
+
+@cache
+def of_the_right_camera():
+    extraction = recorded({"stereo_r_x": np.radians(0.7)})
+    cameras = replace(extraction.rig.cameras, reference="right")
+    nominal = Nominal(wheels=extraction.rig.nominal.wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, cameras=cameras, nominal=nominal))
+    return solve(extraction, constraints=constraints_of([], [], ["stereo_rotation"])), extraction
+
+
+def test_the_right_camera_has_the_estimated_pose_in_the_pair():
+    """The recording shows where the right camera is; camera_info is off by 0.7 degrees."""
+    solution, extraction = of_the_right_camera()
+    robot = tick_robot()
+    turn = se3.transform(se3.exp_so3(np.radians([0.7, 0, 0])), np.zeros(3))
+    T_c_r = extraction.rig.cameras.T_c_r.copy()
+    T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
+    truth = robot.T_h_c @ T_c_r
+    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    data = json.loads(
+        report_json(solution, extraction, make_provenance(extraction), judge(solution, extraction))
+    )
+    shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
+    for R in (written.T_parent_child[:3, :3], shown):
+        off_deg = np.degrees(np.linalg.norm(se3.log_so3(R @ truth[:3, :3].T)))
+        assert off_deg < 0.35
+
+
+def test_the_right_camera_has_its_own_covariance_and_jackknife():
+    """The pose of the right camera also depends on the estimated pair; small moves, numerically."""
+    solution, _ = of_the_right_camera()
+    found = solution.uncertainty
+    std = np.sqrt(np.diag(found.reference_covariance))
+    lever = np.eye(9)
+    t = solution.parameters.T_h_c[:3, :3] @ solution.cameras.T_c_r[:3, 3]
+    lever[3:6, :3] = -se3.skew(t)
+    as_if_exact = np.sqrt(np.diag(lever @ found.covariance @ lever.T))
+    assert not np.allclose(std[:6], as_if_exact[:6], rtol=1e-3)
+    assert std[6:] == pytest.approx(found.std[6:])
+    ratio = found.jackknife_std[3:6] / found.noise_std[3:6]
+    assert ((ratio > 0.3) & (ratio < 3)).all()
+
+
+def test_params_yaml_keeps_all_noise_levels():
+    solution, extraction = drawn()
+    noise = solution.uncertainty.noise
+    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    for level in ("pixel_px", "joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share"):
+        assert written.knowledge.noise[level] == pytest.approx(getattr(noise, level), rel=1e-8)
+
+
+def test_an_extraction_without_logs_has_a_report():
+    solution, extraction = drawn()
+    nameless = replace(extraction, logs=())
+    page = report_html(solution, nameless, (), make_provenance(nameless), judge(solution, nameless))
+    assert "top view of the base path" in page
 
 
 # -- jackknife --------------------------------------------------------------------------------------

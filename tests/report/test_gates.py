@@ -63,6 +63,13 @@ def test_bad_gates(flags, config, says, hint):
     assert hint in caught.value.hint
 
 
+@pytest.mark.parametrize(("flags", "config"), [(["hold_out.legs=3"], {}), ([], {"hold_out.legs": 3})])
+def test_gates_of_the_hold_out_test_need_one(flags, config):
+    with pytest.raises(ConfigError, match="gate hold_out\\.legs: no stations are held out"):
+        gates_of(flags, config, hold_out=False)
+    assert gates_of(flags, config) == (Gate("hold_out.legs", 3),)
+
+
 def test_an_evaluation_leaves_the_gates_of_calibrations_alone():
     assert gates_of([], {"point_rms_mm": 12, "legs": 5}, evaluating=True) == (Gate("legs", 5),)
     with pytest.raises(ConfigError, match="unknown figure"):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 import json
 import math
 import re
@@ -31,7 +33,9 @@ from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import (
     change_from_nominal,
     change_since,
+    fleet_csv,
     fleet_html,
+    fleet_text,
     judge,
     report_html,
     report_json,
@@ -429,3 +433,10 @@ def test_the_square_is_the_measured_one_where_none_is_stated(extraction):
     measured = settings_of(unstated)["board"]
     assert measured["square_m"] == np.median([o.square_m for o in extraction.observations])
     assert measured["square_from"] == "measured by the stereo pair"
+
+
+def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
+    rows = [FleetRow("=HYPERLINK(1)\x1b[31m", "PASS", 0, "fine", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9)]
+    (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
+    assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
+    assert "\x1b" not in fleet_text(rows)

@@ -410,17 +410,6 @@ def test_the_missing_motion_is_suggested_first():
     assert best.std_then < 0.01
 
 
-def test_rotations_about_the_left_are_those_of_the_head_frame(solution):
-    """`referred` to the right camera: its place moves with the rotation, its own numbers stay."""
-    T_c_reference = se3.transform(np.eye(3), np.array([0.12, 0.0, 0.0]))
-    moved = solution.uncertainty.referred(solution.parameters.T_h_c, T_c_reference)
-    arm = solution.parameters.T_h_c[:3, :3] @ [0.12, 0.0, 0.0]
-    J = np.eye(9)
-    for k in range(3):
-        J[3:6, k] = np.cross(np.eye(3)[k], arm)
-    assert np.allclose(moved, J @ solution.uncertainty.covariance @ J.T)
-
-
 def misstated(extraction, name, by):
     """The same pictures, with camera_info (or the chain, or the readings) wrong by so much."""
     rig = extraction.rig
