@@ -1,24 +1,59 @@
-"""Entry point of the command; Ctrl-C exits in the same way at any time, also during imports."""
+"""Entry point of the command; a signal ends it in the same way at any time, also during imports."""
 
+import errno
+import os
 import sys
+from contextlib import suppress
 
-_INTERRUPTED = 130
+from mobilecal_cli import interruption
+
+_BROKEN_PIPE = 141  # 128 + SIGPIPE, as a shell shows it for other programs
+_OUTPUT = 7  # as OutputError, which is not imported this early
 
 
 def main() -> None:
-    """Run the command line; exit with code 130 on Ctrl-C."""
+    """Run the command line; exit with 128 plus the number of the signal that ended it."""
+    _open_standard_streams()
+    interruption.unwind_on_signals()
     try:
         from mobilecal_cli.cli import main as run
 
         run()
-        return
-    except KeyboardInterrupt:
-        pass
-    except SystemExit as leaving:  # typer turns Ctrl-C into an exit
-        if leaving.code != _INTERRUPTED:
+        sys.stdout.flush()
+    except interruption.Interrupted:
+        placed = ", ".join(interruption.placed())
+        _complain(f"interrupted: {f'written: {placed}' if placed else 'nothing was written'}")
+        raise
+    except SystemExit as leaving:
+        if isinstance(leaving.__context__, BrokenPipeError):  # the command-line library exits with 1
+            sys.exit(_BROKEN_PIPE)
+        raise
+    except OSError as error:
+        if error.filename is not None or error.errno not in (errno.EPIPE, errno.ENOSPC):
             raise
-    print("interrupted: unfinished output was not written", file=sys.stderr)
-    sys.exit(_INTERRUPTED)
+        sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - Python would try to flush it again
+        if error.errno == errno.EPIPE:
+            sys.exit(_BROKEN_PIPE)
+        _complain(f"error: standard output cannot be written: {error.strerror}")
+        _complain("hint: check free space where standard output goes")
+        sys.exit(_OUTPUT)
+
+
+def _complain(line: str) -> None:
+    with suppress(OSError):
+        print(line, file=sys.stderr)
+
+
+def _open_standard_streams() -> None:
+    """Open what the caller closed, so that no other file takes the number of standard output or error."""
+    while True:
+        number = os.open(os.devnull, os.O_RDWR)
+        if number > 2:
+            os.close(number)
+            break
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w", closefd=False))  # noqa: SIM115
 
 
 if __name__ == "__main__":

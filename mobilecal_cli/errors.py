@@ -63,3 +63,10 @@ class OutputError(MobilecalError):
 
     exit_code = 7
     code = "output"
+
+
+class ResourceError(MobilecalError):
+    """Not enough memory, or not enough space for temporary files."""
+
+    exit_code = 8
+    code = "resource"

@@ -38,8 +38,8 @@ def test_the_error_catalogue_is_up_to_date(generator):
 
 def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
     kinds = generator.KINDS.values()
-    assert len({kind.code for kind in kinds}) == len({kind.exit_code for kind in kinds}) == 6
-    assert {kind.exit_code for kind in kinds} == {2, 3, 4, 5, 6, 7}
+    assert len({kind.code for kind in kinds}) == len({kind.exit_code for kind in kinds}) == 7
+    assert {kind.exit_code for kind in kinds} == {2, 3, 4, 5, 6, 7, 8}
     assert issubclass(errors.QualityError, errors.MobilecalError)
 
 

@@ -26,10 +26,14 @@ KINDS: dict[str, type[errors.MobilecalError]] = {
 HEAD = """\
 # Errors
 
-Generated from the code by `make docs`. There are six kinds of errors, each with its own exit code.
+Generated from the code by `make docs`. There are seven kinds of errors, each with its own exit code.
 Anything else (exit code 1 and a Python traceback) is a bug in mobilecal. The first line on standard
 error is the message, and the second line says what to do. Values that a message fills in are shown
-in ⟨⟩. Ctrl-C ends a command with exit code 130, and unfinished output is not written.
+in ⟨⟩.
+
+Ctrl-C, SIGTERM and SIGHUP end a command with exit code 130, 143 and 129. Temporary files are removed,
+and the last line says what was written. A closed pipe ends a command with 141. What a killed command
+left behind is removed by the next run with the same output.
 """
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
+from typing import NoReturn
 
 from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.errors import MobilecalError, QualityError
+from mobilecal_cli.errors import MobilecalError, QualityError, ResourceError
 
 __all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
 
@@ -22,9 +24,18 @@ def main() -> None:
     except QualityError as error:  # `conclude` has printed the verdict
         sys.exit(error.exit_code)
     except MobilecalError as error:
-        from mobilecal_cli.model.text import visible  # names from a recording must not control the terminal
+        _fail(error)
+    except MemoryError:
+        _fail(
+            ResourceError("out of memory", "use --jobs 1, a shorter recording, or a machine with more memory")
+        )
 
+
+def _fail(error: MobilecalError) -> NoReturn:
+    from mobilecal_cli.model.text import visible  # names from a recording must not control the terminal
+
+    with suppress(OSError):  # standard error may be full
         print(f"error: {visible(error.message)}", file=sys.stderr)
         if error.hint:
             print(f"hint: {visible(error.hint)}", file=sys.stderr)
-        sys.exit(error.exit_code)
+    sys.exit(error.exit_code)

@@ -27,7 +27,7 @@ from mobilecal_cli.cli.options import (
     flags_of,
 )
 from mobilecal_cli.cli.verdict import conclude
-from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.errors import MobilecalError, OutputError
 
 
 class MethodName(StrEnum):
@@ -40,11 +40,16 @@ class MethodName(StrEnum):
 
 
 @contextmanager
-def _errors_to(junit: Path | None, name: str, force: bool) -> Iterator[None]:
+def _errors_to(junit: Path | None, name: str, force: bool, output: Path | None = None) -> Iterator[None]:
     """Write an error to the JUnit file as well, unless that file must not be replaced."""
     from mobilecal_cli import pipeline
 
     if junit is not None:
+        if output is not None and junit.resolve().is_relative_to(output.resolve()):
+            raise OutputError(
+                f"--junit {junit}: inside the output directory, which is replaced as a whole",
+                "choose a path outside of it",
+            )
         pipeline.check_file(junit, force)
     try:
         yield
@@ -134,7 +139,7 @@ def calibrate(
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import progress_bar
 
-    with _errors_to(junit, str(logs[0]), force):
+    with _errors_to(junit, str(logs[0]), force, output or pipeline.default_output(logs[0])):
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:

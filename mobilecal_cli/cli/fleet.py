@@ -25,11 +25,15 @@ def batch(
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace results that this batch did not write.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate many robots and tabulate the results.
 
-    Writes one directory per robot, and one table of all robots. Robots that are already done are skipped.
+    Writes one directory per robot, and one table of all robots. Robots that are already done are skipped; changed
+    settings replace the results of the same batch.
 
     Example: mobilecal batch recordings/ --output fleet/
 
@@ -49,6 +53,7 @@ def batch(
             config_path=config,
             flags=flags_of(setting),
             gates=gate or [],
+            force=force,
             run=run,
             progress=progress,
         )

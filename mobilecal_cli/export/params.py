@@ -40,6 +40,8 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.yaml_input import load_yaml
 
+#: The beginning of every params.yaml, by which --force recognizes an output directory.
+FIRST_LINE = "# Robot calibration by mobilecal."
 SCHEMA_VERSION = 2
 _OLDEST_READ = 1  # no constants
 NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
@@ -65,7 +67,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
     frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
     wheels = solution.parameters.wheels
     blocks = [
-        "# Robot calibration by mobilecal. Lengths in m, angles in rad unless the key says deg.",
+        f"{FIRST_LINE} Lengths in m, angles in rad unless the key says deg.",
         f"schema_version: {SCHEMA_VERSION}",
         "",
         *_head_eye_comment(cameras),

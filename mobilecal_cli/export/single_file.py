@@ -3,41 +3,81 @@
 from __future__ import annotations
 
 import os
-import secrets
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
+from mobilecal_cli.export.placing import already_exists, partial_of, place
 
 
 def check_file(path: Path, force: bool) -> None:
-    """Check whether a file may be written.
+    """Check before the work whether a file can be written.
 
     Raises:
-        OutputError: the file exists and `force` is not set, or is not a regular file.
+        OutputError: the file exists and `force` is not set, is not a regular file, or cannot be created.
     """
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise OutputError(f"{path}: exists and is not a regular file", "choose another --output")
-    if path.exists() and not force:
-        raise OutputError(f"{path}: already exists", "add --force to replace it, or choose another --output")
+    check_parent(path)
+    if os.path.lexists(path):
+        recognized_file(path)
+        if not force:
+            raise already_exists(path)
+
+
+def check_parent(path: Path) -> None:
+    """Check whether something of this name can be created.
+
+    Raises:
+        OutputError: the name is too long, or its directory does not exist or cannot be written.
+    """
+    parent = path.parent
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"{path}: cannot be created: {reason}", "choose another output path") from error
+    if not parent.is_dir():
+        raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: no permission to write in {parent}", "choose another output path")
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write a file under a temporary name next to it, then rename it.
+    """Write a file under a temporary name next to it, then put it in place.
 
     Raises:
-        OutputError: the file exists and `force` is not set, is not a regular file, or cannot be written.
+        OutputError: see `check_file`; or writing failed.
     """
     check_file(path, force)
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
-        with partial.open("xb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
+        with partial_of(path, recognized_file) as partial:
+            write_synced(partial, content)
+            place(partial, path, recognized_file, force)
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be written: {error.strerror}", "choose another --output"
+            f"{path}: cannot be written: {error.strerror}",
+            "check free space and permissions, or choose another output path",
         ) from error
-    finally:
-        partial.unlink(missing_ok=True)
+
+
+def write_synced(path: Path, content: bytes) -> None:
+    """Write a new file, and flush it to the disk.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with path.open("xb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def recognized_file(path: Path) -> tuple[str, ...]:
+    """(), if the path is a regular file.
+
+    Raises:
+        OutputError: anything else.
+    """
+    if path.is_symlink() or not path.is_file():
+        raise OutputError(f"{path}: exists and is not a regular file", "choose another output path")
+    return ()

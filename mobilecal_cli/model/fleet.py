@@ -19,6 +19,7 @@ class FleetJob:
         output: parent directory of the output directories.
         flags: dotted key → value; these override the file.
         gates: `NAME=LIMIT`.
+        force: replace a result that the batch did not write.
     """
 
     name: str
@@ -27,6 +28,7 @@ class FleetJob:
     output: Path
     flags: Mapping[str, Any] = field(default_factory=dict)
     gates: tuple[str, ...] = ()
+    force: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from mobilecal_cli.model import Rejection, Snapshot, Station
-from mobilecal_cli.pipeline.processes import FAILED, Processes, Task
+from mobilecal_cli.pipeline.processes import FAILED, Processes, Task, resources
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, measure_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
@@ -24,12 +24,11 @@ Logged = dict[str, dict[int, int]]
 class _Here:
     """State of a worker process, kept from one segment to the next."""
 
-    resources = ExitStack()
     recording: Recording
 
 
 def _begin(files: Sequence[Path]) -> None:
-    _Here.recording = _Here.resources.enter_context(open_recording(files))
+    _Here.recording = resources.enter_context(open_recording(files))
 
 
 def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], tuple[str, ...]]:

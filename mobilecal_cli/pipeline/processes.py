@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import multiprocessing
 import os
 import pickle
 import shutil
 import signal
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Thread
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
+
+from mobilecal_cli.errors import ResourceError
+from mobilecal_cli.interruption import Interrupted, unwind_on_signals
+from mobilecal_cli.scratch import scratch_directory
 
 #: Errors when processes cannot be started or one died; the caller then does the work itself.
 FAILED = (BrokenProcessPool, OSError)
 #: Settings of libraries that would start several threads in each process.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+#: Time that a task has for its clean-up after the parent was killed, s.
+_GRACE_S = 10.0
+
+#: What a worker process opened and closes at its end.
+resources = ExitStack()
 
 Result = TypeVar("Result")
 
@@ -47,20 +58,58 @@ def _leave_with_the_caller(files: Path | None) -> None:
         caller.join()
         if files is not None:
             shutil.rmtree(files, ignore_errors=True)
+        os.kill(os.getpid(), signal.SIGTERM)  # the task unwinds in the main thread
+        time.sleep(_GRACE_S)
         os._exit(1)
 
 
 def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
-    """Initialize a worker process: it ends when its parent ends for any reason, and prints nothing on Ctrl-C.
+    """Initialize a worker process: it ends when its parent ends for any reason, and cleans up on a signal.
 
     Args:
         files: directory of the parent, removed if the parent was killed.
         get_ready: called last.
         given: arguments of `get_ready`.
     """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    unwind_on_signals()
+    atexit.register(resources.close)
     Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
-    get_ready(*given)
+    work(get_ready, *given)
+
+
+def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
+    """Run a task in a worker process; a signal ends the process after the task has unwound."""
+    try:
+        return task(*given)
+    except Interrupted as leaving:  # the pool would send it to the caller as the task's result
+        resources.close()
+        os._exit(int(leaving.code or 1))
+
+
+@contextmanager
+def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
+    """A pool of worker processes; a signal in this process ends them at once.
+
+    Args:
+        count: number of processes.
+        initializer: arguments of `stand_by`.
+    """
+    # A hangup reaches all processes of the terminal: the one that removes leaked semaphores must outlive them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
+    # Spawned, not forked: a fork would copy locked mutexes of other threads.
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
+    try:
+        yield pool
+    except Interrupted:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _do(question: Path, answer: Path) -> None:
@@ -92,7 +141,8 @@ class Processes:
 
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
-        self._files: TemporaryDirectory[str] | None = None
+        self._files: Path | None = None
+        self._stack = ExitStack()
         self._numbers = itertools.count()
 
     def __enter__(self) -> Self:
@@ -101,10 +151,7 @@ class Processes:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-        if self._files is not None:
-            self._files.cleanup()
+        self._stack.__exit__(kind, error, trace)
 
     @property
     def started(self) -> bool:
@@ -113,14 +160,10 @@ class Processes:
 
     def start(self, count: int, get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
         """Start worker processes, each of which calls `get_ready` first; none if that fails."""
-        with suppress(*FAILED, NotImplementedError), _one_thread_each():
+        with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
             if self._files is None:
-                self._files = TemporaryDirectory(prefix="mobilecal-", ignore_cleanup_errors=True)
-            # Spawned, not forked: a fork would copy locked mutexes of other threads.
-            spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(
-                count, spawn, stand_by, (Path(self._files.name), get_ready, *given)
-            )
+                self._files = self._stack.enter_context(scratch_directory())
+            self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
             for _ in range(count):  # the pool starts a process with each of the first tasks
                 self._pool.submit(int)
 
@@ -133,6 +176,6 @@ class Processes:
         if self._pool is None or self._files is None:
             raise OSError("no worker processes are running")
         number = next(self._numbers)
-        question, answer = (Path(self._files.name, f"{number}.{what}") for what in ("task", "result"))
+        question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
         question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
-        return Task(self._pool.submit(_do, question, answer), answer)
+        return Task(self._pool.submit(work, _do, question, answer), answer)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from tempfile import TemporaryDirectory
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import bag_storage, compression, mcap_storage, sqlite_storage
@@ -14,6 +13,7 @@ from mobilecal_cli.readers.channels import Channel
 from mobilecal_cli.readers.parts import group_parts
 from mobilecal_cli.readers.recording import Recording, boundary
 from mobilecal_cli.readers.storage import Storage
+from mobilecal_cli.scratch import full_disk_told, scratch_directory
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → its reader.
@@ -80,9 +80,9 @@ class _Opened:
         trouble = ""
         source = path
         if magic == compression.ZSTD_MAGIC:
-            folder = Path(self.stack.enter_context(TemporaryDirectory(prefix="mobilecal-")))
+            folder = self.stack.enter_context(scratch_directory())
             source = folder / path.stem
-            with path.open("rb") as packed:
+            with path.open("rb") as packed, full_disk_told():
                 trouble = compression.expand(packed, source)
             magic = _magic(source, path)
         if magic not in CONTAINERS:

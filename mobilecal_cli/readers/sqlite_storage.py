@@ -7,8 +7,8 @@ import sqlite3
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
@@ -19,6 +19,7 @@ from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.channels import Channel, DefinitionFormat, ros2_spelling
 from mobilecal_cli.readers.compression import message_payload
 from mobilecal_cli.readers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
+from mobilecal_cli.scratch import full_disk_told, scratch_directory
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -43,7 +44,7 @@ class SqliteStorage(Storage):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._copies: TemporaryDirectory[str] | None = None
+        self._copies = ExitStack()
         self._connection: sqlite3.Connection | None = None
         self._size_of: dict[int, int] | None = None
         try:
@@ -60,10 +61,10 @@ class SqliteStorage(Storage):
         log = path.with_name(f"{path.name}-wal")
         options = "immutable=1"
         if log.is_file() and log.stat().st_size > 0:
-            self._copies = TemporaryDirectory(prefix="mobilecal-")
-            folder = Path(self._copies.name)
-            shutil.copyfile(path, folder / path.name)
-            shutil.copyfile(log, folder / log.name)
+            folder = self._copies.enter_context(scratch_directory())
+            with full_disk_told():
+                shutil.copyfile(path, folder / path.name)
+                shutil.copyfile(log, folder / log.name)
             path, options = folder / path.name, "mode=rw"
         connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{options}", uri=True)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
@@ -75,8 +76,7 @@ class SqliteStorage(Storage):
         """Close the file."""
         if self._connection is not None:
             self._connection.close()
-        if self._copies is not None:
-            self._copies.cleanup()
+        self._copies.close()
 
     def _read_topics(self, connection: sqlite3.Connection) -> None:
         tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type='table'")}

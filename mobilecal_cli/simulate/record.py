@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import secrets
-import shutil
+import os
 import sqlite3
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
+from mobilecal_cli.export.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
+from mobilecal_cli.export.single_file import check_file, check_parent, recognized_file, write_synced
+from mobilecal_cli.interruption import uninterrupted
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.simulate.containers import WRITERS, ros_of
 from mobilecal_cli.simulate.messages import Publisher, published
@@ -39,63 +41,56 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
-    _check(out, scenario.container in _DIRECTORIES, force)
-    _check(truth, False, force)
+    recognized = recognized_folder if scenario.container in _DIRECTORIES else recognized_file
+    _check(out, truth, recognized, force)
     robot, route = scenario.plan()
     publisher = Publisher(ros_of(scenario.container))
     messages = published(
         scenario, robot, route, publisher, lambda done, total: progress("rendering images", done, total)
     )
-    # Only the parent is temporary, because the writers name files inside a rosbag2 directory after the
-    # directory.
-    partial = out.with_name(f".{out.name}.{secrets.token_hex(4)}.partial")
     try:
-        partial.mkdir()
-        WRITERS[scenario.container](partial / out.name, messages, publisher)
-        (partial / truth.name).write_text(truth_yaml(scenario, robot, route), encoding="utf-8")
-        _put_in_place(partial, (truth, out))
+        with partial_of(truth, recognized_file) as text, partial_of(out, recognized) as recording:
+            WRITERS[scenario.container](recording, messages, publisher)
+            write_synced(text, truth_yaml(scenario, robot, route).encode())
+            with uninterrupted():
+                place(recording, out, recognized, force)
+                try:
+                    place(text, truth, recognized_file, force)
+                except (OSError, OutputError):
+                    take_back(recording, out)
+                    raise
     except (OSError, sqlite3.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return truth
 
 
-def _check(path: Path, directory: bool, force: bool) -> None:
-    """Check before the simulation whether a path can be written or replaced."""
-    if not path.parent.is_dir():
-        raise OutputError(
-            f"{path}: {path.parent} is not a directory", "create it, or choose another output path"
-        )
-    if path.is_symlink() or (path.exists() and not force):
-        raise OutputError(f"{path}: exists already", "add --force to replace it, or choose another name")
-    if not path.exists():
-        return
-    if directory != path.is_dir() or not (directory or path.is_file()):
-        kind = "a directory" if path.is_dir() else "not a directory"
-        raise OutputError(f"{path}: exists and is {kind}", "choose another name")
-    # Delete only files that a simulation wrote.
-    for entry in sorted(path.iterdir()) if directory else ():
+def _check(out: Path, truth: Path, recognized: Recognize, force: bool) -> None:
+    """Check before the simulation whether a recording and its ground truth can be written or replaced."""
+    check_parent(out)
+    clean_up(out, recognized)
+    clean_up(truth, recognized_file)
+    if os.path.lexists(out):
+        recognized(out)
+        if force and not truth.is_file():
+            raise OutputError(
+                f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
+            )
+        if not force:
+            raise already_exists(out)
+    check_file(truth, force)
+
+
+def recognized_folder(folder: Path) -> tuple[str, ...]:
+    """Names of the files in a rosbag2 directory.
+
+    Raises:
+        OutputError: it is not a directory, or contains something else.
+    """
+    if folder.is_symlink() or not folder.is_dir():
+        raise OutputError(f"{folder}: exists and is not a directory", "choose another name")
+    entries = sorted(folder.iterdir())
+    for entry in entries:
         if entry.name != "metadata.yaml" and not (entry.is_file() and entry.suffix in _IN_ROSBAG2):
-            raise OutputError(f"{path}: not a recording: it contains {entry.name!r}", "choose another name")
-
-
-def _put_in_place(partial: Path, targets: tuple[Path, ...]) -> None:
-    """Move everything to its final path; if a move fails, restore the previous files."""
-    aside = partial / "old"
-    aside.mkdir()
-    done: list[Path] = []
-    try:
-        for target in targets:
-            if target.exists():
-                target.rename(aside / target.name)
-            done.append(target)
-            (partial / target.name).rename(target)
-    except BaseException:
-        for target in done:
-            if target.exists():
-                target.rename(partial / target.name)
-            if (aside / target.name).exists():
-                (aside / target.name).rename(target)
-        raise
+            raise OutputError(f"{folder}: not a recording: it contains {entry.name!r}", "choose another name")
+    return tuple(entry.name for entry in entries)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import pipeline, se3
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import FleetJob, FleetRow, LogSource
 from mobilecal_cli.pipeline import fleet as batch_module
@@ -256,3 +256,88 @@ def test_a_directory_of_recordings(sample_logs, tmp_path):
     (tmp_path / "straight.bag").symlink_to(sample_logs / "paper_robot.bag")
     with pytest.raises(ConfigError, match="two robots are named 'straight'"):
         batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
+
+
+def manifest(folder, *robots):
+    path = folder / "fleet.yaml"
+    path.write_text("robots:\n" + "\n".join(f"- {robot}" for robot in robots), encoding="utf-8")
+    return path
+
+
+def refused_before_the_work(source, out, monkeypatch, error, says):
+    monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("the work began"))
+    with pytest.raises(error, match=says) as caught:
+        pipeline.batch(source, out, run=in_this_process)
+    return caught.value
+
+
+@pytest.mark.parametrize("name", batch_module.SUMMARIES)
+def test_a_robot_named_like_a_file_of_the_batch(tmp_path, monkeypatch, name):
+    source = manifest(tmp_path, f"{{name: {name}, logs: [x]}}")
+    refused_before_the_work(
+        source, tmp_path / "out", monkeypatch, ConfigError, "like a file that batch writes"
+    )
+
+
+def test_robots_that_share_a_recording(fleet, tmp_path, monkeypatch):
+    (tmp_path / "copy.npz").write_bytes((fleet.parent / "robot_1.npz").read_bytes())
+    for first, second in ((fleet.parent / "robot_1.npz", "copy.npz"), ("copy.npz", "./copy.npz")):
+        source = manifest(tmp_path, f"{{name: a, logs: [{first}]}}", f"{{name: b, logs: [{second}]}}")
+        says = "a and b have the same recording"
+        refused_before_the_work(source, tmp_path / "out", monkeypatch, ConfigError, says)
+
+
+@pytest.mark.parametrize(
+    "text", ["root:$6$secret:19000", "secret: [", "secret: 1", "board: {columns: secret}"]
+)
+def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch, text):
+    (tmp_path / "shadow").write_text(text)
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}], config: shadow}}")
+    error = refused_before_the_work(
+        source, tmp_path / "out", monkeypatch, ConfigError, r"configuration of a is not a valid rig\.yaml"
+    )
+    assert "secret" not in error.message + error.hint
+    assert error.__cause__ is None
+
+
+@pytest.fixture
+def one(fleet, tmp_path):
+    """A batch of one robot, calibrated."""
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
+    pipeline.batch(source, tmp_path / "out", run=in_this_process)
+    return source, tmp_path / "out"
+
+
+def test_a_result_of_someone_else_needs_force(one, monkeypatch):
+    source, out = one
+    params = out / "a" / "params.yaml"
+    edited = params.read_bytes() + b"# edited\n"
+    params.write_bytes(edited)
+    with monkeypatch.context() as patch:
+        error = refused_before_the_work(source, out, patch, OutputError, "already exists")
+    assert "--force" in error.hint
+    assert params.read_bytes() == edited
+    pipeline.batch(source, out, force=True, run=in_this_process)
+    assert not params.read_bytes().endswith(b"# edited\n")
+    (out / "a" / "thesis.tex").write_text("precious")
+    for record in (out / batch_module.RECORDS).iterdir():
+        record.unlink()
+    with pytest.raises(OutputError, match=r"thesis\.tex"):
+        pipeline.batch(source, out, force=True, run=in_this_process)
+    assert (out / "a" / "thesis.tex").exists()
+
+
+def test_an_own_result_is_replaced_without_force(one):
+    source, out = one
+    rows = pipeline.batch(source, out, gates=["stations=3"], run=in_this_process)
+    assert not rows[0].skipped
+    (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
+    assert not pipeline.batch(source, out, run=in_this_process)[0].skipped
+    assert pipeline.batch(source, out, run=in_this_process)[0].skipped == "already done"
+
+
+def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
+    (tmp_path / "summary.csv").write_text("precious")
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
+    refused_before_the_work(source, tmp_path, monkeypatch, OutputError, r"summary\.csv: already exists")
+    assert (tmp_path / "summary.csv").read_text() == "precious"

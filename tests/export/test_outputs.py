@@ -2,14 +2,31 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export import check_output, write_outputs
+from mobilecal_cli.export import (
+    check_file,
+    check_output,
+    outputs,
+    placing,
+    single_file,
+    write_file,
+    write_outputs,
+)
+from mobilecal_cli.export.params import FIRST_LINE
+from mobilecal_cli.scratch import in_use
 
-FILES = {"params.yaml": b"new", "report.html": b"<html>", "report.json": b"{}", "extraction.npz": b"PK"}
+OURS = FIRST_LINE.encode()
+FILES = {
+    "params.yaml": OURS + b"new",
+    "report.html": b"<html>",
+    "report.json": b"{}",
+    "extraction.npz": b"PK",
+}
 
 
 def tree(directory: Path) -> dict[str, bytes | str]:
@@ -21,7 +38,7 @@ def tree(directory: Path) -> dict[str, bytes | str]:
 
 def old_output(directory: Path) -> Path:
     directory.mkdir()
-    (directory / "params.yaml").write_bytes(b"old")
+    (directory / "params.yaml").write_bytes(OURS + b"old")
     (directory / "report.html").write_bytes(b"old")
     return directory
 
@@ -44,7 +61,7 @@ def test_permissions_follow_the_umask(tmp_path):
 def test_a_relative_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_outputs(Path("out"), FILES, force=False)
-    assert (tmp_path / "out" / "params.yaml").read_bytes() == b"new"
+    assert (tmp_path / "out" / "params.yaml").read_bytes() == OURS + b"new"
 
 
 def test_an_old_one_is_kept_without_force(tmp_path):
@@ -57,14 +74,14 @@ def test_an_old_one_is_kept_without_force(tmp_path):
 
 
 def test_force_replaces_all_of_an_old_one(tmp_path):
-    write_outputs(old_output(tmp_path / "out"), {"params.yaml": b"new"}, force=True)
-    assert tree(tmp_path) == {"out": "directory", "out/params.yaml": b"new"}
+    write_outputs(old_output(tmp_path / "out"), {"params.yaml": OURS + b"new"}, force=True)
+    assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"new"}
 
 
 def test_force_fills_an_empty_one(tmp_path):
     (tmp_path / "out").mkdir()
-    write_outputs(tmp_path / "out", {"params.yaml": b"new"}, force=True)
-    assert tree(tmp_path) == {"out": "directory", "out/params.yaml": b"new"}
+    write_outputs(tmp_path / "out", {"params.yaml": OURS + b"new"}, force=True)
+    assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"new"}
 
 
 @pytest.mark.parametrize("foreign", ["thesis.tex", "report.html/inner.txt", ".git/config"])
@@ -73,16 +90,17 @@ def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
     out = tmp_path / "out"
     (out / foreign).parent.mkdir(parents=True)
     (out / foreign).write_text("mine")
-    (out / "params.yaml").write_text("mine")
+    (out / "params.yaml").write_bytes(OURS)
     before = tree(tmp_path)
     with pytest.raises(OutputError, match="not an output directory of mobilecal"):
         function(out, force=True)
     assert tree(tmp_path) == before
 
 
-def test_force_needs_a_mark_of_ours(tmp_path):
+@pytest.mark.parametrize("name", ["extraction.npz", "params.yaml", "report.json"])
+def test_force_needs_parameters_of_ours(tmp_path, name):
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "extraction.npz").write_bytes(b"of another tool")
+    (tmp_path / "out" / name).write_bytes(b"of another tool")
     with pytest.raises(OutputError, match="not an output directory"):
         check_output(tmp_path / "out", force=True)
 
@@ -94,10 +112,10 @@ def test_links_and_files_are_refused(tmp_path, force):
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     (tmp_path / "file").write_text("mine")
     before = tree(tmp_path)
-    for name, said in (("link", "symbolic link"), ("dangling", "symbolic link"), ("file", "not a directory")):
-        with pytest.raises(OutputError, match=said):
+    for name in ("link", "dangling", "file"):
+        with pytest.raises(OutputError, match="not a directory"):
             check_output(tmp_path / name, force)
-        with pytest.raises(OutputError, match=said):
+        with pytest.raises(OutputError, match="not a directory"):
             write_outputs(tmp_path / name, FILES, force)
     assert tree(tmp_path) == before
 
@@ -113,7 +131,7 @@ def test_no_parent(tmp_path):
 def test_checking_changes_nothing(tmp_path):
     check_output(tmp_path / "new", force=False)
     check_output(old_output(tmp_path / "old"), force=True)
-    assert tree(tmp_path) == {"old": "directory", "old/params.yaml": b"old", "old/report.html": b"old"}
+    assert tree(tmp_path) == {"old": "directory", "old/params.yaml": OURS + b"old", "old/report.html": b"old"}
 
 
 def test_an_unknown_name_is_a_bug(tmp_path):
@@ -135,6 +153,11 @@ def fail_on(monkeypatch, owner, name, nth, error):
     return calls
 
 
+def without_exchange(patch):
+    """A file system that can neither exchange two paths nor refuse to replace one."""
+    patch.setattr("mobilecal_cli.export.placing._rename", lambda source, target, flag: False)
+
+
 STEPS = [(Path, "mkdir", 1), (Path, "open", 3), (os, "fsync", 2), (Path, "rename", 1)]
 
 
@@ -144,6 +167,7 @@ STEPS = [(Path, "mkdir", 1), (Path, "open", 3), (os, "fsync", 2), (Path, "rename
     [
         *((existing, *step) for existing in (False, True) for step in STEPS),
         (True, Path, "rename", 2),  # a new directory takes one rename
+        (True, Path, "rename", 3),
     ],
 )
 def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, error, owner, name, nth):
@@ -152,8 +176,8 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, 
         old_output(out)
     before = tree(tmp_path)
     with monkeypatch.context() as patch:
-        if name == "rename":  # as on file systems that cannot let two directories change places
-            patch.setattr("mobilecal_cli.export.outputs._exchange", lambda first, second: False)
+        if name == "rename":
+            without_exchange(patch)
         calls = fail_on(patch, owner, name, nth, error)
         with pytest.raises(OutputError if isinstance(error, OSError) else KeyboardInterrupt) as caught:
             write_outputs(out, FILES, force=existing)
@@ -163,12 +187,125 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, 
         assert "No space left on device" in str(caught.value)
 
 
-def test_an_old_one_that_cannot_be_removed_is_named(tmp_path, monkeypatch):
+@pytest.fixture(params=["exchange", "no exchange"])
+def renames(request, monkeypatch):
+    if request.param == "no exchange":
+        without_exchange(monkeypatch)
+
+
+def appears_during(monkeypatch, appear):
+    """Let something appear after the check, when the first file of the output is written."""
+    real = placing.partial_of
+
+    @contextmanager
+    def slow(*arguments):
+        with real(*arguments) as partial:
+            appear()
+            yield partial
+
+    for module in (outputs, single_file):
+        monkeypatch.setattr(module, "partial_of", slow)
+
+
+@pytest.mark.usefixtures("renames")
+@pytest.mark.parametrize("force", [False, True])
+def test_a_directory_that_appears_during_the_work_is_kept(tmp_path, monkeypatch, force):
+    out = tmp_path / "out"
+
+    def appear():
+        out.mkdir()
+        (out / "thesis.tex").write_text("precious")
+
+    appears_during(monkeypatch, appear)
+    with pytest.raises(OutputError, match="not an output" if force else "already exists"):
+        write_outputs(out, FILES, force)
+    assert tree(tmp_path) == {"out": "directory", "out/thesis.tex": b"precious"}
+
+
+@pytest.mark.usefixtures("renames")
+def test_an_output_that_appears_during_the_work_needs_force(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    appears_during(monkeypatch, lambda: old_output(out))
+    with pytest.raises(OutputError, match="already exists"):
+        write_outputs(out, FILES, force=False)
+    assert (out / "params.yaml").read_bytes() == OURS + b"old"
+    shutil.rmtree(out)
+    write_outputs(out, FILES, force=True)
+    assert tree(tmp_path) == {"out": "directory", **{f"out/{name}": data for name, data in FILES.items()}}
+
+
+@pytest.mark.usefixtures("renames")
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("what", ["file", "directory", "link"])
+def test_what_appears_in_place_of_a_single_file(tmp_path, monkeypatch, force, what):
+    path, other = tmp_path / "junit.xml", tmp_path / "other"
+    other.write_text("precious")
+
+    def appear():
+        if what == "file":
+            path.write_text("precious")
+        elif what == "link":
+            path.symlink_to(other)
+        else:
+            path.mkdir()
+            (path / "thesis.tex").write_text("precious")
+
+    appears_during(monkeypatch, appear)
+    if force and what == "file":  # named by the user
+        write_file(path, b"new", force)
+        assert tree(tmp_path) == {"junit.xml": b"new", "other": b"precious"}
+        return
+    with pytest.raises(OutputError, match=r"already exists|not a regular file"):
+        write_file(path, b"new", force)
+    assert path.is_dir() == (what == "directory")
+    assert path.is_symlink() == (what == "link")
+    assert other.read_text() == "precious"
+    assert "precious" in (path / "thesis.tex" if what == "directory" else path).read_text()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_file_added_to_the_replaced_output_is_kept(tmp_path, monkeypatch):
+    """Between the exchange and the removal."""
     out = old_output(tmp_path / "out")
-    with monkeypatch.context() as patch:
-        fail_on(patch, shutil, "rmtree", 1, OSError(5, "Input/output error"))
-        with pytest.raises(OutputError, match="written, but") as caught:
-            write_outputs(out, FILES, force=True)
-    assert (out / "params.yaml").read_bytes() == b"new"
-    left = Path(caught.value.hint.removeprefix("remove ").removesuffix(" by hand"))
-    assert (left / "params.yaml").read_bytes() == b"old"
+    real = placing._remove_replaced
+
+    def late(folder, recognize):
+        if (folder / "out").is_dir():
+            (folder / "out" / "thesis.tex").write_text("precious")
+        real(folder, recognize)
+
+    monkeypatch.setattr(placing, "_remove_replaced", late)
+    with pytest.raises(OutputError, match="written, but") as caught:
+        write_outputs(out, FILES, force=True)
+    assert (out / "params.yaml").read_bytes() == FILES["params.yaml"]
+    (kept,) = tmp_path.glob(".out.*.old")
+    assert str(kept) in caught.value.hint
+    assert (kept / "out/thesis.tex").read_text() == "precious"
+
+
+@pytest.mark.parametrize("check", [check_output, check_file])
+def test_paths_are_checked_before_the_work(tmp_path, check):
+    with pytest.raises(OutputError, match="File name too long"):
+        check(tmp_path / ("x" * 256), False)
+    with pytest.raises(OutputError, match="is not a directory"):
+        check(tmp_path / "absent" / "out", False)
+    assert tree(tmp_path) == {}
+
+
+def test_the_longest_name(tmp_path):
+    for name in ("x" * 255, "ü" * 127):
+        write_file(tmp_path / f"{name[:-1]}1", b"1", force=False)
+        write_outputs(tmp_path / name, FILES, force=False)
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_leftovers_of_a_killed_run_are_removed(tmp_path):
+    for number, suffix in enumerate(("partial", "old")):
+        left = tmp_path / f".out.0000000{number}.{suffix}" / "out"
+        left.mkdir(parents=True)
+        (left / "params.yaml").write_bytes(OURS)
+    used = tmp_path / ".out.00000002.partial"
+    used.mkdir()
+    with in_use(used):
+        check_output(tmp_path / "out", force=False)
+    assert [path.name for path in tmp_path.iterdir()] == [used.name]

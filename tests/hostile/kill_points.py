@@ -10,10 +10,11 @@ import shutil
 import sys
 from pathlib import Path
 
-from mobilecal_cli.export import outputs
+from mobilecal_cli.export import outputs, placing
+from mobilecal_cli.export.params import FIRST_LINE
 
-OLD = {"params.yaml": b"old", "report.html": b"old"}
-NEW = {name: name.encode() * 1000 for name in sorted(outputs.OUTPUT_NAMES)}
+OLD = {"params.yaml": FIRST_LINE.encode(), "report.html": b"old"}
+NEW = {name: FIRST_LINE.encode() * 1000 for name in sorted(outputs.OUTPUT_NAMES)}
 _TOUCHES = ("open", "os.", "shutil.", "ctypes.")
 
 
@@ -53,14 +54,14 @@ def run(folder: Path, existing: bool, exchange: bool) -> None:
         child = os.fork()
         if child == 0:
             if not exchange:
-                outputs._exchange = lambda first, second: False
+                placing._rename = lambda source, target, flag: False
             _die_at(number)
             outputs.write_outputs(target, NEW, existing)
             os.write(1, b"done ")
             os._exit(0)
         _, status = os.waitpid(child, 0)
         code = os.waitstatus_to_exitcode(status)
-        aside = [path for path in folder.iterdir() if path.name.endswith(".old") and state(path) == "old"]
+        aside = [path for path in folder.glob(".*.old/replaced") if state(path) == "old"]
         os.write(1, f"{state(target)} {'aside' if aside else ''}\n".encode())
         number += 1
 

@@ -22,7 +22,7 @@ from mobilecal_cli.pipeline.processes import Processes
 if __name__ == "__main__":
     with Processes() as some:
         some.start(1, int)
-        print(some.submit(os.getpid).result(), some._files.name, flush=True)
+        print(some.submit(os.getpid).result(), some._files, flush=True)
         some.submit(bytes, {large})
         time.sleep(60)
 """
@@ -33,7 +33,7 @@ def test_tasks_are_done_in_other_processes_and_leave_no_files():
         assert not some.started
         some.start(2, int)
         assert some.started
-        folder = Path(some._files.name)
+        folder = some._files
         tasks = [some.submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
         assert [task.result() for task in tasks] == [b"A" * _LARGE, b"B" * _LARGE]
         assert some.submit(os.getpid).result() != os.getpid()

@@ -11,6 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli.errors import OutputError
+from mobilecal_cli.export import placing
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
@@ -289,11 +290,11 @@ def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
 def test_what_is_there_is_refused_before_any_work(tmp_path):
     out = tmp_path / "log.mcap"
     out.write_bytes(b"precious")
-    with pytest.raises(OutputError, match="exists already"):
+    with pytest.raises(OutputError, match="already exists"):
         simulate(SMALL, out)
     out.unlink()
     truth_path(out).write_text("precious")
-    with pytest.raises(OutputError, match=r"log\.truth\.yaml: exists already"):
+    with pytest.raises(OutputError, match=r"log\.truth\.yaml: already exists"):
         simulate(SMALL, out)
     with pytest.raises(OutputError, match="is not a directory"):
         simulate(SMALL, tmp_path / "absent" / "log.mcap")
@@ -310,7 +311,7 @@ def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):
     (out / "thesis.tex").write_text("precious")
     with pytest.raises(OutputError, match=r"thesis\.tex"):
         simulate(scenario, out, force=True)
-    with pytest.raises(OutputError, match="is a directory"):
+    with pytest.raises(OutputError, match="not a regular file"):
         simulate(SMALL, out, force=True)
     assert (out / "thesis.tex").read_text() == "precious"
 
@@ -335,14 +336,24 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container,
 def test_a_failing_last_move_brings_the_old_recording_back(tmp_path, monkeypatch):
     out = recorded(tmp_path, SMALL)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    rename = Path.rename
+    rename = placing._rename
 
-    def refuse(self: Path, target: Path) -> Path:
-        if self.parent.name.endswith(".partial") and Path(target) == out:
+    def refuse(source: Path, target: Path, flag: int) -> bool:
+        if target == truth_path(out):
             raise OSError(5, "Input/output error")
-        return rename(self, target)
+        return rename(source, target, flag)
 
-    monkeypatch.setattr(Path, "rename", refuse)
+    monkeypatch.setattr(placing, "_rename", refuse)
     with pytest.raises(OutputError, match="Input/output error"):
         simulate(replace(SMALL, seed=5), out, force=True)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_force_keeps_a_recording_that_was_not_simulated(tmp_path):
+    out = recorded(tmp_path, SMALL)
+    truth_path(out).unlink()
+    before = out.read_bytes()
+    with pytest.raises(OutputError, match=r"not written by mobilecal simulate: there is no log\.truth\.yaml"):
+        simulate(SMALL, out, force=True)
+    assert out.read_bytes() == before

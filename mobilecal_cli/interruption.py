@@ -1,0 +1,83 @@
+"""Signals that end a command: the running code unwinds, so that every `with` block cleans up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Timer
+from types import FrameType
+from typing import ClassVar
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+#: A terminal that closes sends several signals at once; they must not cut the clean-up short.
+_REPEATED_S = 2.0
+_AGAIN_S = 0.05
+
+
+class Interrupted(SystemExit):
+    """A signal ended the command; the exit code is 128 plus its number."""
+
+
+class _State:
+    """Signals and outputs of this process; a process has one handler."""
+
+    received: int | None = None
+    at_s = 0.0
+    deferring = 0
+    pending = False
+    placed: ClassVar[list[str]] = []
+
+
+def unwind_on_signals() -> None:
+    """Turn SIGINT, SIGTERM and SIGHUP into `Interrupted`; a signal that the caller ignores (nohup) stays ignored."""
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _on_signal)
+    sys.unraisablehook = _on_unraisable
+
+
+def _on_signal(number: int, frame: FrameType | None) -> None:
+    now = time.monotonic()
+    if _State.received is not None and now - _State.at_s < _REPEATED_S:
+        return
+    _State.received, _State.at_s = number, now
+    _State.pending = _State.deferring > 0
+    if not _State.pending:
+        raise Interrupted(128 + number)
+
+
+def _on_unraisable(found: sys.UnraisableHookArgs) -> None:
+    """Send a signal again that came while Python called a destructor, which swallows exceptions."""
+    if not isinstance(found.exc_value, Interrupted) or _State.received is None:
+        sys.__unraisablehook__(found)
+        return
+    number, _State.received = _State.received, None
+    Timer(_AGAIN_S, os.kill, (os.getpid(), number)).start()
+
+
+def note_placed(target: Path) -> None:
+    """Remember an output that is complete and in place."""
+    _State.placed.append(str(target))
+
+
+def placed() -> tuple[str, ...]:
+    """Outputs of this process that are complete and in place."""
+    return tuple(_State.placed)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """A short step that must not stop halfway: a signal inside the block takes effect at its end."""
+    _State.deferring += 1
+    try:
+        yield
+    finally:
+        _State.deferring -= 1
+    if _State.received is not None and _State.pending and not _State.deferring:
+        _State.pending = False
+        raise Interrupted(128 + _State.received)

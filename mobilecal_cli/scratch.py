@@ -1,0 +1,102 @@
+"""Directories for unfinished files. A later run removes those of a process that was killed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mobilecal_cli.errors import ResourceError
+from mobilecal_cli.interruption import uninterrupted
+
+try:
+    import fcntl
+except ImportError:  # Windows: no directory counts as abandoned
+    fcntl = None  # type: ignore[assignment]
+
+_PREFIX = "mobilecal-"
+
+
+@contextmanager
+def scratch_directory() -> Iterator[Path]:
+    """A new directory for temporary files, removed at the end of the block.
+
+    Raises:
+        ResourceError: it cannot be created.
+    """
+    try:
+        for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+            with abandoned(path) as free:
+                if free:
+                    shutil.rmtree(path, ignore_errors=True)
+        path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    except OSError as error:
+        raise _no_space(error) from error
+    try:
+        with in_use(path):
+            yield path
+    finally:
+        with uninterrupted():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+@contextmanager
+def full_disk_told() -> Iterator[None]:
+    """Write temporary files; a full disk is an error of its own, whatever the block works on.
+
+    Raises:
+        ResourceError: the file system is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise _no_space(error) from error
+
+
+def _no_space(error: OSError) -> ResourceError:
+    where = os.environ.get("TMPDIR") or "temporary files"
+    return ResourceError(
+        f"{where}: cannot be written: {error.strerror or error}",
+        "free space there, or set TMPDIR to a directory with more space",
+    )
+
+
+@contextmanager
+def in_use(path: Path) -> Iterator[None]:
+    """Lock a directory while the block runs, so that no other process takes it for abandoned.
+
+    Raises:
+        OSError: the directory cannot be opened.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # not every file system has locks
+            if fcntl is not None:
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def abandoned(path: Path) -> Iterator[bool]:
+    """Whether the process that locked a directory with `in_use` has ended."""
+    descriptor = -1
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        free = fcntl is not None
+    except OSError:
+        free = False
+    try:
+        yield free
+    finally:
+        if descriptor >= 0:
+            os.close(descriptor)

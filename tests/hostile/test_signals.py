@@ -1,0 +1,205 @@
+"""Commands that are ended by signals, at many moments: the old or the new output whole, and nothing else left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from mobilecal_cli.scratch import scratch_directory
+
+SEMAPHORES = Path("/dev/shm")
+KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
+NAMES = ["extraction.npz", "params.yaml", "report.html", "report.json"]
+
+
+def started(arguments, cwd, **environment):
+    """The command in a process group of its own, with an own directory for temporary files."""
+    (cwd / "tmp").mkdir(exist_ok=True)
+    return subprocess.Popen(
+        [sys.executable, "-m", "mobilecal_cli", *map(str, arguments)],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(cwd / "tmp"), "OPENBLAS_NUM_THREADS": "1", **environment},
+    )
+
+
+def semaphores():
+    return set(SEMAPHORES.iterdir()) if SEMAPHORES.is_dir() else set()
+
+
+def ended(process, number, everyone):
+    """Send the signal, wait for the end; exit code and standard error."""
+    (os.killpg if everyone else os.kill)(process.pid, number)
+    _, err = process.communicate(timeout=60)
+    deadline = time.monotonic() + 15
+    while time.monotonic() < deadline:  # worker processes notice the end of their parent
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("processes are left")
+    return process.returncode, err
+
+
+def whole_or_nothing(folder, name="out"):
+    """Whether the output exists; then it is complete, and nothing else is there."""
+    assert sorted(path.name for path in folder.iterdir() if path.name != "tmp") in ([], [name])
+    out = folder / name
+    if out.exists():
+        assert sorted(path.name for path in out.iterdir()) == NAMES
+    return out.exists()
+
+
+def cleaned(process, number, everyone, folder):
+    """End a command and check that it cleaned up; whether it had finished."""
+    before = semaphores()
+    code, err = ended(process, number, everyone)
+    assert "Traceback" not in err
+    assert not list((folder / "tmp").iterdir())
+    assert not semaphores() - before
+    if code == 128 + number:
+        assert err.splitlines()[-1].startswith("interrupted: ")
+        return False
+    assert code in (0, 6)
+    return True
+
+
+@pytest.mark.parametrize("everyone", [False, True], ids=["one process", "process group"])
+@pytest.mark.parametrize("number", [TERM, HUP, INT])
+def test_calibrate(sample_logs, tmp_path, number, everyone):
+    process = started(["calibrate", sample_logs / "straight.mcap", "-o", "out"], tmp_path)
+    time.sleep(3)
+    finished = cleaned(process, number, everyone, tmp_path)
+    assert whole_or_nothing(tmp_path) == finished
+
+
+def test_nohup(sample_logs, tmp_path):
+    """A hangup that the caller ignores stays ignored."""
+    command = [sys.executable, "-m", "mobilecal_cli", "calibrate", sample_logs / "straight.mcap", "-o", "out"]
+    process = subprocess.Popen(
+        ["nohup", *command], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    time.sleep(2)
+    process.send_signal(HUP)
+    assert process.wait(60) == 6
+    assert whole_or_nothing(tmp_path)
+
+
+@pytest.mark.parametrize("number", [TERM, HUP])
+def test_an_unpacked_recording(sample_logs, tmp_path, tmp_path_factory, number):
+    packed = tmp_path_factory.mktemp("logs") / "log.mcap.zstd"
+    packed.write_bytes(zstandard.compress((sample_logs / "paper_robot.mcap").read_bytes()))
+    process = started(["inspect", packed], tmp_path)
+    while not list(tmp_path.glob("tmp/*/log.mcap")) and process.poll() is None:
+        time.sleep(0.01)
+    assert not cleaned(process, number, False, tmp_path)
+
+
+@pytest.mark.parametrize("number", [TERM, HUP])
+def test_simulate(tmp_path, number):
+    process = started(["simulate", "log.mcap", "--stations", 12], tmp_path)
+    while not list(tmp_path.glob(".log.mcap.*.partial/*")) and process.poll() is None:
+        time.sleep(0.05)
+    assert not cleaned(process, number, False, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["tmp"]
+
+
+@pytest.mark.parametrize("everyone", [False, True], ids=["one process", "process group"])
+@pytest.mark.parametrize("number", [TERM, HUP])
+def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
+    logs = tmp_path_factory.mktemp("logs")
+    for name in ("straight", "paper_robot"):
+        packed = zstandard.compress((sample_logs / f"{name}.mcap").read_bytes())
+        (logs / f"{name}.mcap").write_bytes(packed)
+    process = started(["batch", logs, "-o", "out", "--jobs", 2], tmp_path)
+    while len(list(tmp_path.glob("tmp/*/*"))) < 2 and process.poll() is None:
+        time.sleep(0.05)
+    assert not cleaned(process, number, everyone, tmp_path)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {".mobilecal_batch"}
+
+
+def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_path):
+    code = (
+        "import os, signal, sys\n"
+        "from mobilecal_cli import __main__, export\n"
+        "from mobilecal_cli.export import placing\n"
+        "sync = placing._sync\n"
+        "placing._sync = lambda folder: (sync(folder), os.kill(os.getpid(), signal.SIGINT))\n"
+        "__main__.main()\n"
+    )
+    (tmp_path / "work").mkdir()
+    result = subprocess.run(
+        [sys.executable, "-c", code, "calibrate", sample_logs / "straight.mcap", "-o", "out"],
+        cwd=tmp_path / "work",
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 130
+    assert result.stderr == f"interrupted: written: {tmp_path / 'work' / 'out'}\n"
+    assert whole_or_nothing(tmp_path / "work")
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(sample_logs, tmp_path):
+    command = ["simulate", "log.mcap", "--stations", 6]
+    process = started(command, tmp_path)
+    while not list(tmp_path.glob(".log.mcap.*.partial/*")) and process.poll() is None:
+        time.sleep(0.05)
+    ended(process, KILL, False)
+    assert list(tmp_path.glob(".log*"))
+    (tmp_path / "tmp/mobilecal-left").mkdir()
+    process = started(command, tmp_path)
+    process.communicate(timeout=60)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "log.truth.yaml", "tmp"]
+
+
+def test_temporary_files_of_a_killed_run_are_removed_by_the_next(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (tmp_path / "mobilecal-left").mkdir()
+    (tmp_path / "mobilecal-left/log.mcap").write_text("unpacked")
+    (tmp_path / "other").mkdir()
+    with scratch_directory() as one, scratch_directory() as two:
+        assert sorted(tmp_path.iterdir()) == sorted([one, two, tmp_path / "other"])
+    assert list(tmp_path.iterdir()) == [tmp_path / "other"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [KILL] * 20 + [TERM] * 10 + [HUP] * 5)
+def test_at_any_moment_of_a_replacement(sample_logs, tmp_path, number, request):
+    """An output is replaced; the moments are spread over the run."""
+    count = int(request.node.callspec.id.rpartition("number")[2])
+    logs = [sample_logs / "straight.mcap", "-o", "out", "--force"]
+    process = started(["calibrate", *logs], tmp_path)
+    began = time.monotonic()
+    process.communicate()
+    lasted = time.monotonic() - began
+    old = (tmp_path / "out/params.yaml").stat().st_ino
+    process = started(["calibrate", *logs], tmp_path)
+    time.sleep(lasted * (0.5 + count / 70))
+    code, err = ended(process, number, everyone=bool(count % 2))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == NAMES
+    if number != KILL:
+        assert "Traceback" not in err
+        assert code in (128 + number, 6)
+        assert whole_or_nothing(tmp_path)
+        assert not list((tmp_path / "tmp").iterdir())
+        if code != 6:
+            changed = (tmp_path / "out/params.yaml").stat().st_ino != old
+            assert err.splitlines()[-1].startswith(
+                "interrupted: written" if changed else "interrupted: nothing"
+            )
+    process = started(["calibrate", *logs], tmp_path)
+    process.communicate()
+    assert whole_or_nothing(tmp_path)
+    assert not list((tmp_path / "tmp").iterdir())
