@@ -399,5 +399,5 @@ def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, library, after_s):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err == "interrupted: unfinished output was not written\n"
+    assert err == "interrupted: nothing was written\n"
     assert list(tmp_path.iterdir()) == []
