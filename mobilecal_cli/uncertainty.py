@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.kinematics import (
     DRIVEN_RAD,
+    FEWEST_LEGS,
     TILTED_RAD,
     TURNED_RAD,
     cut_at,
@@ -19,7 +20,7 @@ from mobilecal_cli.kinematics import (
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
-FEWEST_STATIONS, FEWEST_LEGS = 4, 3  # nine equations in translation and nine in rotation for nine unknowns
+FEWEST_STATIONS = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,14 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
 from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose
-from mobilecal_cli.kinematics.motion import DRIVEN_RAD, TILTED_RAD, TURNED_RAD, MotionSeen, motion_seen
+from mobilecal_cli.kinematics.motion import (
+    DRIVEN_RAD,
+    FEWEST_LEGS,
+    TILTED_RAD,
+    TURNED_RAD,
+    MotionSeen,
+    motion_seen,
+)
 from mobilecal_cli.kinematics.wheels import (
     Arcs,
     Increments,
@@ -17,6 +24,7 @@ from mobilecal_cli.kinematics.wheels import (
 
 __all__ = [
     "DRIVEN_RAD",
+    "FEWEST_LEGS",
     "TILTED_RAD",
     "TURNED_RAD",
     "Arcs",

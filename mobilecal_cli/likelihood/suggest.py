@@ -205,6 +205,8 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
     joint = np.block([[covariance, by_base.T], [by_base, own[-1][:5, :5] + by_base @ follow.T]])
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     now = np.sqrt(np.diag(covariance)[:9])
+    if not now.any():
+        return ()  # all nine are fixed
     worst = int(np.argmax(now / needed))
     stops = _reachable(lin.data, lin.state)
     best: dict[tuple[float, float], Suggestion] = {}

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,117 +11,30 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, motion_seen
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, HeadChain, IntArray, Parameters, WheelTrack
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
+from mobilecal_cli.solvers.mistakes import (
+    MOVED,
+    STILL,
+    interruptions,
+    joint_mistakes,
+    wheel_mistakes,
+)
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 _CLEARLY_BETTER = (
     0.4  # a mistake explains the recording if correcting it shrinks the point error to this share
 )
-_FITS = 0.03  # point error over the distance to the board of a recording that fits
+_FITS = (
+    0.06  # point error over the distance to the board of a recording that fits; usual cameras: up to 0.035
+)
 _EQUAL = 1.5  # mistakes whose point errors differ by less cannot be distinguished
 _SAME_RAD = (
     0.5  # mistakes are distinguished by the camera's rotation from its nominal one, if it differs by more
 )
-_FROZEN, _MOVED = 1e-4, 0.05  # rad or m
 _ROUNDS = 12  # of the linear method
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
-
-
-_Correction = Callable[[Extraction], Extraction]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Mistake:
-    """A mistake in the description, and what gives the recording without it."""
-
-    cause: str
-    cure: str
-    corrected: _Correction
-
-
-def _with_joints(scale: FloatArray | float, order: IntArray | None = None) -> _Correction:
-    """A correction of all joint readings: (..., J) in another order, and scaled."""
-
-    def corrected(extraction: Extraction) -> Extraction:
-        observations = tuple(
-            replace(o, joints=scale * (o.joints if order is None else o.joints[order]))
-            for o in extraction.observations
-        )
-        return replace(extraction, observations=observations, joint_tracks=())
-
-    return corrected
-
-
-def _with_wheels(right: float, left: float, swapped: bool = False) -> _Correction:
-    """A correction of both wheels: swapped first, then scaled."""
-
-    def corrected(extraction: Extraction) -> Extraction:
-        wheels = []
-        for track in extraction.wheels:
-            of_right, of_left = (track.left, track.right) if swapped else (track.right, track.left)
-            scaled = (
-                replace(of_right, value=right * of_right.value),
-                replace(of_left, value=left * of_left.value),
-            )
-            wheels.append(WheelTrack(*scaled))
-        return replace(extraction, wheels=tuple(wheels))
-
-    return corrected
-
-
-def _joint_mistakes(chain: HeadChain) -> Iterator[_Mistake]:
-    joints = chain.joints
-    for column, name in enumerate(joints):
-        yield _Mistake(
-            f"the sign of joint {name} is reversed",
-            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
-            _with_joints(np.where(np.arange(len(joints)) == column, -1.0, 1.0)),
-        )
-    if len(joints) > 1:
-        yield _Mistake(
-            "the signs of all head joints are reversed",
-            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
-            _with_joints(-1.0),
-        )
-    if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
-        order = np.arange(len(joints))
-        pan, tilt = joints.index(chain.pan), joints.index(chain.tilt)
-        order[[pan, tilt]] = tilt, pan
-        yield _Mistake(
-            f"the readings of {chain.pan} and {chain.tilt} are exchanged",
-            "exchange joints.pan and joints.tilt in rig.yaml, or the names in the recording",
-            _with_joints(1.0, order),
-        )
-    for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
-        yield _Mistake(
-            f"the joint readings are in {unit}",
-            "set the unit in joints.fields in rig.yaml, or correct the recording",
-            _with_joints(factor),
-        )
-
-
-def _wheel_mistakes() -> Iterator[_Mistake]:
-    swap, negate = "exchange wheels.left and wheels.right in rig.yaml", "negate wheels.{}.sign in rig.yaml"
-    for swapped in (False, True):
-        for right, left, sides in (
-            (1, 1, ()),
-            (-1, 1, ("right",)),
-            (1, -1, ("left",)),
-            (-1, -1, ("right", "left")),
-        ):
-            if not swapped and not sides:
-                continue
-            causes = ["the left and right wheels are swapped"] * swapped
-            causes += [f"the {side} wheel's encoder has the wrong sign" for side in sides]
-            cures = [swap] * swapped + [negate.format(side) for side in sides]
-            yield _Mistake(" and ".join(causes), ", then ".join(cures), _with_wheels(right, left, swapped))
-    yield _Mistake(
-        "the wheel readings are in degrees",
-        "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
-        _with_wheels(math.pi / 180, math.pi / 180),
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +99,8 @@ def _starts(extraction: Extraction) -> list[FloatArray]:
 def diagnose(extraction: Extraction) -> Diagnosis | None:
     """The mistake in the description that explains a recording which does not fit; None if none of the known does.
 
-    Signs of every joint and wheel, exchanged joints and wheels, and units are tried one at a time with the linear
-    method. A joint without any motion is named where nothing else explains the recording.
+    Signs of every joint and wheel, exchanged joints and wheels, units, and readings that stop are tried one at a time
+    with the linear method. A joint without any motion is named where nothing else explains the recording.
 
     Args:
         extraction: a recording that could not be solved, or only badly.
@@ -198,7 +110,8 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
     base = math.inf if as_is is None else as_is.error
     found = []
     full = _has_full_motion(extraction)
-    for mistake in (*_joint_mistakes(extraction.rig.chain), *_wheel_mistakes()):
+    mistakes = (*joint_mistakes(extraction.rig.chain), *wheel_mistakes(), *interruptions(extraction))
+    for mistake in mistakes:
         corrected = mistake.corrected(extraction)
         if not (full or _has_full_motion(corrected)):
             continue  # such motion does not tell mistakes apart
@@ -225,9 +138,9 @@ def _frozen(extraction: Extraction) -> Diagnosis | None:
     still = [
         name
         for name, extent in zip(extraction.rig.chain.joints, np.ptp(readings, axis=0), strict=True)
-        if extent < _FROZEN
+        if extent < STILL
     ]
-    if not still or np.ptp(readings, axis=0).max() < _MOVED:
+    if not still or np.ptp(readings, axis=0).max() < MOVED:
         return None
     return Diagnosis(
         f"the reading of {', '.join(still)} never changes, and the images do not fit a joint at rest",

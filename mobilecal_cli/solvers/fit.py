@@ -37,6 +37,7 @@ from mobilecal_cli.solvers.optimize import NEAR, optimize
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS = 60
+_GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 _OBSERVABILITY_ROUNDS = 4
 
 
@@ -107,7 +108,7 @@ class Fit:
         """(P, P) of the shared parameters, wider than the bound where the noise levels rest on few residuals.
 
         A variance that r residuals show is itself uncertain: its mean is r / (r - 2) times what they show. So much
-        wider is the share of each kind of noise.
+        wider is the share of each kind of noise; at most 3 / 2, as a guess is right within a factor of about 1.6.
         """
         covariance = self.lin.covariance.copy()
         if self.pooled_covariance is not None:
@@ -119,7 +120,7 @@ class Fit:
                 component = self.components.get(level)
                 if component is not None and level not in self.given:
                     rests_on = component.redundancy + guess_worth(component.redundancy)
-                    covariance += influence.covariance(level) * 2 / max(rests_on - 2, 2.0)
+                    covariance += influence.covariance(level) * 2 / max(rests_on - 2, _GUESS_FREEDOM)
         return covariance
 
 

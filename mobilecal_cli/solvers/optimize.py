@@ -114,5 +114,6 @@ def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], Non
                 history.append(lin.cost)
     raise SolveError(
         f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
-        "check the residuals of --method linear",
+        "check the head chain and the topics, signs and units of joints and wheels in rig.yaml, and that neither the "
+        "board nor a cable moved",
     )

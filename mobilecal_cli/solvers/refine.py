@@ -52,7 +52,7 @@ def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
     else:
         raise SolveError(
             f"the refinement did not converge in {_MAX_STEPS} steps: point rms {rms * 1e3:.3f} mm",
-            "the linear estimate may be too far off: see its residuals with --method linear",
+            "use --method ml, which tolerates outliers and finds what does not fit",
         )
     return Refinement("lm", parameters, np.array(history), rms, evaluations)
 

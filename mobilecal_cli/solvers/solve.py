@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import integrate
+from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
 from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
 from mobilecal_cli.likelihood.legs import wheel_clock_s
 from mobilecal_cli.likelihood.predict import predicted_at
@@ -52,7 +52,6 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
 OBSERVABLE_SHARE = 1 / 3
-FEWEST_LEGS = 3  # nine equations in translation and nine in rotation for nine unknowns
 # Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 

@@ -51,6 +51,22 @@ def frozen(joint):
     return change
 
 
+def stuck_from(extraction, station, joint):
+    """A joint that is read no more from one station on."""
+    seen = extraction.observations
+    kept = seen[station].joints[joint]
+    late = (replace(o, joints=np.where(np.arange(2) == joint, kept, o.joints)) for o in seen[station:])
+    return replace(extraction, observations=(*seen[:station], *late), joint_tracks=())
+
+
+def unplugged_from(extraction, station):
+    """A right wheel that is read no more from one station on."""
+    (track,) = extraction.wheels
+    right, at = track.right, extraction.observations[station].time_ns
+    value = np.where(right.time_ns < at, right.value, right.at(np.array([at]))[0])
+    return replace(extraction, wheels=(WheelTrack(replace(right, value=value), track.left),))
+
+
 def said_of(extraction):
     """The error's message, or the verdict's reason."""
     try:
@@ -85,6 +101,16 @@ MISTAKES = {
     "half the ticks": (lambda e: with_wheels(e, 2, 2), "about half of the nominal 82.0 mm"),
     "twice the ticks": (lambda e: with_wheels(e, 0.5, 0.5), "about twice the nominal 82.0 mm"),
     "swapped": (lambda e: with_wheels(e, 1, 1, swapped=True), "the left and right wheels are swapped"),
+}
+
+
+MISTAKES |= {
+    "pan stuck": (lambda e: stuck_from(e, 6, PAN), "the reading of joint pan_joint does not change between"),
+    "tilt stuck": (
+        lambda e: stuck_from(e, 5, TILT),
+        "the reading of joint tilt_joint does not change between",
+    ),
+    "unplugged": (lambda e: unplugged_from(e, 6), "the reading of the right wheel does not change between"),
 }
 
 

@@ -10,11 +10,11 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, KnownNoise, Track, WheelGeometry, WheelTrack
+from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Track, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import OutlierSearch
 from tests.bench.simulated import as_described, errors, spoiled
@@ -468,6 +468,27 @@ def test_what_is_misstated_is_named_and_does_no_harm(noisy, name, kind, by):
     assert kind in named or (name == "baseline_scale" and "square_size" in named)
     e = errors(found.parameters, ROBOT)
     assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+
+
+def test_a_wrong_link_between_pan_and_tilt_is_named():
+    """5 cm along x. Small tilts hardly show it, and the floor's height could take it up: fifty times its prior says no."""
+    robot = tick_robot()
+    noise = Noise(0.1, 0.003, 0.0, 4e-4, floor_rad=1e-3, floor_m=5e-4)
+    true = ideal_extraction(robot, plan_route(robot, "standard", stations=20, seed=1), noise, 1)
+    links = list(true.rig.chain.links)
+    k = 1 + next(k for k, link in enumerate(links) if isinstance(link, JointLink))
+    T = links[k].T_parent_child.copy()
+    T[0, 3] += 0.05
+    links[k] = replace(links[k], T_parent_child=T)
+    found = solve(replace(true, rig=replace(true.rig, chain=replace(true.rig.chain, links=tuple(links)))))
+    assert {e.kind for e in found.contradictions} == {"joint_position"}
+    e = errors(found.parameters, robot)
+    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 2.5
+
+
+def test_nothing_is_suggested_where_all_nine_are_fixed(noisy):
+    fixed = dict.fromkeys(NINE)
+    assert solve(noisy, constraints=Constraints(fixed=fixed)).suggestions == ()
 
 
 def test_corners_that_were_not_seen_have_no_say():

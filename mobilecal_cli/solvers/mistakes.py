@@ -1,0 +1,161 @@
+"""Mistakes in a robot's description, and readings that stop: each with what gives the recording without it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+
+STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
+_FEWEST = 4  # stations with the same reading: fewer are no interruption
+
+Correction = Callable[[Extraction], Extraction]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mistake:
+    """A mistake in the description, and what gives the recording without it."""
+
+    cause: str
+    cure: str
+    corrected: Correction
+
+
+def _with_joints(scale: FloatArray | float, order: IntArray | None = None) -> Correction:
+    """A correction of all joint readings: (..., J) in another order, and scaled."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        observations = tuple(
+            replace(o, joints=scale * (o.joints if order is None else o.joints[order]))
+            for o in extraction.observations
+        )
+        return replace(extraction, observations=observations, joint_tracks=())
+
+    return corrected
+
+
+def _with_wheels(right: float, left: float, swapped: bool = False) -> Correction:
+    """A correction of both wheels: swapped first, then scaled."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        wheels = []
+        for track in extraction.wheels:
+            of_right, of_left = (track.left, track.right) if swapped else (track.right, track.left)
+            scaled = (
+                replace(of_right, value=right * of_right.value),
+                replace(of_left, value=left * of_left.value),
+            )
+            wheels.append(WheelTrack(*scaled))
+        return replace(extraction, wheels=tuple(wheels))
+
+    return corrected
+
+
+def joint_mistakes(chain: HeadChain) -> Iterator[Mistake]:
+    """Signs, order and units of the head joints' readings."""
+    joints = chain.joints
+    for column, name in enumerate(joints):
+        yield Mistake(
+            f"the sign of joint {name} is reversed",
+            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
+            _with_joints(np.where(np.arange(len(joints)) == column, -1.0, 1.0)),
+        )
+    if len(joints) > 1:
+        yield Mistake(
+            "the signs of all head joints are reversed",
+            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
+            _with_joints(-1.0),
+        )
+    if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
+        order = np.arange(len(joints))
+        pan, tilt = joints.index(chain.pan), joints.index(chain.tilt)
+        order[[pan, tilt]] = tilt, pan
+        yield Mistake(
+            f"the readings of {chain.pan} and {chain.tilt} are exchanged",
+            "exchange joints.pan and joints.tilt in rig.yaml, or the names in the recording",
+            _with_joints(1.0, order),
+        )
+    for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
+        yield Mistake(
+            f"the joint readings are in {unit}",
+            "set the unit in joints.fields in rig.yaml, or correct the recording",
+            _with_joints(factor),
+        )
+
+
+def wheel_mistakes() -> Iterator[Mistake]:
+    """Signs, sides and units of the wheels' readings."""
+    swap, negate = "exchange wheels.left and wheels.right in rig.yaml", "negate wheels.{}.sign in rig.yaml"
+    for swapped in (False, True):
+        for right, left, sides in (
+            (1, 1, ()),
+            (-1, 1, ("right",)),
+            (1, -1, ("left",)),
+            (-1, -1, ("right", "left")),
+        ):
+            if not swapped and not sides:
+                continue
+            causes = ["the left and right wheels are swapped"] * swapped
+            causes += [f"the {side} wheel's encoder has the wrong sign" for side in sides]
+            cures = [swap] * swapped + [negate.format(side) for side in sides]
+            yield Mistake(" and ".join(causes), ", then ".join(cures), _with_wheels(right, left, swapped))
+    yield Mistake(
+        "the wheel readings are in degrees",
+        "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
+        _with_wheels(math.pi / 180, math.pi / 180),
+    )
+
+
+def interruptions(extraction: Extraction) -> Iterator[Mistake]:
+    """Stretches of stations in which one reading stays the same while another changes, left out."""
+    for log in range(len(extraction.wheels)):
+        mine = np.array([k for k, o in enumerate(extraction.observations) if o.log == log])
+        if len(mine) <= _FEWEST:
+            continue
+        seen = [extraction.observations[k] for k in mine]
+        times = np.array([o.time_ns for o in seen])
+        track = extraction.wheels[log]
+        joints = (np.stack([o.joints for o in seen]), extraction.rig.chain.joints, "joint {}")
+        wheels = np.stack(
+            [np.interp(times, side.time_ns, side.value) for side in (track.right, track.left)], 1
+        )
+        for readings, names, label in (joints, (wheels, ("right", "left"), "the {} wheel")):
+            for column, name in enumerate(names):
+                for first, last in _still(readings, column):
+                    if label != joints[2] and first > 0 and last < len(mine) - 1:
+                        continue  # the leg across would be wrong
+                    stretch = f"between {_at_s(track, times[first])} and {_at_s(track, times[last])} s"
+                    yield Mistake(
+                        f"the reading of {label.format(name)} does not change {stretch}",
+                        "check the cable and the driver, and record again, or leave this stretch out",
+                        _without(mine[first + 1 if first else 0 : last + 1]),
+                    )
+
+
+def _still(readings: FloatArray, column: int) -> Iterator[tuple[int, int]]:
+    """First and last row of each stretch in which one column stays the same while others change: (n, m) readings."""
+    same = np.abs(np.diff(readings[:, column])) < STILL
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    for first, last in edges.reshape(-1, 2).tolist():
+        moved = float(np.ptp(np.delete(readings[first : last + 1], column, axis=1), axis=0).max(initial=0.0))
+        if last - first + 1 >= _FEWEST and last - first + 1 < len(readings) and moved > MOVED:
+            yield first, last
+
+
+def _at_s(track: WheelTrack, time_ns: int) -> str:
+    """Time from the beginning of a recording."""
+    return f"{(time_ns - int(track.time_ns[0])) / 1e9:.1f}"
+
+
+def _without(stations: IntArray) -> Correction:
+    """A correction that leaves out some observations."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        kept = (o for k, o in enumerate(extraction.observations) if k not in stations)
+        return replace(extraction, observations=tuple(kept))
+
+    return corrected
