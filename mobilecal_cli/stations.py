@@ -13,6 +13,7 @@ from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
     IntArray,
+    PictureIndex,
     Rejection,
     Shot,
     Side,
@@ -37,12 +38,13 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Stations selected in one recording.
+    """Stations selected in one log.
 
     Attributes:
         stations: in order of time.
         wheels: both wheels.
         joints: the head's joints, in the order of `HeadChain.joints`.
+        images: side → the images of the stations.
         rejections: images that cannot be used, with the reason.
         notes: complete sentences for the report.
     """
@@ -50,6 +52,7 @@ class Plan:
     stations: tuple[Station, ...]
     wheels: WheelTrack
     joints: tuple[Track, ...]
+    images: Mapping[Side, PictureIndex]
     rejections: tuple[Rejection, ...]
     notes: tuple[str, ...]
 
@@ -213,30 +216,34 @@ def _rest(index: int, shots: list[Shot], tracks: list[Track], at_rest: bool) -> 
     return Station(index, at_rest, tuple(shots), time_ns, np.array(mean), np.array(scatter))
 
 
-def plan_stations(
-    signals: Signals,
-    joints: tuple[str, ...],
-    prismatic: frozenset[str] = frozenset(),
-    everything: bool = False,
-) -> Plan:
-    """Select the moments at which to search for the board.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """The stereo pairs of a log.
 
-    Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
-    angles and base motion, supplement the rests.
+    Attributes:
+        signals: of the log.
+        channels: its joints and wheels.
+        shots: the pairs with readings of all of them.
+        rests: those in which nothing moves, by rest.
+        rejections: the other pairs.
+    """
 
-    Args:
-        signals: joints, wheels and image stamps of one recording.
-        joints: head joints in the order of `HeadChain.joints`.
-        prismatic: the prismatic joints among them.
-        everything: use all image pairs instead: all of each rest, and all taken in motion.
+    signals: Signals
+    channels: list[_Channel]
+    shots: list[Shot]
+    rests: list[list[Shot]]
+    rejections: list[Rejection]
+
+
+def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
+    """Find the stereo pairs of a log, and its rests.
 
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
     channels = _channels(signals, prismatic)
-    shots = list(pair_shots(signals.image_ns["left"], signals.image_ns["right"], PAIR_AT_REST_S))
-    wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
-
+    left, right = (signals.images[side].time_ns for side in ("left", "right"))
+    shots = list(pair_shots(left, right, PAIR_AT_REST_S))
     times = np.array([shot.time_ns for shot in shots])
     rejections: list[Rejection] = []
     covered = np.ones(len(shots), dtype=bool)
@@ -254,31 +261,87 @@ def plan_stations(
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
     shots = [shot for shot, ok in zip(shots, covered, strict=True) if ok]
+    return _Pairs(signals, channels, shots, _rests(shots, channels), rejections)
 
-    rests = _rests(shots, channels)
-    moments = [(run, True) for run in rests]
-    notes = []
-    if everything or len(rests) < RESTS_ENOUGH:
-        resting = {shot for run in rests for shot in run}
-        moving = [s for s in shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
-        picked = moving if everything else _keyframes(moving, channels, KEYFRAMES) if moving else []
-        moments += [([shot], False) for shot in picked]
+
+def plan_stations(
+    logs: Sequence[Signals],
+    joints: tuple[str, ...],
+    prismatic: frozenset[str] = frozenset(),
+    everything: bool = False,
+) -> tuple[Plan, ...]:
+    """Select the moments of a recording at which to search for the board.
+
+    Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
+    angles and base motion, supplement the rests.
+
+    Args:
+        logs: the recording, or its pieces between clock steps.
+        joints: head joints in the order of `HeadChain.joints`.
+        prismatic: the prismatic joints among them.
+        everything: use all image pairs instead: all of each rest, and all taken in motion.
+
+    Returns:
+        A plan for each log; logs without usable stereo pairs are left out, which is noted in the first plan.
+
+    Raises:
+        RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
+    """
+    found: list[tuple[_Pairs, WheelTrack]] = []
+    problems: list[RecordingError] = []
+    for signals in logs:
+        try:
+            wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
+            found.append((_paired(signals, prismatic), wheels))
+        except RecordingError as error:
+            problems.append(error)
+    if not found:
+        raise problems[0]
+    rests = sum(len(pairs.rests) for pairs, _ in found)
+    plans, moving, picked = [], 0, 0
+    for pairs, wheels in found:
+        moments = [(run, True) for run in pairs.rests]
+        if everything or rests < RESTS_ENOUGH:
+            chosen, candidates = _in_motion(pairs, everything)
+            moments += [([shot], False) for shot in chosen]
+            moving, picked = moving + candidates, picked + len(chosen)
+        moments.sort(key=lambda moment: moment[0][0].time_ns)
+        if not everything:
+            moments = [(_fewer(run), at_rest) for run, at_rest in moments]
+        stations = _stations(moments, joints, pairs.signals) if moments else ()
+        tracks = tuple(pairs.signals.joints[name] for name in joints)
+        images = images_of(stations, pairs.signals.images)
+        plans.append(Plan(stations, wheels, tracks, images, tuple(pairs.rejections), ()))
+    notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
+    if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
-            f"The robot rests {len(rests)} times with images ({because}). {len(picked)} of {len(moving)} images "
+            f"The robot rests {rests} times with images ({because}). {picked} of {moving} images "
             "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
             "and lm)."
         )
-    moments.sort(key=lambda moment: moment[0][0].time_ns)
-    if not everything:
-        moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-    return Plan(
-        _stations(moments, joints, signals),
-        wheels,
-        tuple(signals.joints[name] for name in joints),
-        tuple(rejections),
-        tuple(notes),
-    )
+    return (replace(plans[0], notes=tuple(notes)), *plans[1:])
+
+
+def images_of(stations: Sequence[Station], images: Mapping[Side, PictureIndex]) -> dict[Side, PictureIndex]:
+    """The images of some stations, of all that were recorded."""
+    shots = [shot for station in stations for shot in station.shots]
+    times: dict[Side, list[int]] = {
+        "left": [shot.left_ns for shot in shots],
+        "right": [shot.right_ns for shot in shots],
+    }
+    return {side: images[side].at(own) for side, own in times.items()}
+
+
+def _in_motion(pairs: _Pairs, everything: bool) -> tuple[list[Shot], int]:
+    """Stereo pairs taken in motion that are used, and the number of candidates."""
+    resting = {shot for run in pairs.rests for shot in run}
+    moving = [
+        s for s in pairs.shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS
+    ]
+    if everything or not moving:
+        return moving, len(moving)
+    return _keyframes(moving, pairs.channels, KEYFRAMES), len(moving)
 
 
 def with_stamps(
@@ -296,15 +359,26 @@ def with_stamps(
     Args:
         plan: result of `plan_stations`.
         signals, joints, prismatic: as for `plan_stations`.
-        stamps: side → approximate stamp → own stamp, for the shots' images.
+        stamps: side → log time → own stamp, for the shots' images.
     """
     channels = _channels(signals, prismatic)
+    own_ns: dict[Side, dict[int, int]] = {}
+    images: dict[Side, PictureIndex] = {}
+    for side, index in plan.images.items():
+        stamp_of = stamps[side]
+        own_ns[side] = {
+            time_ns: stamp_of[log_ns]
+            for time_ns, log_ns in zip(index.time_ns.tolist(), index.log_ns.tolist(), strict=True)
+            if log_ns in stamp_of
+        }
+        stamp_ns, first = np.unique(np.array(list(stamp_of.values()), dtype=np.int64), return_index=True)
+        images[side] = PictureIndex(stamp_ns, stamp_ns, np.array(list(stamp_of), dtype=np.int64)[first])
     taken: dict[Side, set[int]] = {"left": set(), "right": set()}
     placed: list[tuple[int, Shot]] = []
     for station in plan.stations:
         tolerance_s = PAIR_AT_REST_S if station.at_rest else PAIR_MOVING_S
         for shot in station.shots:
-            left, right = stamps["left"].get(shot.left_ns), stamps["right"].get(shot.right_ns)
+            left, right = own_ns["left"].get(shot.left_ns), own_ns["right"].get(shot.right_ns)
             if left is None or right is None or left in taken["left"] or right in taken["right"]:
                 continue
             if abs(left - right) <= tolerance_s * _NS:
@@ -314,9 +388,9 @@ def with_stamps(
     times = np.array([shot.time_ns for _, shot in placed], dtype=np.int64)
     covered = np.all([channel.covers(times) for channel in channels], axis=0)
     own: dict[int, list[Shot]] = {}
-    for (index, shot), ok in zip(placed, covered, strict=True):
+    for (station_index, shot), ok in zip(placed, covered, strict=True):
         if ok:
-            own.setdefault(index, []).append(shot)
+            own.setdefault(station_index, []).append(shot)
     moments = []
     for station in plan.stations:
         shots = sorted(own.get(station.index, ()), key=lambda shot: shot.time_ns)
@@ -325,4 +399,5 @@ def with_stamps(
         if shots:
             moments.append((shots, station.at_rest))
     moments.sort(key=lambda moment: moment[0][0].time_ns)
-    return replace(plan, stations=_stations(moments, joints, signals) if moments else ())
+    stations = _stations(moments, joints, signals) if moments else ()
+    return replace(plan, stations=stations, images=images_of(stations, images))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Shot, Signals, Track
+from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
 from mobilecal_cli.stations import (
     KEYFRAMES,
     SHOTS_PER_REST,
@@ -30,20 +30,29 @@ def staircase(times, rests=8, rest_s=2.0, move_s=1.0, height=0.5):
     return height * (number + share**2 * (3 - 2 * share))
 
 
+def indexed(stamp_ns):
+    return PictureIndex(stamp_ns, stamp_ns, stamp_ns)
+
+
+def planned(log, joints, **options):
+    (plan,) = plan_stations([log], joints, **options)
+    return plan
+
+
 def signals(pan, wheel, duration_s=24.0, image_hz=5.0, joint_hz=50.0, **changes):
     times = np.arange(0, duration_s, 1 / joint_hz)
     pictures = np.arange(0.1, duration_s - 0.1, 1 / image_hz)
     values = {
         "joints": {"pan": Track(ns(times), pan(times))},
         "wheels": {"left": Track(ns(times), wheel(times)), "right": Track(ns(times), 1.5 * wheel(times))},
-        "image_ns": {"left": ns(pictures), "right": ns(pictures)},
+        "images": {side: indexed(ns(pictures)) for side in ("left", "right")},
         "notes": (),
     }
     return Signals(**(values | changes))
 
 
 def test_every_rest_is_one_station():
-    plan = plan_stations(signals(staircase, lambda t: 3 * staircase(t)), ("pan",))
+    plan = planned(signals(staircase, lambda t: 3 * staircase(t)), ("pan",))
     assert len(plan.stations) == 8
     assert all(station.at_rest for station in plan.stations)
     for i, station in enumerate(plan.stations):
@@ -65,14 +74,14 @@ def test_joint_noise_and_a_coarse_encoder_do_not_hide_rests():
         # The wheel comes to rest on the edge of a step, and the count flickers by one.
         return np.round((3 * staircase(t)) / step + 0.5 + random.normal(scale=0.1, size=len(t))) * step
 
-    plan = plan_stations(signals(noisy, coarse), ("pan",))
+    plan = planned(signals(noisy, coarse), ("pan",))
     assert len(plan.stations) == 8
     scatter = [station.joints_std[0] for station in plan.stations]
     assert np.degrees(np.mean(scatter)) == pytest.approx(0.05, rel=0.2)
 
 
 def test_a_turning_head_is_no_rest():
-    plan = plan_stations(signals(lambda t: np.abs((t / 3) % 2 - 1), lambda t: 0 * t), ("pan",))
+    plan = planned(signals(lambda t: np.abs((t / 3) % 2 - 1), lambda t: 0 * t), ("pan",))
     assert not any(station.at_rest for station in plan.stations)
     assert 20 < len(plan.stations) <= KEYFRAMES
     assert "rests 0 times" in plan.notes[0]
@@ -83,13 +92,13 @@ def test_keyframes_spread_over_the_motion():
     def mostly_one_way(t):
         return np.where(t < 20, 0.02 * np.sin(3 * t), (t - 20) * 0.5)
 
-    plan = plan_stations(signals(mostly_one_way, lambda t: 0.2 * t, image_hz=20), ("pan",))
+    plan = planned(signals(mostly_one_way, lambda t: 0.2 * t, image_hz=20), ("pan",))
     pan = np.array([station.joints[0] for station in plan.stations if not station.at_rest])
     assert np.sum(pan > 0.1) >= 10
 
 
 def test_a_long_rest_gives_few_pictures():
-    plan = plan_stations(
+    plan = planned(
         signals(lambda t: staircase(t, rest_s=60), lambda t: 3 * staircase(t, rest_s=60), duration_s=488),
         ("pan",),
     )
@@ -122,9 +131,7 @@ def test_pictures_without_readings_are_left_out():
     good = signals(staircase, lambda t: 3 * staircase(t))
     keep = np.abs((good.joints["pan"].time_ns - START) / S - 10.5) > 1.6  # gone over the fourth rest
     pan = Track(good.joints["pan"].time_ns[keep], good.joints["pan"].value[keep])
-    plan = plan_stations(
-        Signals(joints={"pan": pan}, wheels=good.wheels, image_ns=good.image_ns, notes=()), ("pan",)
-    )
+    plan = planned(Signals(joints={"pan": pan}, wheels=good.wheels, images=good.images, notes=()), ("pan",))
     assert len(plan.stations) == 7
     assert {r.reason for r in plan.rejections} == {"no readings around the image"}
     assert {r.detail for r in plan.rejections} == {"pan"}
@@ -133,9 +140,9 @@ def test_pictures_without_readings_are_left_out():
 def test_readings_that_end_before_the_pictures_begin():
     early = Track(ns([0.0, 1.0]) - 100 * S, [0.0, 0.0])
     good = signals(staircase, staircase)
-    bad = Signals(joints={"pan": early}, wheels=good.wheels, image_ns=good.image_ns, notes=())
+    bad = Signals(joints={"pan": early}, wheels=good.wheels, images=good.images, notes=())
     with pytest.raises(RecordingError, match=r"none of .* stereo pairs has readings") as caught:
-        plan_stations(bad, ("pan",))
+        planned(bad, ("pan",))
     assert "pan" in caught.value.message
 
 
@@ -153,9 +160,9 @@ def test_wheels_at_different_rates_are_joined():
 
 def test_everything_is_every_pair_at_rest_and_in_motion():
     log = signals(lambda t: staircase(t, rests=8), lambda t: 3 * staircase(t), image_hz=20.0)
-    plan = plan_stations(log, ("pan",), everything=True)
+    plan = planned(log, ("pan",), everything=True)
     shots = [shot for station in plan.stations for shot in station.shots]
-    assert len(shots) == len(log.image_ns["left"])
+    assert len(shots) == len(log.images["left"].time_ns)
     resting = [station for station in plan.stations if station.at_rest]
     assert len(resting) == 8
     assert max(len(station.shots) for station in resting) > SHOTS_PER_REST
@@ -165,7 +172,7 @@ def test_everything_is_every_pair_at_rest_and_in_motion():
 
 def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
     """A plan of eight rests, and the same with other stamps in place of those it was made with."""
-    plan = plan_stations(approximate, ("pan",))
+    plan = planned(approximate, ("pan",))
     stamps = {"left": {}, "right": {}}
     for station in plan.stations:
         for shot in station.shots:
@@ -219,7 +226,7 @@ def test_pairs_that_are_too_far_apart_are_dropped():
 
 
 def test_pictures_without_a_stamp_are_dropped():
-    plan = plan_stations(AT_REST, ("pan",))
+    plan = planned(AT_REST, ("pan",))
     lost = {plan.stations[4].shots[0].left_ns, plan.stations[4].shots[3].left_ns}
     _, found = restamped(AT_REST, lost=lost)
     assert len(found.stations[4].shots) == len(plan.stations[4].shots) - 2

@@ -56,7 +56,7 @@ from mobilecal_cli.model.rig import (
     WheelGeometry,
     WheelSource,
 )
-from mobilecal_cli.model.signals import Rejection, Shot, Signals, Station, Track
+from mobilecal_cli.model.signals import PictureIndex, Rejection, Shot, Signals, Station, Track
 from mobilecal_cli.model.solution import (
     LinearEstimate,
     Method,
@@ -69,6 +69,7 @@ from mobilecal_cli.model.solution import (
     Solution,
     Uncertainty,
 )
+from mobilecal_cli.model.text import listed
 
 __all__ = [
     "CAMERA_INFO",
@@ -122,6 +123,7 @@ __all__ = [
     "Observation",
     "Outlier",
     "Parameters",
+    "PictureIndex",
     "Prelude",
     "Provenance",
     "Refinement",
@@ -146,4 +148,5 @@ __all__ = [
     "WheelGeometry",
     "WheelSource",
     "WheelTrack",
+    "listed",
 ]

@@ -159,13 +159,13 @@ class Extraction:
     Attributes:
         rig: the robot.
         board: the board, with known numbers of corners.
-        observations: sorted by recording and time.
-        wheels: one track per recording.
+        observations: sorted by log and time.
+        wheels: one track per log: a recording, or a piece of it between steps of its clocks.
         rejections: rejected images and stations.
         notes: whole sentences about the input, for the report.
-        logs: the recordings.
+        logs: the files of the recordings.
         counts: "stations" found, "pictures" searched, ...
-        joint_tracks: head joints over time, one tuple per recording in the order of `HeadChain.joints`; empty if
+        joint_tracks: head joints over time, one tuple per log in the order of `HeadChain.joints`; empty if
             unknown, and then clock offset and backlash cannot be estimated.
     """
 
@@ -178,6 +178,13 @@ class Extraction:
     logs: tuple[LogSource, ...]
     counts: Mapping[str, int]
     joint_tracks: tuple[tuple[Track, ...], ...] = ()
+
+    @property
+    def log_names(self) -> tuple[str, ...]:
+        """A name for each log: its file, or its number where files and logs do not correspond."""
+        if len(self.logs) == len(self.wheels):
+            return tuple(log.path for log in self.logs)
+        return tuple(f"recording {number}" for number in range(1, len(self.wheels) + 1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import FloatArray, IntArray, freeze
-from mobilecal_cli.model.rig import Side
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
+from mobilecal_cli.model.rig import CameraInfo, Side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,20 +43,49 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PictureIndex:
+    """Where the images of one camera are in a recording.
+
+    Attributes:
+        time_ns: (n,) their times, strictly increasing; the stamps, unless the camera's clock stepped.
+        stamp_ns, log_ns: (n,) their stamps and log times, which together identify a message.
+        sequential: video: an image needs those before it.
+    """
+
+    time_ns: IntArray
+    stamp_ns: IntArray
+    log_ns: IntArray
+    sequential: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self, np.int64, time_ns=("n",), stamp_ns=("n",), log_ns=("n",))
+
+    def rows(self, rows: IntArray | BoolArray) -> PictureIndex:
+        """Some of the images: indices, or True for each."""
+        return PictureIndex(self.time_ns[rows], self.stamp_ns[rows], self.log_ns[rows], self.sequential)
+
+    def at(self, times_ns: Collection[int]) -> PictureIndex:
+        """The images with some times."""
+        return self.rows(np.isin(self.time_ns, np.array(sorted(times_ns), dtype=np.int64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """A recording without the image contents.
+    """A recording, or the piece of it between two steps of a clock, without the image contents.
 
     Attributes:
         joints: head joint name → track.
         wheels: side → unwrapped wheel rotation, rad, positive when driving forward.
-        image_ns: side → (n,) stamps of the images, strictly increasing.
-        notes: irregularities: clocks that stepped back, duplicate stamps, gaps, zero stamps. Whole sentences.
+        images: side → its images.
+        notes: irregularities: clocks that step, duplicate stamps, gaps, zero stamps. Whole sentences.
+        infos: camera-info topic → calibration in most of its messages, where its first message states another.
     """
 
     joints: Mapping[str, Track]
     wheels: Mapping[Side, Track]
-    image_ns: Mapping[Side, IntArray]
+    images: Mapping[Side, PictureIndex]
     notes: tuple[str, ...]
+    infos: Mapping[str, CameraInfo] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Iterable
 
 _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
 
@@ -15,3 +16,14 @@ def visible(text: str) -> str:
         else character
         for character in text
     )
+
+
+#: Names in a message; more would be unreadable.
+MOST_LISTED = 10
+
+
+def listed(names: Iterable[str], most: int = MOST_LISTED) -> str:
+    """The first names, separated by commas, and how many more there are; "none" without any."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return f"{', '.join(every[:most])}{more}" if every else "none"

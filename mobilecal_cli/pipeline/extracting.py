@@ -17,7 +17,6 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     Board,
     Extraction,
-    HeadChain,
     LogSource,
     Markers,
     Observation,
@@ -27,7 +26,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.pipeline.looking import Crew, look
-from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_log
+from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_recording
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.repeated import (
     refuse_equal_files,
@@ -47,7 +46,7 @@ _SAME_INFO = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Data extracted from one recording."""
+    """Data extracted from one log: a recording, or a piece of it between steps of its clocks."""
 
     name: str
     rig: Rig
@@ -59,15 +58,6 @@ class Seen:
     notes: tuple[str, ...]
 
 
-def sliding_joints(chain: HeadChain) -> frozenset[str]:
-    """Names of the head's prismatic joints, with readings in m."""
-    return chain.prismatic
-
-
-def _plan(recording: Recording, rig: Rig, everything: bool) -> tuple[Plan, tuple[str, ...]]:
-    return plan_log(recording, rig, sliding_joints(rig.chain), everything)
-
-
 def _see(
     earlier: Sequence[Seen],
     recording: Recording,
@@ -75,47 +65,58 @@ def _see(
     config: RigConfig,
     flags: frozenset[str],
     progress: Progress,
-) -> Seen:
+) -> list[Seen]:
+    """What is seen in one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    settled = settle_rig(config, read_prelude(recording), read_urdf(config), flags)
-    rig = settled.rig
+    prelude, urdf = read_prelude(recording), read_urdf(config)
+    settled = settle_rig(config, prelude, urdf, flags)
     everything = config.stations == "all"
-    if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
+    if everything and recording.bytes_of(settled.rig.sources.image.values()) >= WORTH_BYTES:
         crew.call()
-    plan, notes = _plan(recording, rig, everything)
+    planned = plan_recording(recording, settled.rig, settled.rig.chain.prismatic, everything)
+    if planned.infos:
+        settled = settle_rig(config, replace(prelude, infos={**prelude.infos, **planned.infos}), urdf, flags)
+    rig, plans = settled.rig, planned.plans
     for one in earlier:
-        if same_signals((one.plan.wheels, one.plan.joints), (plan.wheels, plan.joints)):
-            refuse_same(one.name, name, "wheel and joint readings")
+        for plan in plans:
+            if same_signals((one.plan.wheels, one.plan.joints), (plan.wheels, plan.joints)):
+                refuse_same(one.name, name, "wheel and joint readings")
     if board is None:
         progress("finding the board's size", 0, None)
-        size = board_size(recording, rig.sources, plan.stations)
+        size = board_size(recording, rig.sources, plans)
         if size is None:
             raise ObservationError(
-                f"no checkerboard found in the images of {len(plan.stations)} stations",
+                f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
                 "keep the whole board in both images, in good light, with squares of 7 pixels or more, or "
                 "set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
     scene = Scene(rig.sources, rig.cameras, board)
-    looks, snapshots = look(crew, scene, plan.stations, not everything, progress)
-    found = any(isinstance(d, Detection) for seen in looks for d in seen.found["left"].values())
+    looked = look(crew, scene, plans, not everything, progress)
+    found = any(
+        isinstance(d, Detection) for looks, _ in looked for s in looks for d in s.found["left"].values()
+    )
     if not found and config.board.columns is not None and board.markers is None:
-        _refuse_wrong_size(recording, rig, plan, board)
+        _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
-    measured = crew.measure_at(len(earlier), scene, plan.stations, looks)
-    notes = (*settled.notes, *notes, *recording.damage)
-    return Seen(name, rig, board, plan, looks, measured, snapshots, notes)
+    notes = (*settled.notes, *planned.notes, *recording.damage)
+    return [
+        Seen(
+            name, rig, board, plan, looks, crew.measure_at(log, scene, plan.stations, looks), snapshots, notes
+        )
+        for log, (plan, (looks, snapshots)) in enumerate(zip(plans, looked, strict=True), len(earlier))
+    ]
 
 
-def _refuse_wrong_size(recording: Recording, rig: Rig, plan: Plan, board: Board) -> None:
+def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:
     """Search for a board of another size after the configured one was not found.
 
     Raises:
         ObservationError: a board of another size was found.
     """
-    size = board_size(recording, rig.sources, plan.stations)
+    size = board_size(recording, rig.sources, plans)
     if size is not None and set(size) != {board.columns, board.rows}:
         raise ObservationError(
             f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
@@ -171,7 +172,8 @@ def extract(
     refuse_equal_files(sources)
     for parts in recordings:
         with open_recording(parts) as recording, Crew(recording, jobs) as crew:
-            one = _see(seen, recording, crew, config, flags, progress)
+            pieces = _see(seen, recording, crew, config, flags, progress)
+        one = pieces[0]
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(
                 f"{parts[0]}: the head's joints are {', '.join(one.rig.chain.joints)}, but those of {logs[0]} are "
@@ -179,7 +181,7 @@ def extract(
                 "give recordings of one robot only",
             )
         other = _other_cameras(seen[0], one) if seen else ()
-        seen.append(replace(one, notes=(*one.notes, *other)))
+        seen += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
     extraction, snapshots = _assembled(seen, sources)
     refuse_equal_recordings(extraction, [one.name for one in seen])
     return extraction, snapshots

@@ -23,6 +23,7 @@ from mobilecal_cli.model import (
     JointRange,
     Lack,
     MotionView,
+    PictureIndex,
     Prelude,
     Rejection,
     Rig,
@@ -33,7 +34,7 @@ from mobilecal_cli.model import (
     TopicView,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.extracting import board_of, sliding_joints
+from mobilecal_cli.pipeline.extracting import board_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
 from mobilecal_cli.report import MIN_STATIONS
@@ -145,31 +146,33 @@ def _motion(
     recording: Recording, rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
 ) -> tuple[MotionView | None, tuple[Lack, ...], tuple[str, ...]]:
     """Motion of the robot, what is unobservable from it, and notes."""
+    extent = Extent(MOTION_BYTES)
     try:
-        signals = read_signals(recording, rig.sources, rig.chain.joints, (), Extent(MOTION_BYTES))
-        wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
+        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
+        wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
         missing.append(_lack(error))
         return None, (), ()
-    sliding = sliding_joints(rig.chain)
     joints = {}
-    for name, track in signals.joints.items():
-        low, high = float(track.value.min()), float(track.value.max())
-        scale, unit = (1e3, "mm") if name in sliding else (180 / np.pi, "deg")
-        joints[name] = JointRange(low * scale, high * scale, unit)
-    turned = {"right": wheels.right, "left": wheels.left}
-    wheels_deg = {
-        side: float(np.degrees(np.abs(np.diff(wheel.value)).sum())) for side, wheel in turned.items()
+    for name in rig.chain.joints:
+        readings = np.concatenate([signals.joints[name].value for signals in logs])
+        scale, unit = (1e3, "mm") if name in rig.chain.prismatic else (180 / np.pi, "deg")
+        joints[name] = JointRange(float(readings.min()) * scale, float(readings.max()) * scale, unit)
+    wheels_deg: dict[str, float] = {
+        side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
+        for side in _SIDES
     }
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:
-        legs = integrate(cut_at(wheels, _seconds(wheels)), rig.nominal.wheels)
-        driven_m = float(np.linalg.norm(legs.t_m, axis=1).sum())
-        turned_deg = float(np.degrees(np.ptp(np.cumsum([0.0, *legs.psi_rad]))))
-    share = recording.share(rig.sources.motion, Extent(MOTION_BYTES))
-    rests, weak = _rests(rig, signals, times, share, missing)
+        legs = [integrate(cut_at(track, _seconds(track)), rig.nominal.wheels) for track in wheels]
+        driven_m = float(sum(np.linalg.norm(one.t_m, axis=1).sum() for one in legs))
+        turned_deg = float(
+            np.degrees(np.ptp(np.cumsum([0.0, *(psi for one in legs for psi in one.psi_rad)])))
+        )
+    share = recording.share(rig.sources.motion, extent)
+    rests, weak = _rests(rig, logs, times, share, missing)
     # Gaps between the parts that are read would be noted as irregularities.
-    notes = tuple(note for note in signals.notes if share == 1 or CAMERA_INFO_CHANGES in note)
+    notes = tuple(note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note)
     return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), weak, notes
 
 
@@ -181,17 +184,17 @@ def _seconds(wheels: WheelTrack) -> IntArray:
 
 
 def _rests(
-    rig: Rig, signals: Signals, times: Mapping[str, IntArray], share: float, missing: list[Lack]
+    rig: Rig, logs: Sequence[Signals], times: Mapping[str, IntArray], share: float, missing: list[Lack]
 ) -> tuple[int | None, tuple[Lack, ...]]:
     """Number of rests with images, and what is unobservable; what prevents a calibration goes to `missing`."""
     images = {side: times.get(rig.sources.image[side]) for side in _SIDES}
-    if share < 1 or any(stamps is None for stamps in images.values()):
+    # Where a clock steps, log times do not tell which readings belong to an image.
+    if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
         return None, ()
-    stamps = {side: np.unique(found) for side, found in images.items() if found is not None}
+    unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
+    signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:
-        plan = plan_stations(
-            Signals(signals.joints, signals.wheels, stamps, ()), rig.chain.joints, sliding_joints(rig.chain)
-        )
+        (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
     except RecordingError as error:
         missing.append(_lack(error))
         return None, ()

@@ -79,11 +79,7 @@ def _check(extraction: Extraction, path: Path) -> None:
         RecordingError: the numbers of logs, tracks and observations do not match.
     """
     tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
-    if (
-        logs < tracks  # a recording may consist of several files
-        or joints not in (0, tracks)
-        or any(not 0 <= o.log < tracks for o in extraction.observations)
-    ):
+    if not logs or joints not in (0, tracks) or any(not 0 <= o.log < tracks for o in extraction.observations):
         raise RecordingError(
             f"{path}: damaged: {logs} recorded files, {tracks} wheel tracks, {joints} joint tracks, or observations "
             "without a recording",
@@ -98,7 +94,4 @@ def _refuse_repeated(extraction: Extraction) -> None:
         ConfigError: naming both recordings.
     """
     refuse_equal_files(extraction.logs)
-    names = [log.path for log in extraction.logs]
-    if len(names) != len(extraction.wheels):
-        names = [f"recording {number}" for number in range(1, len(extraction.wheels) + 1)]
-    refuse_equal_recordings(extraction, names)
+    refuse_equal_recordings(extraction, extraction.log_names)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
+
+import cv2
 
 from mobilecal_cli.model import Rejection, Snapshot, Station
 from mobilecal_cli.pipeline.processes import FAILED, Processes, Task, resources
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, measure_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
+from mobilecal_cli.stations import Plan
 from mobilecal_cli.vision import Measured
 
 #: Largest number of pending segments per process, so that results do not fill the memory.
 _AHEAD = 2
 _MEASURED_AT_ONCE = 200  # stations
-
-Logged = dict[str, dict[int, int]]
 
 
 class _Here:
@@ -28,27 +30,25 @@ class _Here:
 
 
 def _begin(files: Sequence[Path]) -> None:
+    cv2.setNumThreads(1)
     _Here.recording = resources.enter_context(open_recording(files))
 
 
-def _look(scene: Scene, segment: Segment, logged: Logged) -> tuple[list[Looks], tuple[str, ...]]:
-    _Here.recording.logged = logged
+def _look(scene: Scene, segment: Segment) -> tuple[list[Looks], tuple[str, ...]]:
     *_, looks = look_at(_Here.recording, scene, segment)
     assert isinstance(looks, list)
     return looks, _Here.recording.damage
 
 
-def _logged(recording: Recording, scene: Scene, segment: Segment) -> Logged:
-    """Log times of the segment's images, which a worker cannot know without indexing the recording."""
-    wanted = {"left": scene.sources.image["left"], "right": scene.sources.image["right"]}
-    logged: Logged = {}
-    for station in segment.stations:
-        for shot in station.shots:
-            for side, stamp in (("left", shot.left_ns), ("right", shot.right_ns)):
-                at_ns = recording.logged.get(wanted[side], {}).get(stamp)
-                if at_ns is not None:
-                    logged.setdefault(wanted[side], {})[stamp] = at_ns
-    return logged
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """OpenCV in one thread inside the block: an image is too small for several, long recordings use processes."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 class Crew(Processes):
@@ -73,7 +73,7 @@ class Crew(Processes):
         """
         processes = min(self._jobs, self._jobs if most is None else most)
         if not self.started and processes > 1:
-            self.start(processes, _begin, [part.path for part in self._recording.parts])
+            self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
     def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
         """`seeing.look_at` for all segments, in order.
@@ -111,8 +111,7 @@ class Crew(Processes):
     ) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
         waiting: deque[Task[tuple[list[Looks], tuple[str, ...]]]] = deque()
         for segment in segments:
-            logged = _logged(self._recording, scene, segment)
-            waiting.append(self.submit(_look, scene, segment, logged))
+            waiting.append(self.submit(_look, scene, segment))
             if len(waiting) >= _AHEAD * self._jobs:
                 yield waiting.popleft().result()
         while waiting:
@@ -120,37 +119,38 @@ class Crew(Processes):
 
 
 def look(
-    crew: Crew,
-    scene: Scene,
-    stations: Sequence[Station],
-    thorough: bool,
-    progress: Progress,
-) -> tuple[list[Looks], list[Snapshot]]:
-    """Detect the board in the images of all stations.
+    crew: Crew, scene: Scene, plans: Sequence[Plan], thorough: bool, progress: Progress
+) -> list[tuple[list[Looks], list[Snapshot]]]:
+    """Detect the board in the images of all stations of a recording.
 
     Args:
         `crew`: the worker processes; a few segments are processed without them.
         scene: cameras and board.
-        stations: stations to process.
+        plans: stations of each of its logs.
         thorough: see `vision.detect`.
         progress: called after every image.
 
     Returns:
-        One `Looks` per station, and JPEGs of the first images of some stations.
+        For each log: one `Looks` per station, and JPEGs of the first images of some stations.
     """
-    segments = segments_of(stations, thorough)
-    total = 2 * sum(len(station.shots) for station in stations)
+    segments = [segments_of(plan, thorough) for plan in plans]
+    total = 2 * sum(len(station.shots) for plan in plans for station in plan.stations)
     done = 0
     looks: list[Looks] = []
-    for step in crew.look_at(scene, segments):
-        if isinstance(step, int):
-            done += step
-            progress("detecting the board", done, total)
-        else:
-            looks += step
-    snapshots = [
+    with _one_thread():
+        for step in crew.look_at(scene, [segment for some in segments for segment in some]):
+            if isinstance(step, int):
+                done += step
+                progress("detecting the board", done, total)
+            else:
+                looks += step
+    found = iter(looks)
+    return [_with_snapshots(plan, list(islice(found, len(plan.stations)))) for plan in plans]
+
+
+def _with_snapshots(plan: Plan, looks: list[Looks]) -> tuple[list[Looks], list[Snapshot]]:
+    return looks, [
         Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
-        for station, seen in zip(stations, looks, strict=True)
+        for station, seen in zip(plan.stations, looks, strict=True)
         if all(side in seen.pictures for side in SIDES)
     ]
-    return looks, snapshots

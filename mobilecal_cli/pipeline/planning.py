@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Rig, Side
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, CameraInfo, IntArray, Rig
 from mobilecal_cli.readers import Pictures, Recording, find_pictures, read_signals, read_stamps
 from mobilecal_cli.stations import PAIR_AT_REST_S, PAIR_MOVING_S, Plan, plan_stations, with_stamps
 
@@ -16,12 +17,26 @@ from mobilecal_cli.stations import PAIR_AT_REST_S, PAIR_MOVING_S, Plan, plan_sta
 WORTH_BYTES = 2**26
 #: Largest share of the bytes for which joints and wheels are read separately.
 _MOST_SHARE = 0.5
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
-def plan_log(
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRecording:
+    """The logs of one recording: one, or one for each piece between steps of its clocks.
+
+    Attributes:
+        plans: their stations.
+        infos: see `Signals`.
+        notes: irregularities.
+    """
+
+    plans: tuple[Plan, ...]
+    infos: Mapping[str, CameraInfo]
+    notes: tuple[str, ...]
+
+
+def plan_recording(
     recording: Recording, rig: Rig, sliding: frozenset[str], everything: bool = False
-) -> tuple[Plan, tuple[str, ...]]:
+) -> PlannedRecording:
     """Choose the stations of one recording.
 
     Args:
@@ -29,9 +44,6 @@ def plan_log(
         rig: its topics and the head's joints.
         sliding: names of the prismatic joints.
         everything: see `plan_stations`.
-
-    Returns:
-        The plan, and notes on irregularities.
 
     Raises:
         RecordingError: see `read_signals` and `plan_stations`.
@@ -41,9 +53,13 @@ def plan_log(
         planned = None if pictures is None else _joints_first(recording, rig, sliding, pictures)
         if planned is not None:
             return planned
-    signals = read_signals(recording, rig.sources, rig.chain.joints)
-    plan = plan_stations(signals, rig.chain.joints, sliding, everything)
-    return plan, (*signals.notes, *plan.notes)
+    logs = read_signals(recording, rig.sources, rig.chain.joints)
+    plans = plan_stations(logs, rig.chain.joints, sliding, everything)
+    notes = [
+        *(note for signals in logs for note in signals.notes),
+        *(note for p in plans for note in p.notes),
+    ]
+    return PlannedRecording(plans, logs[0].infos, tuple(dict.fromkeys(notes)))
 
 
 def _worth_it(recording: Recording, rig: Rig) -> bool:
@@ -55,17 +71,20 @@ def _worth_it(recording: Recording, rig: Rig) -> bool:
 
 def _joints_first(
     recording: Recording, rig: Rig, sliding: frozenset[str], pictures: Pictures
-) -> tuple[Plan, tuple[str, ...]] | None:
+) -> PlannedRecording | None:
     """Choose the stations by the log times of images; header stamps are read only for the chosen images.
 
     Returns:
-        None if the choice needs all header stamps.
+        None if the choice needs all header stamps: those of the sampled images do not tell the others', a clock steps,
+        or a camera's calibration changes.
     """
     joints, images = rig.chain.joints, rig.sources.image
-    alone = read_signals(recording, rig.sources, joints, (), clocks=pictures.clocks)
-    signals = replace(alone, image_ns={side: pictures.stamps(images[side]) for side in _SIDES})
+    alone, *others = read_signals(recording, replace(rig.sources, image={}), joints, clocks=pictures.clocks)
+    if others or any(CAMERA_INFO_CHANGES in note for note in alone.notes):
+        return None
+    signals = replace(alone, images={side: pictures.index(topic) for side, topic in images.items()})
     try:
-        plan = plan_stations(signals, joints, sliding)
+        (plan,) = plan_stations([signals], joints, sliding)
     except RecordingError:  # the header stamps may solve this, or give the reason
         return None
     if not plan.stations:
@@ -74,23 +93,14 @@ def _joints_first(
     # Half of the pairing tolerance: one image may be early, the other late.
     if pictures.spread_ns * 1e-9 > (PAIR_AT_REST_S if at_rest else PAIR_MOVING_S) / 2:
         return None
-    planned_ns: dict[Side, list[int]] = {
-        "left": [shot.left_ns for station in plan.stations for shot in station.shots],
-        "right": [shot.right_ns for station in plan.stations for shot in station.shots],
-    }
-    logged: dict[str, set[int]] = {}
-    for side, planned in planned_ns.items():
-        lag_ns = pictures.lag_ns[images[side]]
-        logged.setdefault(images[side], set()).update(time_ns + lag_ns for time_ns in planned)
-    found = read_stamps(recording, {topic: np.array(sorted(times)) for topic, times in logged.items()})
+    logged: dict[str, IntArray] = {}
+    for side, index in plan.images.items():
+        logged[images[side]] = np.union1d(logged.get(images[side], index.log_ns), index.log_ns)
+    found = read_stamps(recording, logged)
     if found is None:
         return None
     own, notes = found
-    stamps = {
-        side: {time_ns - pictures.lag_ns[topic]: stamp_ns for time_ns, stamp_ns in own[topic].items()}
-        for side, topic in images.items()
-    }
-    settled = with_stamps(plan, signals, joints, sliding, stamps)
-    if len(settled.stations) < len(plan.stations):
+    placed = with_stamps(plan, signals, joints, sliding, {side: own[topic] for side, topic in images.items()})
+    if len(placed.stations) < len(plan.stations):
         return None  # the sampled delays do not represent the others
-    return settled, (*signals.notes, *notes, *settled.notes)
+    return PlannedRecording((placed,), {}, (*signals.notes, *notes, *placed.notes))

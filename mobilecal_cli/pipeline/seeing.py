@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-
-import cv2
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
     Board,
     GrayImage,
+    PictureIndex,
     Rejection,
     Shot,
     Side,
@@ -20,6 +19,7 @@ from mobilecal_cli.model import (
     StereoRig,
 )
 from mobilecal_cli.readers import Recording, read_images
+from mobilecal_cli.stations import Plan, images_of
 from mobilecal_cli.vision import (
     BoardFollower,
     Detection,
@@ -44,7 +44,7 @@ class Looks:
     """Detections at one station, filled in while its images are read.
 
     Attributes:
-        found: side → stamp → detection or miss.
+        found: side → time → detection or miss.
         pictures: side → JPEG of the first image, for the report.
         rejections: images that cannot be decoded.
     """
@@ -66,11 +66,13 @@ class Segment:
 
     Attributes:
         stations: in order of time.
+        images: side → their images.
         shown: indices, in this segment, of stations with images in the report.
         thorough: see `vision.detect`.
     """
 
     stations: tuple[Station, ...]
+    images: Mapping[Side, PictureIndex]
     shown: frozenset[int]
     thorough: bool
 
@@ -90,12 +92,6 @@ class Scene:
     board: Board
 
 
-def stamps(shots: Iterable[Shot]) -> dict[Side, list[int]]:
-    """Stamps of the left and the right images."""
-    listed = list(shots)
-    return {"left": [shot.left_ns for shot in listed], "right": [shot.right_ns for shot in listed]}
-
-
 def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
     """Check that an image has the size stated in its camera_info.
 
@@ -112,24 +108,25 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
         )
 
 
-def first_pictures(
-    recording: Recording, sources: Sources, stations: Sequence[Station]
-) -> Iterator[GrayImage]:
+def first_pictures(recording: Recording, sources: Sources, plans: Sequence[Plan]) -> Iterator[GrayImage]:
     """Some images of both cameras, spread over the recording, to estimate the board's size."""
-    stride = max(1, -(-len(stations) // SIZE_PICTURES))
-    wanted = stamps(station.shots[0] for station in stations[::stride])
-    for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
-        if not isinstance(picture, Rejection):
-            yield picture
+    stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
+    for plan in plans:
+        firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
+        wanted = images_of(firsts, plan.images)
+        for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
+            if not isinstance(picture, Rejection):
+                yield picture
 
 
-def board_size(recording: Recording, sources: Sources, stations: Sequence[Station]) -> tuple[int, int] | None:
+def board_size(recording: Recording, sources: Sources, plans: Sequence[Plan]) -> tuple[int, int] | None:
     """Inner corners (columns, rows) of the board in some images, None if none shows it."""
-    return identify_size(first_pictures(recording, sources, stations), SIZE_VOTES).size
+    return identify_size(first_pictures(recording, sources, plans), SIZE_VOTES).size
 
 
-def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
-    """Split the stations of a recording into segments, and choose the images kept for the report."""
+def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
+    """Split the stations of a log into segments, and choose the images kept for the report."""
+    stations = plan.stations
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, pairs = [0], 0
     for i, station in enumerate(stations):
@@ -140,7 +137,8 @@ def segments_of(stations: Sequence[Station], thorough: bool) -> list[Segment]:
     cuts.append(len(stations))
     return [
         Segment(
-            tuple(stations[begin:end]),
+            stations[begin:end],
+            images_of(stations[begin:end], plan.images),
             frozenset(i - begin for i in range(begin, end) if i % stride == 0),
             thorough,
         )
@@ -154,16 +152,15 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
     Yields:
         1 for every image processed; at the end, a list with one `Looks` per station.
     """
-    cv2.setNumThreads(1)  # one image is too small for several threads; long recordings use several processes
     stations = segment.stations
-    wanted = stamps(shot for station in stations for shot in station.shots)
     where: Mapping[Side, dict[int, int]] = {
         "left": {shot.left_ns: i for i, station in enumerate(stations) for shot in station.shots},
         "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
     }
     looks = [Looks() for _ in stations]
     followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
-    for side, stamp, picture in read_images(recording, scene.sources.image, wanted, scene.sources.layout):
+    sources = scene.sources
+    for side, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
         station = where[side][stamp]
         place = looks[station]
         if isinstance(picture, Rejection):

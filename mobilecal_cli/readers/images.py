@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, IntArray, Layout, Rejection, Side, Sources
+from mobilecal_cli.model import GrayImage, Layout, PictureIndex, Rejection, Side, Sources
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.storage import EVERYTHING, Extent
@@ -62,7 +62,7 @@ _ENCODINGS: dict[str, _Encoding] = {
 def read_images(
     recording: Recording,
     image_topics: Mapping[Side, str],
-    wanted: Mapping[Side, Collection[int]],
+    wanted: Mapping[Side, PictureIndex],
     layout: Layout = "separate",
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
     """Selected images, one at a time, in the order of the recording.
@@ -70,45 +70,53 @@ def read_images(
     Args:
         recording: the open recording.
         image_topics: image topic of each side.
-        `wanted`: stamps of each side, ns, as returned by `read_signals`. Of several images with one stamp, the first is
-            returned.
+        `wanted`: rows of the index of each side's images.
         layout: arrangement of the two images of a pair.
 
     Yields:
-        Side, stamp, and the image as (height, width) uint8; or the reason why it cannot be decoded.
+        Side, time, and the image as (height, width) uint8; or the reason why it cannot be decoded.
 
     Raises:
         RecordingError: see `Recording.messages`.
     """
-    missing = {side: set(stamps) for side, stamps in wanted.items() if stamps}
-    sides: dict[str, list[Side]] = {}
-    for side in missing:
-        sides.setdefault(image_topics[side], []).append(side)
-    where = _log_times(recording, image_topics, missing)
-    if where is not None:
-        yield from _read(recording, sides, missing, layout, Extent(at_ns=where))
-    if any(missing.values()):  # log times unknown, or a wrong index
-        yield from _read(recording, sides, missing, layout, EVERYTHING)
+    missing: dict[str, dict[tuple[int, int], list[tuple[Side, int]]]] = {}
+    for side, index in wanted.items():
+        places = missing.setdefault(image_topics[side], {})
+        for time_ns, *place in zip(
+            *(a.tolist() for a in (index.time_ns, index.log_ns, index.stamp_ns)), strict=True
+        ):
+            places.setdefault(tuple(place), []).append((side, time_ns))
+    if not any(index.sequential for index in wanted.values()):
+        logged = np.unique(np.concatenate([index.log_ns for index in wanted.values()]))
+        yield from _read(recording, missing, layout, Extent(at_ns=logged))
+    if any(missing.values()):  # video, or a wrong index
+        yield from _read(recording, missing, layout, EVERYTHING)
 
 
 def _read(
     recording: Recording,
-    sides: Mapping[str, Sequence[Side]],
-    missing: Mapping[Side, set[int]],
+    missing: dict[str, dict[tuple[int, int], list[tuple[Side, int]]]],
     layout: Layout,
     extent: Extent,
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
-    """One pass for the missing images; removes those that are found."""
+    """One pass for the missing images; removes those that are found.
+
+    Args:
+        recording: the open recording.
+        missing: topic → log time and stamp of an image → its sides, and the times to return.
+        layout: see `read_images`.
+        extent: how much of the recording is read.
+    """
     videos: dict[str, Video] = {}
-    for message in recording.messages(sides, extent):
+    for message in recording.messages([topic for topic, places in missing.items() if places], extent):
         try:
             decoded = message.decode()
         except RecordingError:
             continue  # without a stamp, it cannot have been selected
         stamp_ns = stamp_of(decoded, message.log_time_ns)
-        asked = [side for side in sides[message.topic] if stamp_ns in missing[side]]
+        wanted = missing[message.topic].pop((message.log_time_ns, stamp_ns), [])
         video = _video(videos, message.topic, decoded)
-        if not asked and video is None:
+        if not wanted and video is None:
             continue
         picture: GrayImage | Rejection
         try:
@@ -116,24 +124,10 @@ def _read(
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
-        for side in asked:
-            missing[side].remove(stamp_ns)
-            yield side, stamp_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
+        for side, time_ns in wanted:
+            yield side, time_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
         if not any(missing.values()):
             return
-
-
-def _log_times(
-    recording: Recording, image_topics: Mapping[Side, str], wanted: Mapping[Side, Collection[int]]
-) -> IntArray | None:
-    """(n,) log times of the selected images; None unless all are known (video needs all frames)."""
-    found = [
-        recording.logged.get(image_topics[side], {}).get(stamp)
-        for side, stamps in wanted.items()
-        for stamp in stamps
-    ]
-    known = [time_ns for time_ns in found if time_ns is not None]
-    return np.unique(np.array(known, dtype=np.int64)) if len(known) == len(found) else None
 
 
 def pictures_near(

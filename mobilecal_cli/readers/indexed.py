@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import IMAGES, IntArray, Side
+from mobilecal_cli.model import IMAGES, IntArray, PictureIndex, Side
 from mobilecal_cli.readers.channels import NOT_ITS_TYPE
 from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.stamps import Clock, stamp_of
+from mobilecal_cli.readers.stamps import Clock, header_stamp_ns, stamp_of
 from mobilecal_cli.readers.storage import Extent
 from mobilecal_cli.readers.video import codec_of
 
@@ -35,9 +35,11 @@ class Pictures:
     spread_ns: int
     clocks: tuple[Clock, ...]
 
-    def stamps(self, topic: str) -> IntArray:
-        """(n,) approximate stamps of a topic's images: log times minus the lag."""
-        return self.logged_ns[topic] - self.lag_ns[topic]
+    def index(self, topic: str) -> PictureIndex:
+        """A topic's images, with approximate stamps: log times minus the lag."""
+        logged_ns = self.logged_ns[topic]
+        stamp_ns = logged_ns - self.lag_ns[topic]
+        return PictureIndex(stamp_ns, stamp_ns, logged_ns)
 
 
 def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pictures | None:
@@ -69,7 +71,7 @@ def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pic
                 decoded = message.decode()
                 if codec_of(decoded) is not None:
                     return None
-                stamp_ns = clock.time_ns(decoded, message.log_time_ns)
+                stamp_ns = clock.count(header_stamp_ns(decoded), message.log_time_ns)
                 lags.setdefault(topic, []).append(message.log_time_ns - stamp_ns)
         except (RecordingError, *NOT_ITS_TYPE):
             return None
@@ -87,7 +89,7 @@ def read_stamps(
     """Stamps of selected images; only the blocks that contain them are read.
 
     Args:
-        recording: the open recording; it stores the positions found.
+        recording: the open recording.
         logged_ns: topic → (n,) log times of the selected images. Of several with one log time, the first is used.
 
     Returns:
@@ -109,7 +111,6 @@ def read_stamps(
             broken[topic] += 1
             continue
         found[topic][log_ns] = stamp_ns
-        recording.logged.setdefault(topic, {}).setdefault(stamp_ns, log_ns)
         if not any(wanted.values()):
             break
     if any(wanted.values()):

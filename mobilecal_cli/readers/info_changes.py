@@ -1,14 +1,15 @@
-"""Camera calibrations that change in the middle of a recording."""
+"""Camera calibrations that change in a recording: what most messages say is used."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CAMERA_INFO, CAMERA_INFO_CHANGES, CameraInfo
+from mobilecal_cli.model import CAMERA_INFO, CAMERA_INFO_CHANGES, CameraInfo, IntArray
 from mobilecal_cli.readers.camera_info import camera_info
 from mobilecal_cli.readers.channels import NOT_ITS_TYPE, Channel, Payload
 from mobilecal_cli.readers.recording import Recording
@@ -19,10 +20,34 @@ _SAMPLED_BYTES = 2**26
 #: In both encodings of ROS, the time stamp and the counter are within the first bytes.
 _STAMP_BYTES = 12
 _SAME_RELATIVE, _SAME = 1e-6, 1e-9
+#: Calibrations kept of one topic; a topic with more is that of several cameras.
+_MOST_KEPT = 16
+
+
+@dataclass(slots=True)
+class _Stated:
+    """What the camera infos of one topic state.
+
+    Attributes:
+        infos: the different calibrations, in order of appearance.
+        counts: number of messages with each.
+        runs: log time of each change, and the calibration from there on.
+        last: bytes of the last message after its stamp.
+    """
+
+    infos: list[CameraInfo] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    runs: list[tuple[int, int]] = field(default_factory=list)
+    last: bytes = b""
+
+    @property
+    def usual(self) -> int:
+        """The calibration in most messages."""
+        return int(np.argmax(self.counts))
 
 
 class InfoChanges:
-    """Compares every camera info of some topics with the first one of its topic.
+    """Compares the camera infos of some topics with one another.
 
     Args:
         recording: the open recording.
@@ -33,13 +58,7 @@ class InfoChanges:
         present = {info.name for info in recording.topics if info.type == CAMERA_INFO}
         self.topics = frozenset(topics) & present
         self._recording = recording
-        self._start_ns = recording.start_ns
-        self._first: dict[str, CameraInfo] = {}
-        self._last: dict[str, bytes] = {}
-        self._different: dict[str, bool] = {}
-        self._messages = dict.fromkeys(sorted(self.topics), 0)
-        self._changed: dict[str, int] = {}
-        self._told: dict[str, str] = {}
+        self._stated = {topic: _Stated() for topic in sorted(self.topics)}
 
     def cheap_with(self, topics: Iterable[str]) -> bool:
         """Whether reading them together with other topics reads little more of the file."""
@@ -60,32 +79,61 @@ class InfoChanges:
             self._recording.note(error.message)
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
-        """Compare one message. Only one that differs from the one before is decoded."""
-        topic, own = channel.topic, bytes(payload[_STAMP_BYTES:])
-        self._messages[topic] += 1
-        if self._last.get(topic) != own:
-            try:
-                found = camera_info(channel.decode(payload), topic)
-            except (RecordingError, *NOT_ITS_TYPE):
+        """Take one message. Only one that differs from the one before is decoded."""
+        stated, own = self._stated[channel.topic], bytes(payload[_STAMP_BYTES:])
+        if stated.last == own and stated.runs:
+            stated.counts[stated.runs[-1][1]] += 1
+            return
+        try:
+            found = camera_info(channel.decode(payload), channel.topic)
+        except (RecordingError, *NOT_ITS_TYPE):
+            return
+        known = (k for k, info in enumerate(stated.infos) if not _difference(info, found))
+        which = next(known, len(stated.infos))
+        if which == len(stated.infos):
+            if which == _MOST_KEPT:
                 return
-            self._last[topic] = own
-            first = self._first.setdefault(topic, found)
-            difference = _difference(first, found)
-            self._different[topic] = bool(difference)
-            if difference and topic not in self._told:
-                since_s = (log_ns - (self._start_ns or log_ns)) * 1e-9
-                self._told[topic] = f"{since_s:.1f} s after the start: {difference}"
-        if self._different.get(topic):
-            self._changed[topic] = self._changed.get(topic, 0) + 1
+            stated.infos.append(found)
+            stated.counts.append(0)
+        stated.last = own
+        stated.counts[which] += 1
+        if not stated.runs or stated.runs[-1][1] != which:
+            stated.runs.append((log_ns, which))
+
+    @property
+    def corrected(self) -> dict[str, CameraInfo]:
+        """Topic → the calibration in most messages, where it is not that of the first."""
+        return {
+            topic: stated.infos[stated.usual]
+            for topic, stated in self._stated.items()
+            if stated.infos and stated.usual
+        }
+
+    def usual_at(self, topic: str, log_ns: IntArray) -> IntArray:
+        """(n,) indices of those of some log times at which the topic states its usual calibration."""
+        stated = self._stated.get(topic)
+        if stated is None or len(stated.runs) < 2:
+            return np.arange(len(log_ns))
+        starts, which = np.array(stated.runs, dtype=np.int64).T
+        run = np.maximum(np.searchsorted(starts, log_ns, side="right") - 1, 0)
+        return np.flatnonzero(which[run] == stated.usual)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for each topic whose calibration changes."""
-        return tuple(
-            f"{topic}: {CAMERA_INFO_CHANGES} {told}; {self._changed[topic]} of {self._messages[topic]} messages differ "
-            "from the first, which is used for all images"
-            for topic, told in sorted(self._told.items())
-        )
+        notes = []
+        for topic, stated in self._stated.items():
+            if len(stated.runs) < 2:
+                continue
+            at_ns = stated.runs[1][0]
+            since_s = (at_ns - (self._recording.start_ns or at_ns)) * 1e-9
+            others = sum(stated.counts) - stated.counts[stated.usual]
+            notes.append(
+                f"{topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: "
+                f"{_difference(stated.infos[0], stated.infos[1])}; {others} of {sum(stated.counts)} messages differ "
+                "from the others, which are used; images recorded while it differs are left out"
+            )
+        return tuple(notes)
 
 
 def _difference(first: CameraInfo, other: CameraInfo) -> str:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, Side, Track, WheelGeometry
-from mobilecal_cli.readers.series import Series
+from mobilecal_cli.readers.series import Samples, Series
 
 _SMALL = 1e-6
 #: No wheeled robot moves or turns this far from one message to the next: the driver was reset.
@@ -22,51 +21,36 @@ class Odometry:
     Args:
         topic: the topic.
         baked_in: the wheels that the driver computed its poses with.
+
+    Attributes:
+        series: x, y and heading of each pose.
     """
 
     def __init__(self, topic: str, baked_in: WheelGeometry) -> None:
         self.baked_in = baked_in
-        self._topic = topic
-        self._x, self._y, self._heading = (Series(f"{what} on {topic}") for what in ("x", "y", "heading"))
+        self.series = Series(topic, f"pose on {topic}", width=3)
 
-    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
         """Read one message."""
         position, turned = message.pose.pose.position, message.pose.pose.orientation
-        heading = 2 * math.atan2(turned.z, turned.w)
-        if all(math.isfinite(value) for value in (position.x, position.y, heading)):
-            self._x.add(time_ns, position.x)
-            self._y.add(time_ns, position.y)
-        self._heading.add(time_ns, heading if math.isfinite(position.x + position.y) else math.nan)
+        self.series.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
-    def track(self, side: Side, notes: list[str]) -> Track:
-        """Rotation of a wheel, rad, starting at zero.
-
-        Raises:
-            RecordingError: no finite pose.
-        """
-        tracks, found = self._taken_apart
-        notes += found
-        return tracks[side]
-
-    @cached_property
-    def _taken_apart(self) -> tuple[dict[Side, Track], list[str]]:
-        notes: list[str] = []
-        time_ns, heading = self._heading.ordered(notes)
-        quiet: list[str] = []  # notes on the same stamps
-        xy = np.stack([self._x.ordered(quiet)[1], self._y.ordered(quiet)[1]], axis=1)
-        right, left, jumps = rotations(xy, heading, self.baked_in)
+    def track(self, side: Side, samples: Samples, notes: list[str]) -> Track:
+        """Rotation of a wheel, rad, starting at zero."""
+        time_ns, pose = samples.ordered(notes)
+        right, left, jumps = rotations(pose[:, :2], pose[:, 2], self.baked_in)
         wheels = self.baked_in
         notes.append(
-            f"{self._topic}: wheel rotations are derived from odometry, assuming wheel radii of "
+            f"{samples.topic}: wheel rotations are derived from odometry, assuming wheel radii of "
             f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right) "
             f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result has "
             "the same relative error"
         )
         if jumps:
             notes.append(
-                f"{self._topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
+                f"{samples.topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
             )
-        return {"right": Track(time_ns, right), "left": Track(time_ns, left)}, notes
+        return Track(time_ns, right if side == "right" else left)
 
 
 def rotations(

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.model import IntArray, TopicInfo
+from mobilecal_cli.model import IntArray, TopicInfo, listed
 from mobilecal_cli.readers.channels import Channel, Payload
 from mobilecal_cli.readers.storage import EVERYTHING, Extent, RawMessage, Storage
 
@@ -95,8 +95,6 @@ class Recording:
         self._notes = dict.fromkeys(notes)
         self._resources = resources
         self.topics = self._list_topics()
-        #: Topic → stamp of an image → its log time, as far as earlier passes have found them.
-        self.logged: dict[str, dict[int, int]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -160,7 +158,7 @@ class Recording:
         for info in self.topics:
             if info.name == name:
                 return info
-        present = ", ".join(f"{info.name} ({info.type})" for info in self.topics) or "none"
+        present = listed(f"{info.name} ({info.type})" for info in self.topics)
         raise RecordingError(
             f"{self.name}: no topic {name}; topics present: {present}", "set one of them in rig.yaml"
         )

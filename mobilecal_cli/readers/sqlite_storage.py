@@ -7,7 +7,7 @@ import sqlite3
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -37,7 +37,7 @@ class SqliteStorage(Storage):
     """One .db3 file.
 
     The file is opened immutable, so nothing is written next to it. If a killed recorder left a write-ahead log, it
-    contains messages: both files are then copied to a temporary directory and read there.
+    contains messages: both files are then copied to a temporary directory and joined there.
     """
 
     container = "rosbag2 SQLite"
@@ -58,15 +58,16 @@ class SqliteStorage(Storage):
         self._count(self._connection)
 
     def _connect(self, path: Path) -> sqlite3.Connection:
-        log = path.with_name(f"{path.name}-wal")
-        options = "immutable=1"
+        log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
         if log.is_file() and log.stat().st_size > 0:
-            folder = self._copies.enter_context(scratch_directory())
+            self.opened = self._copies.enter_context(scratch_directory()) / path.name
             with full_disk_told():
-                shutil.copyfile(path, folder / path.name)
-                shutil.copyfile(log, folder / log.name)
-            path, options = folder / path.name, "mode=rw"
-        connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{options}", uri=True)
+                shutil.copyfile(path, self.opened)
+                log = Path(shutil.copyfile(log, self.opened.with_name(log.name)))
+            with closing(sqlite3.connect(self.opened)) as copy, suppress(sqlite3.Error):
+                copy.execute("PRAGMA journal_mode=DELETE")  # moves what the log contains into the file
+            options = "mode=rw" if log.exists() else options
+        connection = sqlite3.connect(f"file:{quote(str(self.opened.absolute()))}?{options}", uri=True)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
         connection.execute("PRAGMA trusted_schema=OFF")
         connection.text_factory = lambda raw: raw.decode(errors="replace")

@@ -16,19 +16,17 @@ CLOCKS_DIFFER_S = 1.0
 _LAGS = 101
 
 
-def _header_stamp(message: Any) -> Any:  # noqa: ANN401
-    """Header stamp of a message; of a TFMessage, that of its first transform."""
+def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is the recording's
+    """Header stamp of a message, ns; of a TFMessage, that of its first transform. None without a header."""
     if getattr(message, "transforms", None):
         message = message.transforms[0]
-    return getattr(getattr(message, "header", None), "stamp", None)
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def stamp_of(message: Any, log_time_ns: int) -> int:  # noqa: ANN401 - the type is the recording's
+def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
     """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
-    stamp = _header_stamp(message)
-    if stamp is None:
-        return log_time_ns
-    return (int(stamp.sec) * 10**9 + int(stamp.nanosec)) or log_time_ns
+    return header_stamp_ns(message) or log_ns
 
 
 @dataclass(slots=True)
@@ -48,31 +46,16 @@ class Clock:
     has_header: bool = True
     lag_s: list[float] = field(default_factory=list)
 
-    def time_ns(self, message: Any, log_time_ns: int) -> int:  # noqa: ANN401
-        """Call `stamp_of` and count the message."""
-        time_ns = stamp_of(message, log_time_ns)  # raises for an invalid stamp, which is not counted
+    def count(self, stamp_ns: int | None, log_ns: int) -> int:
+        """Count a message with a header stamp (None: without a header); returns its stamp, or the log time."""
         self.messages += 1
-        stamp = _header_stamp(message)
-        self.has_header = stamp is not None
-        if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
+        self.has_header = stamp_ns is not None
+        if not stamp_ns:
             self.unstamped += 1
-        elif len(self.lag_s) < _LAGS:
-            self.lag_s.append((log_time_ns - time_ns) * 1e-9)
-        return time_ns
-
-    def count(self, time_ns: IntArray, unstamped: BoolArray, log_time_ns: IntArray) -> None:
-        """Count (n,) messages that have a header.
-
-        Args:
-            time_ns: their times, as returned by `stamp_of`.
-            unstamped: which stamps are zero.
-            log_time_ns: their log times.
-        """
-        self.messages += len(time_ns)
-        self.unstamped += int(unstamped.sum())
-        self.has_header = True
-        for place in np.flatnonzero(~unstamped)[: _LAGS - len(self.lag_s)]:
-            self.lag_s.append((int(log_time_ns[place]) - int(time_ns[place])) * 1e-9)
+            return log_ns
+        if len(self.lag_s) < _LAGS:
+            self.lag_s.append((log_ns - stamp_ns) * 1e-9)
+        return stamp_ns
 
     def notes(self) -> list[str]:
         """Sentences on missing and zero stamps."""

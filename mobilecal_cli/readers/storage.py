@@ -53,7 +53,8 @@ class Storage(ABC):
 
     Attributes:
         container: format of the file, for messages.
-        path: the file, as given by the user.
+        path: the file, as given by the user or unpacked.
+        opened: the file that is read: `path`, or a complete copy of it.
         channels: channel id → channel.
         counts: channel id → number of messages, stated in the file or counted; None if unknown.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
@@ -62,13 +63,14 @@ class Storage(ABC):
 
     container: ClassVar[str]
     path: Path
+    opened: Path
     channels: dict[int, Channel]
     counts: dict[int, int] | None
     start_ns: int | None
     end_ns: int | None
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path = self.opened = path
         self.channels = {}
         self.counts = None
         self.start_ns = None

@@ -10,9 +10,9 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import FloatArray, JointTransform, Track
+from mobilecal_cli.model import FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.series import Series
+from mobilecal_cli.readers.series import Samples, Series
 from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.storage import Extent
 
@@ -28,17 +28,20 @@ class Transforms:
     Args:
         topic: the topic.
         joints: name → its transform.
+
+    Attributes:
+        series: name → readings.
     """
 
     def __init__(self, topic: str, joints: Mapping[str, JointTransform]) -> None:
         self._topic = topic
         self._joints = dict(joints)
         self._wanted = {(source.parent, source.child): name for name, source in joints.items()}
-        self._series = {name: Series(f"joint {name} on {topic}") for name in joints}
+        self.series = {name: Series(topic, f"joint {name} on {topic}") for name in joints}
         self._worst = dict.fromkeys(joints, (0.0, 0.0))
         self._present: dict[str, None] = {}
 
-    def take(self, message: Any, time_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
         """Read one TFMessage."""
         for item in message.transforms:
             ends = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
@@ -48,21 +51,21 @@ class Transforms:
                     self._present[" to ".join(ends)] = None
                 continue
             value, off_rad, off_m = reading(self._joints[name], item.transform)
-            self._series[name].add(stamp_of(item, time_ns), value)
+            self.series[name].add(stamp_of(item, time_ns), log_ns, value)
             worst = self._worst[name]
             self._worst[name] = (max(worst[0], off_rad), max(worst[1], off_m))
 
-    def track(self, name: str, notes: list[str]) -> Track:
-        """Track of a joint.
+    def check(self, name: str, notes: list[str]) -> None:
+        """Check the readings of a joint, and note where they come from.
 
         Raises:
             RecordingError: its transform is missing, or does not move as the URDF states.
         """
-        source, series = self._joints[name], self._series[name]
+        source, series = self._joints[name], self.series[name]
         if not len(series) and not series.not_finite:
             raise RecordingError(
                 f"{self._topic}: no transform from {source.parent} to {source.child}, needed for joint {name}; "
-                f"present: {', '.join(self._present) or 'none'}",
+                f"present: {listed(self._present)}",
                 "record /joint_states, or use the URDF that the transforms were computed with",
             )
         off_rad, off_m = self._worst[name]
@@ -73,9 +76,14 @@ class Transforms:
                 f"(limit {math.degrees(_OFF_RAD):.1f} degrees, {_OFF_M * 1e3:.0f} mm)",
                 "use the URDF that the transforms were computed with",
             )
-        time_ns, value = series.ordered(notes)
         notes.append(f"{series.label}: read from the transform from {source.parent} to {source.child}")
-        return Track(time_ns, value if source.kind == "prismatic" else np.unwrap(value))
+
+    def track(self, name: str, samples: Samples, notes: list[str]) -> Track:
+        """Track of a joint."""
+        time_ns, value = samples.ordered(notes)
+        return Track(
+            time_ns, value[:, 0] if self._joints[name].kind == "prismatic" else np.unwrap(value[:, 0])
+        )
 
 
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report import plots, residual_plots
-from mobilecal_cli.report.numbers import recording_name
 
 _MOST_PATHS = 4  # recordings with a top view
 
@@ -68,9 +67,7 @@ def draw_solved(solution: Solution, extraction: Extraction) -> Drawn:
 def put_together(drawn: Drawn, extraction: Extraction) -> Figures:
     """The drawn figures in the structure that the report needs."""
     named = {name: drawn[name] for name in (*_OF_SOLUTION, *_OF_EXTRACTION)}
-    paths = [
-        (recording_name(extraction, i), drawn[f"above {i}"], drawn[f"time {i}"]) for i in _logs(extraction)
-    ]
+    paths = [(extraction.log_names[i], drawn[f"above {i}"], drawn[f"time {i}"]) for i in _logs(extraction)]
     return Figures(named, tuple(paths))
 
 

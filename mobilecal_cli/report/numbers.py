@@ -237,12 +237,6 @@ def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
 
 
-def recording_name(extraction: Extraction, log: int) -> str:
-    """Path of a recording; its number where the files do not tell, as for recordings of several files."""
-    paths = [source.path for source in extraction.logs]
-    return paths[log] if len(paths) == len(extraction.wheels) else f"recording {log + 1}"
-
-
 def station_names(extraction: Extraction) -> list[str]:
     """Name of each observation's station: its index, as "log:station" if there are several recordings."""
     several = len({o.log for o in extraction.observations}) > 1

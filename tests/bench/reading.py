@@ -54,9 +54,8 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.extracting import sliding_joints
     from mobilecal_cli.pipeline.looking import Crew, look
-    from mobilecal_cli.pipeline.planning import plan_log
+    from mobilecal_cli.pipeline.planning import plan_recording
     from mobilecal_cli.pipeline.seeing import Scene, measure_at
     from mobilecal_cli.readers import open_recording, read_prelude
     from mobilecal_cli.vision import Detection, Measured, settle_square
@@ -66,9 +65,9 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     with open_recording([path]) as recording, Crew(recording, jobs) as crew:
         crew.call()
         rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
-        plan, _ = plan_log(recording, rig, sliding_joints(rig.chain), True)
+        (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
-        looks, _ = look(crew, scene, plan.stations, False, lambda *_: None)
+        ((looks, _),) = look(crew, scene, [plan], False, lambda *_: None)
     seconds = time.perf_counter() - start
     found = sum(
         isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()

@@ -90,10 +90,9 @@ def _read(path: Path) -> None:
         recording.log_times()
         prelude = read_prelude(recording)
         lacking(load_rig(None, {}), prelude)
-        signals = read_signals(recording, r.SOURCES, r.JOINTS)
-        wanted = {side: set(stamps.tolist()) for side, stamps in signals.image_ns.items()}
-        for _ in read_images(recording, r.SOURCES.image, wanted):
-            pass
+        for signals in read_signals(recording, r.SOURCES, r.JOINTS):
+            for _ in read_images(recording, r.SOURCES.image, signals.images):
+                pass
         sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
         for _ in pictures_near(recording, sources, [recording.start_ns or 0]):
             pass

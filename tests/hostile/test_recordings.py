@@ -19,7 +19,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_prelude, read_signals
+from mobilecal_cli.readers import open_recording, read_prelude
 from mobilecal_cli.readers.channels import Channel
 from mobilecal_cli.readers.images import decode_image
 from tests.readers import recordings as r
@@ -364,7 +364,7 @@ def test_names_that_are_numbers_out_of_range(tmp_path, sound):
     time = struct.pack("<Q", r.START_NS)
     path.write_bytes(sound.replace(time, b"\xff" * 8))
     with bounded(), open_recording([path]) as recording:
-        read_signals(recording, r.SOURCES, r.JOINTS)
+        r.one_log(recording, r.SOURCES, r.JOINTS)
         recording.log_times()
 
 

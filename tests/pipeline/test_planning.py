@@ -17,7 +17,7 @@ from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.pipeline import extract, planning
-from mobilecal_cli.pipeline.planning import plan_log
+from mobilecal_cli.pipeline.planning import plan_recording
 from mobilecal_cli.readers import open_recording, read_images
 from mobilecal_cli.readers.channels import Channel
 from mobilecal_cli.solvers import solve
@@ -33,7 +33,7 @@ SOURCES = Sources(
     joints=("/j",),
     wheels={side: WheelSource("/j", joint=f"wheel_{side}") for side in ("left", "right")},
 )
-RIG = SimpleNamespace(sources=SOURCES, chain=SimpleNamespace(joints=("pan",)))
+RIG = SimpleNamespace(sources=SOURCES, chain=SimpleNamespace(joints=("pan",), prismatic=frozenset()))
 LAG_NS = {"/l": 40 * MS, "/r": 43 * MS}
 
 
@@ -93,6 +93,11 @@ def bag(folder, joints, pictures):
     return [r.write_bag(folder / "log.bag", in_order(joints, pictures))]
 
 
+def one_plan(recording):
+    planned = plan_recording(recording, RIG, frozenset())
+    return planned.plans, planned.notes
+
+
 def planned(paths, joints_first, read=()):
     """The plan, the notes, and how many messages of each topic were decoded."""
     decoded = Counter()
@@ -107,13 +112,14 @@ def planned(paths, joints_first, read=()):
         mock.patch.object(Channel, "decode", counted),
         open_recording(paths) as recording,
     ):
-        plan, notes = plan_log(recording, RIG, frozenset())
+        (plan,), notes = one_plan(recording)
         counts = dict(decoded)
         wanted = {
             "left": {shot.left_ns for station in plan.stations for shot in station.shots},
             "right": {shot.right_ns for station in plan.stations for shot in station.shots},
         }
-        found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, wanted)}
+        assert {side: set(index.stamp_ns.tolist()) for side, index in plan.images.items()} == wanted
+        found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, plan.images)}
         assert recording.damage == ()
     # Each image shows its own time, so that the chosen ones can be checked.
     assert found == {
@@ -160,7 +166,7 @@ def test_one_pass_where_chunks_hold_both(tmp_path):
 def test_one_pass_where_the_pictures_are_few(tmp_path):
     paths = sqlite(tmp_path, *log())
     with mock.patch.object(planning, "find_pictures") as find, open_recording(paths) as recording:
-        plan_log(recording, RIG, frozenset())
+        plan_recording(recording, RIG, frozenset())
     find.assert_not_called()
 
 
@@ -227,7 +233,7 @@ def test_without_stamps_all_is_as_in_one_pass(tmp_path):
     unstamped = [replace(item, make=r.image(np.zeros((48, 64), np.uint8), "mono8", 0)) for item in pictures]
     paths = sqlite(tmp_path, joints, unstamped)
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording(paths) as recording:
-        plan, notes = plan_log(recording, RIG, frozenset())
+        (plan,), notes = one_plan(recording)
     assert len(plan.stations) == 8
     assert "/l: all 237 header stamps are zero; the log time is used" in notes
 
@@ -262,7 +268,7 @@ def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
     connection.commit()
     connection.close()
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording([file]) as recording:
-        plan, notes = plan_log(recording, RIG, frozenset())
+        (plan,), notes = one_plan(recording)
     assert len(plan.stations[0].shots) == 9
     assert "/l: 1 of the 80 selected images do not match their type; ignored" in notes
 
@@ -280,7 +286,7 @@ def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
             open_recording(paths) as recording,
             pytest.raises(RecordingError) as caught,
         ):
-            plan_log(recording, RIG, frozenset())
+            plan_recording(recording, RIG, frozenset())
         messages.append((caught.value.message, caught.value.hint))
     assert messages[0] == messages[1]
     assert "no stereo pairs" in messages[0][0]

@@ -11,11 +11,12 @@ import pytest
 
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Shot, Station
+from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
 from mobilecal_cli.pipeline import looking, processes, seeing
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.stations import Plan
 
 EXTRACTING = sys.modules["mobilecal_cli.pipeline.extracting"]  # the package's `extract` is the function in it
 
@@ -25,20 +26,27 @@ def station(index: int, shots: int) -> Station:
     return Station(index, True, tuple(Shot(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
 
 
+def plan(stations: list[Station]) -> Plan:
+    """A plan with these stations, in images that nobody reads."""
+    times = np.array([shot.left_ns for station in stations for shot in station.shots])
+    index, track = PictureIndex(times, times, times), Track(np.arange(2), np.zeros(2))
+    return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, (), ())
+
+
 def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
-    segments = seeing.segments_of(stations, True)
+    segments = seeing.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
     assert max(pairs) <= seeing.SEGMENT_PAIRS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
-    many = seeing.segments_of([station(i, 1) for i in range(1000)], True)
+    many = seeing.segments_of(plan([station(i, 1) for i in range(1000)]), True)
     assert sum(len(segment.shown) for segment in many) <= seeing.SNAPSHOTS
 
 
 def test_a_station_of_more_shots_than_a_segment_stands_alone():
-    segments = seeing.segments_of([station(0, 1), station(1, 600), station(2, 1)], True)
+    segments = seeing.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,12 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli import readers
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import PictureIndex, Sources, WheelSource
+from mobilecal_cli.readers import read_signals
+from mobilecal_cli.readers.stamps import stamp_of
+from mobilecal_cli.readers.video import codec_of
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 20_000_000
@@ -47,6 +53,29 @@ class Item:
     type: str
     log_ns: int
     make: Callable[[Typestore], Any]
+
+
+def one_log(recording, sources, joints, *options, **more):
+    """Signals of a recording without clock steps."""
+    (signals,) = read_signals(recording, sources, joints, *options, **more)
+    return signals
+
+
+def read_images(recording, image_topics, stamps, layout="separate"):
+    """`readers.read_images`, by the stamps of each side's images."""
+    found: dict[str, dict[int, tuple[int, bool]]] = {image_topics[side]: {} for side in stamps}
+    for message in recording.messages(found):
+        with suppress(RecordingError):
+            decoded = message.decode()
+            place = message.log_time_ns, codec_of(decoded) is not None
+            found[message.topic].setdefault(stamp_of(decoded, message.log_time_ns), place)
+    wanted = {}
+    for side, some in stamps.items():
+        places = found[image_topics[side]]
+        stamp_ns = np.array(sorted(stamp for stamp in some if stamp in places), dtype=np.int64)
+        log_ns = np.array([places[stamp][0] for stamp in stamp_ns.tolist()], dtype=np.int64)
+        wanted[side] = PictureIndex(stamp_ns, stamp_ns, log_ns, any(video for _, video in places.values()))
+    return readers.read_images(recording, image_topics, wanted, layout)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str = "") -> Any:

@@ -12,9 +12,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import (
     join_parts,
     open_recording,
-    read_images,
     read_prelude,
-    read_signals,
     sha256_of,
 )
 
@@ -29,7 +27,7 @@ def path(request, tmp_path) -> Path:
 
 
 def check_contents(recording) -> None:
-    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
     k = np.arange(60)
     for name, slope in (("pan", 0.01), ("tilt", -0.02)):
         np.testing.assert_array_equal(signals.joints[name].time_ns, r.START_NS + k * r.STEP_NS)
@@ -38,17 +36,17 @@ def check_contents(recording) -> None:
     np.testing.assert_allclose(signals.wheels["right"].value, 16 * k * 2 * np.pi / 1000, rtol=1e-14, atol=0)
     np.testing.assert_array_equal(signals.wheels["right"].time_ns, r.START_NS + k * r.STEP_NS + 3_000_001)
     for side in ("left", "right"):
-        np.testing.assert_array_equal(signals.image_ns[side], r.START_NS + k[::10] * r.STEP_NS)
+        np.testing.assert_array_equal(signals.images[side].time_ns, r.START_NS + k[::10] * r.STEP_NS)
     assert signals.notes == ("/ticks: messages have no header stamp; the log time is used",)
     assert recording.damage == ()
 
     wanted = {
-        "left": {int(signals.image_ns["left"][2])},
-        "right": {int(signals.image_ns["right"][k]) for k in (0, 5)},
+        "left": {int(signals.images["left"].time_ns[2])},
+        "right": {int(signals.images["right"].time_ns[k]) for k in (0, 5)},
     }
     got = {
         (side, (ns - r.START_NS) // r.STEP_NS): gray
-        for side, ns, gray in read_images(recording, r.SOURCES.image, wanted)
+        for side, ns, gray in r.read_images(recording, r.SOURCES.image, wanted)
     }
     assert set(got) == {("left", 20), ("right", 0), ("right", 50)}
     np.testing.assert_array_equal(got["left", 20], r.picture(20))

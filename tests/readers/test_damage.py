@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
+from mobilecal_cli.readers import open_recording, read_prelude
 
 from . import recordings as r
 
@@ -44,9 +44,9 @@ def read_all(path: Path) -> int:
     with open_recording([path]) as recording:
         count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
         read_prelude(recording)
-        signals = read_signals(recording, r.SOURCES, r.JOINTS)
-        wanted = {side: stamps.tolist() for side, stamps in signals.image_ns.items()}
-        assert sum(1 for _ in read_images(recording, r.SOURCES.image, wanted)) == sum(
+        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+        wanted = {side: index.stamp_ns.tolist() for side, index in signals.images.items()}
+        assert sum(1 for _ in r.read_images(recording, r.SOURCES.image, wanted)) == sum(
             map(len, wanted.values())
         )
     return count

@@ -8,8 +8,10 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mobilecal_cli.model import Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers import open_recording
 from tests.readers.recordings import START_NS, STEP_NS, header
+
+from . import recordings as r
 
 #: Type, its definition as the driver's package has it (shortened to what a driver needs), and the wheels' fields.
 DRIVERS = {
@@ -79,7 +81,7 @@ def test_wheels_by_field_path(driver, tmp_path):
         for side, path in zip(("left", "right"), paths, strict=True)
     }
     with open_recording([tmp_path / "log.mcap"]) as recording:
-        signals = read_signals(recording, Sources({}, {}, (), wheels), (), ())
+        signals = r.one_log(recording, Sources({}, {}, (), wheels), ())
     np.testing.assert_array_equal(signals.wheels["left"].time_ns, START_NS + np.arange(60) * STEP_NS)
     for side, sign in (("left", 1), ("right", -1)):
         found = signals.wheels[side].value

@@ -17,8 +17,10 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery import settle_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
+from mobilecal_cli.readers import open_recording, read_prelude
 from tests.readers.recordings import START_NS
+
+from . import recordings as r
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "paper_robot.mcap"
 STEP_NS = 10_000_000
@@ -110,19 +112,19 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
     assert rigs[0].sources == rigs[1].sources
 
     joints = rigs[0].chain.joints
-    signals = [read_signals(recording, rigs[0].sources, joints) for recording in (original, other)]
+    signals = [r.one_log(recording, rigs[0].sources, joints) for recording in (original, other)]
     for name in joints:
         assert np.array_equal(signals[0].joints[name].value, signals[1].joints[name].value)
         assert np.array_equal(signals[0].joints[name].time_ns, signals[1].joints[name].time_ns)
     for side in ("left", "right"):
         assert np.array_equal(signals[0].wheels[side].value, signals[1].wheels[side].value)
-        assert np.array_equal(signals[0].image_ns[side], signals[1].image_ns[side])
+        assert np.array_equal(signals[0].images[side].time_ns, signals[1].images[side].time_ns)
 
-    wanted = {side: signals[0].image_ns[side][:2].tolist() for side in ("left", "right")}
+    wanted = {side: signals[0].images[side].time_ns[:2].tolist() for side in ("left", "right")}
     pictures = [
         {
             (side, time): picture
-            for side, time, picture in read_images(recording, rigs[0].sources.image, wanted)
+            for side, time, picture in r.read_images(recording, rigs[0].sources.image, wanted)
         }
         for recording in (original, other)
     ]
@@ -162,12 +164,12 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     ]
     eyes = written_in_json(tmp_path / "eyes.mcap", pictures)
     with open_recording([path, eyes]) as recording:
-        signals = read_signals(recording, Sources(images, {}, (), wheels, joints), ("pan", "tilt"))
+        signals = r.one_log(recording, Sources(images, {}, (), wheels, joints), ("pan", "tilt"))
         wrong = {"pan": JointField("/head", "pan.angel")}
         with pytest.raises(
             RecordingError, match=r"/head: no field pan\.angel .*fields present: .*pan\.angle"
         ):
-            read_signals(recording, Sources(images, {}, (), wheels, wrong), ("pan",))
+            r.one_log(recording, Sources(images, {}, (), wheels, wrong), ("pan",))
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
     assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])
@@ -199,7 +201,7 @@ def test_dynamic_joint_states(tmp_path):
     with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, eyes])]) as recording:
         assert read_prelude(recording).joint_names == {"/dynamic_joint_states": ("wheel", "pan")}
         sources = Sources(images, {}, ("/dynamic_joint_states",), {"left": wheel, "right": wheel})
-        signals = read_signals(recording, sources, ("pan",))
+        signals = r.one_log(recording, sources, ("pan",))
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
     assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)
 
@@ -214,7 +216,7 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
         writer.write_message("/eye", raw, START_NS)
     with open_recording([tmp_path / "log.mcap"]) as recording:
         assert recording.topic("/eye").type == "sensor_msgs/msg/Image"
-        ((_, time_ns, picture),) = read_images(recording, {"left": "/eye"}, {"left": [START_NS + 7]})
+        ((_, time_ns, picture),) = r.read_images(recording, {"left": "/eye"}, {"left": [START_NS + 7]})
     assert time_ns == START_NS + 7
     assert np.array_equal(picture, pixels)
 

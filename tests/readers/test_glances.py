@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Sources
-from mobilecal_cli.readers import Extent, open_recording, pictures_near, read_images, read_signals
+from mobilecal_cli.readers import Extent, open_recording, pictures_near, read_images
 from mobilecal_cli.readers.storage import BlockStorage
 
 from . import recordings as r
@@ -52,9 +52,9 @@ def test_a_part_is_read_where_blocks_are_large(recording):
     blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
     if blocks and not all(block.is_chunk for block in blocks):
         pytest.skip("one stretch outside chunks holds all of this small file's messages of a topic")
-    whole = read_signals(recording, r.SOURCES, r.JOINTS, ())
-    part = read_signals(recording, r.SOURCES, r.JOINTS, (), Extent(20_000))
-    assert part.image_ns == {}
+    whole = r.one_log(recording, replace(r.SOURCES, image={}), r.JOINTS)
+    part = r.one_log(recording, replace(r.SOURCES, image={}), r.JOINTS, Extent(20_000))
+    assert part.images == {}
     known = dict(zip(whole.joints["pan"].time_ns.tolist(), whole.joints["pan"].value.tolist(), strict=True))
     got = dict(zip(part.joints["pan"].time_ns.tolist(), part.joints["pan"].value.tolist(), strict=True))
     assert got.items() <= known.items()
@@ -86,17 +86,17 @@ def test_times_of_several_parts_are_joined(tmp_path):
 
 def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatch):
     """Once the stamps are known, pictures are found where they were logged."""
-    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
     loaded = []
     for part in recording.parts:
         if isinstance(part, BlockStorage):
             load = part.load
             monkeypatch.setattr(part, "load", lambda block, load=load: (loaded.append(block), load(block))[1])
-    wanted = {side: {int(signals.image_ns[side][k]) for k in (1, 4)} for side in ("left", "right")}
+    wanted = {side: signals.images[side].rows(np.array([1, 4])) for side in ("left", "right")}
     found = {(side, ns): p for side, ns, p in read_images(recording, r.SOURCES.image, wanted)}
-    assert set(found) == {(side, ns) for side, stamps in wanted.items() for ns in stamps}
+    assert set(found) == {(side, ns) for side, index in wanted.items() for ns in index.time_ns.tolist()}
     for k in (1, 4):
-        left, right = (found[side, int(signals.image_ns[side][k])] for side in ("left", "right"))
+        left, right = (found[side, int(signals.images[side].time_ns[k])] for side in ("left", "right"))
         np.testing.assert_array_equal(left, r.picture(10 * k))
         np.testing.assert_array_equal(right, r.picture(10 * k + 1))
     blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
@@ -106,13 +106,13 @@ def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatc
 
 
 def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
-    signals = read_signals(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
     for part in recording.parts:
         if isinstance(part, BlockStorage):
             part.blocks = [replace(block, end_ns=block.start_ns) for block in part.blocks]
-    wanted = {side: signals.image_ns[side].tolist() for side in ("left", "right")}
-    found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, wanted)]
-    assert sorted(found) == sorted((side, ns) for side, stamps in wanted.items() for ns in stamps)
+    found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, signals.images)]
+    expected = {side: index.time_ns.tolist() for side, index in signals.images.items()}
+    assert sorted(found) == sorted((side, ns) for side, stamps in expected.items() for ns in stamps)
 
 
 def test_share_of_a_recording_that_an_extent_leaves(recording):

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Rejection
-from mobilecal_cli.readers import decode_image, open_recording, read_images
+from mobilecal_cli.readers import decode_image, open_recording
 
 from . import recordings as r
 
@@ -123,19 +123,19 @@ def test_damaged_compressed_pictures_are_refused(data):
 def test_undecodable_picture_is_a_rejection_in_its_place(tmp_path):
     items = [
         r.Item("/l", "sensor_msgs/msg/Image", r.START_NS + k, r.image(GRAY, encoding, r.START_NS + k))
-        for k, encoding in enumerate(["mono8", "yuv422", "mono8", "mono8"])
+        for k, encoding in enumerate(["mono8", "yuv999", "mono8", "mono8"])
     ]
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
-        wanted = {"left": [r.START_NS + k for k in range(3)], "right": []}
+        wanted = {"left": [r.START_NS + k for k in range(3)]}
         found = [
             (s, ns - r.START_NS, p)
-            for s, ns, p in read_images(recording, {"left": "/l", "right": "/r"}, wanted)
+            for s, ns, p in r.read_images(recording, {"left": "/l", "right": "/r"}, wanted)
         ]
     assert [(s, k) for s, k, _ in found] == [("left", 0), ("left", 1), ("left", 2)]
     rejection = found[1][2]
     assert isinstance(rejection, Rejection)
     assert (rejection.stage, rejection.reason) == ("readers", "image cannot be decoded")
-    assert "/l: unknown image encoding 'yuv422'" in rejection.detail
+    assert "/l: unknown image encoding 'yuv999'" in rejection.detail
     assert rejection.time_ns == r.START_NS + 1
     np.testing.assert_array_equal(found[2][2], GRAY)
 
@@ -157,6 +157,6 @@ def test_two_cameras_in_one_picture(tmp_path, layout, axis):
     images = {"left": "/both", "right": "/both"}
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
         wanted = {"left": [r.START_NS], "right": [r.START_NS]}
-        found = {side: picture for side, _, picture in read_images(recording, images, wanted, layout)}
+        found = {side: picture for side, _, picture in r.read_images(recording, images, wanted, layout)}
     np.testing.assert_array_equal(found["left"], GRAY)
     np.testing.assert_array_equal(found["right"], other)

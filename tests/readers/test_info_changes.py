@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
-from mobilecal_cli.readers import Extent, open_recording, read_signals
+from mobilecal_cli.readers import Extent, open_recording
 
 from . import recordings as r
 
@@ -37,7 +37,7 @@ def notes_of(tmp_path, items, writer="mcap", extent=None):
     path = WRITERS[writer](tmp_path / "log", items)
     with open_recording([path]) as recording:
         options = {} if extent is None else {"extent": extent}
-        notes = read_signals(recording, r.SOURCES, r.JOINTS, **options).notes
+        notes = r.one_log(recording, r.SOURCES, r.JOINTS, **options).notes
     return [note for note in notes if CAMERA_INFO_CHANGES in note]
 
 
@@ -47,7 +47,7 @@ def test_a_change_is_told_with_its_time_and_size(tmp_path, writer, extent):
     moved = r.K_LEFT + np.array([[0.0, 0, 2.5], [0, 0, 0], [0, 0, 0]])
     assert notes_of(tmp_path, world({"K": moved}), writer, extent) == [
         "/left/camera_info: the camera calibration changes 0.6 s after the start: K by up to 2.5 px; 4 of 10 messages "
-        "differ from the first, which is used for all images"
+        "differ from the others, which are used; images recorded while it differs are left out"
     ]
 
 
@@ -89,3 +89,19 @@ def test_one_wrong_message_is_counted(tmp_path):
 
 def test_an_invalid_message_is_no_change(tmp_path):
     assert notes_of(tmp_path, world({"K": np.zeros((3, 3))})) == []
+
+
+def test_what_most_messages_say_is_used_and_other_images_are_left_out(tmp_path):
+    """The first four camera infos state other focal lengths, and two of the six left images are recorded then."""
+    path = r.write_mcap(tmp_path / "log", world({"K": r.K_LEFT}, K=1.1 * r.K_LEFT, at=4))
+    with open_recording([path]) as recording:
+        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+    (topic,) = signals.infos
+    assert topic == "/left/camera_info"
+    np.testing.assert_allclose(signals.infos[topic].K, r.K_LEFT)
+    first_ns = signals.images["left"].time_ns[0]
+    assert first_ns == r.START_NS + 20 * r.STEP_NS
+    assert len(signals.images["left"].time_ns) == 4
+    assert len(signals.images["right"].time_ns) == 6
+    (note,) = [note for note in signals.notes if CAMERA_INFO_CHANGES in note]
+    assert "4 of 10 messages differ from the others" in note

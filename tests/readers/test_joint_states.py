@@ -1,9 +1,8 @@
-"""Joint states read many at once: the same result as message by message."""
+"""Joint states read like the ones before: the same result as by the message definition."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -15,10 +14,9 @@ from mcap.writer import Writer
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
-from mobilecal_cli.readers import joint_states, layouts, open_recording, read_signals
+from mobilecal_cli.readers import open_recording, read_signals
 from mobilecal_cli.readers.channels import Channel
-from mobilecal_cli.readers.series import Series
-from mobilecal_cli.readers.stamps import Clock
+from mobilecal_cli.readers.joint_states import JointStateDecoder
 
 from . import recordings as r
 
@@ -61,8 +59,8 @@ def write(path: Path, ros1: bool, payloads: list[bytes]) -> Path:
     return path
 
 
-def outcome(path: Path, at_once: bool):
-    """All that is read, or why nothing could be; and how many messages were decoded one by one."""
+def outcome(path: Path, repeats: bool):
+    """All that is read, or why nothing could be; and how many messages were decoded by their definition."""
     decoded = []
     decode = Channel.decode
 
@@ -70,20 +68,19 @@ def outcome(path: Path, at_once: bool):
         decoded.append(len(data))
         return decode(self, data)
 
-    encodings = layouts.ENCODINGS if at_once else ()
+    learn = JointStateDecoder._learn if repeats else lambda *_: None
     with (
-        mock.patch.object(joint_states, "BATCH_MESSAGES", 37),
-        mock.patch.object(layouts, "ENCODINGS", encodings),
+        mock.patch.object(JointStateDecoder, "_learn", learn),
         mock.patch.object(Channel, "decode", counted),
         open_recording([path]) as recording,
     ):
         try:
-            signals = read_signals(recording, SOURCES, ("pan",), ())
+            logs = read_signals(recording, SOURCES, ("pan",))
         except RecordingError as error:
             return (error.message, error.hint), len(decoded)
-        tracks = [*signals.joints.values(), *signals.wheels.values()]
+        tracks = [track for one in logs for track in (*one.joints.values(), *one.wheels.values())]
         read = [(track.time_ns.tobytes(), track.value.tobytes()) for track in tracks]
-        return (read, signals.notes, recording.damage), len(decoded)
+        return (read, logs[0].notes, recording.damage), len(decoded)
 
 
 #: What may be next on a topic; each makes a payload of a number and the stamp that is due.
@@ -114,128 +111,42 @@ KINDS = {
     runs=st.lists(st.tuples(st.sampled_from(sorted(KINDS)), st.integers(1, 30)), min_size=1, max_size=12),
     turns=st.booleans(),
 )
-def test_any_mixture_is_read_as_it_is_one_by_one(tmp_path_factory, ros1, runs, turns):
+def test_any_mixture_is_read_as_by_the_definition(tmp_path_factory, ros1, runs, turns):
     kinds = [kind for kind, count in runs for _ in range(count)]
     if turns:  # publishers that share a topic
         kinds = [kind for _ in range(10) for kind, _ in runs]
     data = [KINDS[kind](ros1, k, r.START_NS + k * 2_999_990) for k, kind in enumerate(kinds)]
     path = write(tmp_path_factory.mktemp("joints") / "log.mcap", ros1, data)
-    assert outcome(path, at_once=True)[0] == outcome(path, at_once=False)[0]
+    assert outcome(path, repeats=True)[0] == outcome(path, repeats=False)[0]
 
 
 @pytest.mark.parametrize("ros1", [False, True])
-@pytest.mark.parametrize("kinds", [["usual"], ["usual", "other order", "fewer names"]])
-def test_messages_of_few_layouts_are_not_decoded(tmp_path, ros1, kinds):
-    data = [KINDS[kinds[k % len(kinds)]](ros1, k, r.START_NS + k * S // 100) for k in range(8 * 37)]
+@pytest.mark.parametrize("kinds", [["usual"], ["usual", "fewer names", "rates only"]])
+def test_messages_like_earlier_ones_are_not_decoded_by_their_definition(tmp_path, ros1, kinds):
+    data = [KINDS[kinds[k % len(kinds)]](ros1, k, r.START_NS + k * S // 100) for k in range(300)]
     path = write(tmp_path / "log.mcap", ros1, data)
-    read, decoded = outcome(path, at_once=True)
+    read, decoded = outcome(path, repeats=True)
     assert decoded == len(kinds)
-    assert outcome(path, at_once=False) == (read, 8 * 37)
+    assert outcome(path, repeats=False) == (read, 300)
 
 
-def test_a_topic_whose_layout_changes_all_the_time(tmp_path):
-    data = [payload(False, [*NAMES, f"joint{k}"], [k] * 5, stamp_ns=r.START_NS + k * S) for k in range(200)]
+def test_names_that_change_all_the_time(tmp_path):
+    data = [
+        payload(False, [*NAMES, f"joint{k}" * k], [k] * 5, stamp_ns=r.START_NS + k * S) for k in range(200)
+    ]
     path = write(tmp_path / "log.mcap", False, data)
-    assert outcome(path, at_once=True)[0] == outcome(path, at_once=False)[0]
+    assert outcome(path, repeats=True)[0] == outcome(path, repeats=False)[0]
 
 
-def test_what_lies_in_padding_does_not_matter(tmp_path):
+def test_padding_does_not_matter(tmp_path):
     """Middlewares leave there what was in memory before."""
     rng = np.random.default_rng(1)
     data = []
     for k in range(50):
         bare = bytearray(KINDS["usual"](False, k, r.START_NS + k * S))
-        layout = layouts.layout_of(channel(False), bytes(bare))
-        assert layout is not None
-        gaps = padding(bare, layout)
-        assert gaps
-        for place in gaps:
-            bare[place] = rng.integers(256)
+        # Bytes 54 and 55 are between the last name and the number of positions.
+        assert bare[54:56] == b"\0\0"
+        bare[54:56] = rng.integers(256, size=2, dtype=np.uint8).tobytes()
         data.append(bytes(bare))
     path = write(tmp_path / "log.mcap", False, data)
-    read, decoded = outcome(path, at_once=True)
-    assert decoded == 1
-    assert outcome(path, at_once=False) == (read, 50)
-
-
-def padding(data: bytes, layout: layouts.Layout) -> list[int]:
-    """Bytes that are neither part of the layout, nor of the stamp, nor of the numbers."""
-    free = set(np.flatnonzero(layout.fixed.view(np.uint8)[: len(data)] == 0).tolist()) - set(range(12))
-    for begin, count in layout.numbers.values():
-        free -= set(range(begin, begin + 8 * count))
-    return sorted(free)
-
-
-@pytest.mark.parametrize("ros1", [False, True])
-@pytest.mark.parametrize("names", [["a"], ["ab", "abc", "abcd"], ["pan", "tilt"], []])
-@pytest.mark.parametrize("frame", ["", "base_link"])
-def test_the_layout_holds_every_byte_that_the_decoder_minds(ros1, names, frame):
-    data = payload(ros1, names, range(len(names)), [5.0], r.START_NS, frame, [1.0, 2.0])
-    layout = layouts.layout_of(channel(ros1), data)
-    assert layout is not None
-    assert layout.names == tuple(names)
-    gaps = padding(data, layout)
-    assert not (ros1 and gaps)
-    expected = channel(ros1).decode(data)
-    for place in gaps:
-        changed = bytearray(data)
-        changed[place] ^= 0xFF
-        found = channel(ros1).decode(bytes(changed))
-        assert (found.name, found.header.frame_id) == (names, frame)
-        for field in ("position", "velocity", "effort"):
-            np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
-    rows = layouts.gathered([data])
-    assert layout.fits(rows).tolist() == [True]
-    for place in np.flatnonzero(layout.fixed.view(np.uint8)[: len(data)]):
-        changed = rows.copy()
-        changed[0, place] ^= 1
-        assert layout.fits(changed).tolist() == [False]
-    assert layout.column(rows, "position", len(names)) is None
-    columns = [layout.column(rows, "effort", k) for k in (0, 1)]
-    assert [column.tolist() for column in columns if column is not None] == [[1.0], [2.0]]
-    seconds, nanoseconds = layout.stamps(rows)
-    assert int(seconds[0]) * S + int(nanoseconds[0]) == r.START_NS
-
-
-def test_what_has_no_layout():
-    data = payload(False, NAMES, [1.0, 2, 3, 4])
-    assert layouts.layout_of(channel(False), data) is not None
-    assert layouts.layout_of(channel(False), data[:-1]) is None
-    assert layouts.layout_of(channel(False), b"") is None
-    assert layouts.layout_of(channel(False), payload(False, NAMES, [1.0], little=False)) is None
-    assert layouts.layout_of(replace(channel(False), encoding="json"), data) is None
-    assert layouts.layout_of(replace(channel(False), type="control_msgs/msg/DynamicJointState"), data) is None
-
-
-@given(st.lists(st.tuples(st.integers(-(2**62), 2**62), st.floats(width=64))))
-def test_series_takes_many_like_one_after_the_other(readings):
-    one_by_one, at_once = Series("s"), Series("s")
-    for time_ns, value in readings:
-        one_by_one.add(time_ns, value)
-    at_once.extend(
-        np.array([time_ns for time_ns, _ in readings], dtype=np.int64), np.array([v for _, v in readings])
-    )
-    assert (len(at_once), at_once.not_finite) == (len(one_by_one), one_by_one.not_finite)
-    if len(at_once):
-        for found, expected in zip(at_once.ordered([]), one_by_one.ordered([]), strict=True):
-            np.testing.assert_array_equal(found, expected)
-
-
-def test_lags_of_the_first_messages_are_kept():
-    clock = Clock("/j")
-    log = np.arange(300) * S
-    stamped = np.arange(300) % 2 == 1
-    for part in np.array_split(np.arange(300), 7):
-        clock.count(np.where(stamped, log - 5, log)[part], ~stamped[part], log[part])
-    assert (clock.messages, clock.unstamped) == (300, 150)
-    assert clock.lag_s == [5e-9] * 101
-
-
-def test_a_message_larger_than_a_batch_is_read_in_its_turn(tmp_path, monkeypatch):
-    data = [KINDS["usual"](False, k, r.START_NS + k * S) for k in range(40)]
-    data[20] = payload(False, ["pan"], [7.0], stamp_ns=r.START_NS + 20 * S, frame="f" * 5000)
-    path = write(tmp_path / "log.mcap", False, data)
-    monkeypatch.setattr(joint_states, "BATCH_BYTES", 4000)
-    read, decoded = outcome(path, at_once=True)
-    assert decoded == 2
-    assert outcome(path, at_once=False)[0] == read
+    assert outcome(path, repeats=True)[0] == outcome(path, repeats=False)[0]

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
-from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.odometry import rotations
 from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
+
+from . import recordings as r
 
 WHEELS = WheelGeometry(0.1, 0.2, 0.5)
 
@@ -56,7 +58,7 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
         sources = Sources({"left": "/eye", "right": "/eye"}, {}, (), {"left": source, "right": source})
-        signals = read_signals(recording, sources, ())
+        signals = r.one_log(recording, sources, ())
     assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
     assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]
     assert any(

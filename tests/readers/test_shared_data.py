@@ -9,7 +9,9 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import join_parts, open_recording, read_images, read_prelude, read_signals
+from mobilecal_cli.readers import join_parts, open_recording, read_prelude
+
+from . import recordings as r
 
 CONFORMANCE = {
     "NoData": (0, 6),
@@ -164,7 +166,7 @@ def test_picture_that_claims_more_than_it_holds(shared_data):
             m.decode().header.stamp.sec * 10**9 + m.decode().header.stamp.nanosec
             for m in recording.messages([topic])
         ]
-        found = list(read_images(recording, {"left": topic}, {"left": set(stamps)}))
+        found = list(r.read_images(recording, {"left": topic}, {"left": set(stamps)}))
     assert found
     for _, _, rejection in found:
         assert rejection.stage == "readers"
@@ -182,7 +184,7 @@ def test_same_pictures_from_ros1_and_ros2(shared_data):
                 for side, topic in image.items()
             }
             wanted = {s: {t.sec * 10**9 + t.nanosec for t in times} for s, times in stamps.items()}
-            pictures.append([(s, p) for s, _, p in read_images(recording, image, wanted)])
+            pictures.append([(s, p) for s, _, p in r.read_images(recording, image, wanted)])
     assert len(pictures[0]) == 6
     for (side, ours), (other_side, other) in zip(*pictures, strict=True):
         assert side == other_side
@@ -211,7 +213,7 @@ def test_joint_states_of_real_robots_serve_as_joints_and_wheels(shared_data, nam
     with open_recording([shared_data / "bags" / name]) as recording:
         (topic,) = read_prelude(recording).joint_names
         wheels = {"left": WheelSource(topic, joint=left), "right": WheelSource(topic, joint=right)}
-        signals = read_signals(recording, Sources({}, {}, (topic,), wheels), head, ())
+        signals = r.one_log(recording, Sources({}, {}, (topic,), wheels), head)
         raw = [m.decode() for m in recording.messages([topic])]
         log = [m.log_time_ns for m in recording.messages([topic])]
     stamped = any(m.header.stamp.sec for m in raw)
@@ -238,7 +240,7 @@ def test_a_joint_state_inside_a_message_of_its_own_serves_as_joints_and_wheels(s
         wheels = {
             side: WheelSource(topic, field=place[f"{side[0]}_wheel_joint"]) for side in ("left", "right")
         }
-        signals = read_signals(recording, Sources({}, {}, (), wheels, head), tuple(head), ())
+        signals = r.one_log(recording, Sources({}, {}, (), wheels, head), tuple(head))
     # Two of the 130 messages were logged at the same moment, and nothing else tells their time.
     assert len(signals.joints["head_tilt_joint"].time_ns) == len(signals.wheels["left"].time_ns) == 129
     assert any("1 of 130 stamps occur twice; the first is kept" in note for note in signals.notes)

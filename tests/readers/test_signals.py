@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.fields import FieldPath
-from mobilecal_cli.readers.series import Series, TickCounter
+from mobilecal_cli.readers.series import Series
 from mobilecal_cli.readers.stamps import in_order
+from mobilecal_cli.readers.wheels import Counter, from_positions
 
 from . import recordings as r
 
@@ -54,7 +55,7 @@ NAMES = ["pan", "wl", "wr"]
 def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
     path = r.write_mcap(tmp_path / "log.mcap", items)
     with open_recording([path]) as recording:
-        return read_signals(recording, sources, names)
+        return r.one_log(recording, sources, names)
 
 
 def steady(count=10, **changes):
@@ -159,6 +160,45 @@ def test_wrapped_positions_are_unwrapped_and_noted(tmp_path):
     assert any("wrapped to one turn; 3 jumps are undone" in note for note in signals.notes)
 
 
+@pytest.mark.parametrize("pause_s", [1.2, 3.0])
+def test_a_pause_does_not_switch_unwrapping_off(tmp_path, pause_s):
+    """The wheel turns on during the pause at the speed that it had before and has after it."""
+    times = np.concatenate([0.05 * np.arange(60), 2.95 + pause_s + 0.05 * np.arange(60)])
+    angle = 4.0 * times
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, wrapped, strict=True)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_counter_in_joint_states_wraps_at_its_width(tmp_path, signed):
+    ticks = np.arange(65_000, 67_000, 40)
+    readings = (ticks + 2**15) % 2**16 - 2**15 if signed else ticks % 2**16
+    rows = [(0.05 * k, at(0.05 * k), NAMES, [0, float(n), 0]) for k, n in enumerate(readings)]
+    wheels = {**SOURCES.wheels, "left": WheelSource("/j", joint="wl", ticks_per_revolution=1000, bits=16)}
+    signals = signals_of(tmp_path, [*images(), *joints(rows)], replace(SOURCES, wheels=wheels))
+    turned = signals.wheels["left"].value
+    np.testing.assert_allclose(turned - turned[0], (ticks - ticks[0]) * 2 * np.pi / 1000, atol=1e-9)
+
+
+def test_counter_in_joint_states_beyond_its_width_is_refused(tmp_path):
+    wheels = {**SOURCES.wheels, "left": WheelSource("/j", joint="wl", ticks_per_revolution=1000, bits=8)}
+    rows = [(0.1 * k, at(0.1 * k), NAMES, [0, 100.0 * k, 0]) for k in range(5)]
+    with pytest.raises(
+        RecordingError, match="joint wl on /j: a reading of 400 does not fit a counter of 8 bits"
+    ):
+        signals_of(tmp_path, [*images(), *joints(rows)], replace(SOURCES, wheels=wheels))
+
+
+def test_readings_beyond_the_width_of_a_counter_field_are_refused(tmp_path):
+    left = WheelSource("/t", field="data", ticks_per_revolution=1000, bits=8)
+    ticks = [r.Item("/t", "std_msgs/msg/UInt16", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
+    sources = replace(SOURCES, wheels={**SOURCES.wheels, "left": left})
+    with pytest.raises(RecordingError, match="a reading of 360 does not fit a counter of 8 bits"):
+        signals_of(tmp_path, [*images(), *joints(steady()), *ticks], sources)
+
+
 def test_sparse_positions_are_left_alone(tmp_path):
     rows = [(3.0 * k, at(3.0 * k), NAMES, [0, 3 * (-1) ** k, 0]) for k in range(8)]
     signals = signals_of(tmp_path, [*images(), *joints(rows)])
@@ -213,7 +253,7 @@ def test_side_without_images_is_refused(tmp_path):
         raw = part.raw
         part.raw = lambda *how: (m for m in raw(*how) if m[0].topic != "/r")
         with pytest.raises(RecordingError, match="no images of the right camera on /r: it has no messages"):
-            read_signals(recording, SOURCES, ("pan",))
+            r.one_log(recording, SOURCES, ("pan",))
 
 
 def test_joint_state_inside_another_message_by_field(shared_data, tmp_path):
@@ -233,6 +273,15 @@ def test_joint_state_inside_another_message_by_field(shared_data, tmp_path):
             FieldPath.parse("joint_states.angle").number(message, topic.name, "the field")
 
 
+def turned(readings, source):
+    """Rotation from readings of a counter, 10 ms apart."""
+    series, counter = Series("/t", "wheel"), Counter("wheel", source.bits)
+    for k, reading in enumerate(readings):
+        series.add(k * 10**7, k * 10**7, counter.since_first(reading))
+    counter.check()
+    return from_positions(source, series.samples([]), []).value
+
+
 @given(
     bits=st.sampled_from([8, 16, 32, 64]),
     signed=st.booleans(),
@@ -246,31 +295,22 @@ def test_counters_of_any_width_wrap_round(bits, signed, start, steps, sign):
     readings = [int(c) % 2**bits for c in counts]
     if signed:
         readings = [c - 2**bits if c >= 2 ** (bits - 1) else c for c in readings]
-    series = Series("wheel")
-    counter = TickCounter(
-        series, WheelSource("/t", field="data", ticks_per_revolution=360, bits=bits, sign=sign)
-    )
-    for k, reading in enumerate(readings):
-        counter.add(k, reading)
-    _, angle = series.ordered([])
+    angle = turned(readings, WheelSource("/t", field="data", ticks_per_revolution=360, bits=bits, sign=sign))
     expected = sign * np.radians((counts - start).astype(np.float64))
     np.testing.assert_allclose(angle, expected, atol=1e-12)
 
 
 def test_counter_without_width_never_wraps_and_keeps_large_numbers_exact():
-    series = Series("wheel")
-    counter = TickCounter(series, WheelSource("/t", field="data", ticks_per_revolution=100))
-    for k, ticks in enumerate([2**62, 2**62 + 1, 2**62 + 70_000]):
-        counter.add(k, ticks)
-    np.testing.assert_allclose(series.ordered([])[1], np.array([0, 1, 70_000]) * 2 * np.pi / 100, rtol=1e-14)
+    readings = [2**62, 2**62 + 1, 2**62 + 70_000]
+    angle = turned(readings, WheelSource("/t", field="data", ticks_per_revolution=100))
+    np.testing.assert_allclose(angle, np.array([0, 1, 70_000]) * 2 * np.pi / 100, rtol=1e-14)
 
 
 def test_reading_beyond_the_width_is_refused():
-    counter = TickCounter(
-        Series("left wheel (/t data)"), WheelSource("/t", field="data", ticks_per_revolution=100, bits=16)
-    )
+    counter = Counter("left wheel (/t data)", 16)
+    counter.since_first(65536)
     with pytest.raises(RecordingError, match="reading of 65536 does not fit a counter of 16 bits"):
-        counter.add(0, 65536)
+        counter.check()
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=40))
@@ -313,7 +353,7 @@ def test_joints_of_a_real_robot_with_zero_stamps(shared_data, tmp_path):
     )
     with open_recording([path, pictures]) as recording:
         messages = list(recording.messages([topic]))
-        signals = read_signals(recording, sources, ("head_pan_joint", "head_tilt_joint"))
+        signals = r.one_log(recording, sources, ("head_pan_joint", "head_tilt_joint"))
     assert len(messages) == 21
     assert f"{topic}: all 21 header stamps are zero; the log time is used" in signals.notes
     for name, track in signals.joints.items():
@@ -339,7 +379,7 @@ def test_joints_of_a_real_robot_with_stamps(shared_data, tmp_path):
     )
     with open_recording([path, pictures]) as recording:
         stamps = [m.decode().header.stamp for m in recording.messages([topic])]
-        signals = read_signals(recording, sources, ("head_pan_joint",))
+        signals = r.one_log(recording, sources, ("head_pan_joint",))
     track = signals.joints["head_pan_joint"]
     assert len(track.time_ns) == 61
     np.testing.assert_array_equal(track.time_ns, [s.sec * S + s.nanosec for s in stamps])

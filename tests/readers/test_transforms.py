@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointTransform, Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.transforms import reading
 from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
+
+from . import recordings as r
 
 ORIGIN = se3.transform(Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix(), np.array([0.1, 0.2, 0.3]))
 AXIS = np.array([0.0, 0.6, 0.8])
@@ -80,7 +82,7 @@ def signals_of(folder, messages, sources):
     images = {"left": "/eye", "right": "/eye"}
     with open_recording([path]) as recording:
         wheels = {"left": wheel, "right": wheel}
-        return read_signals(recording, Sources(images, {}, (), wheels, elsewhere=sources), tuple(sources))
+        return r.one_log(recording, Sources(images, {}, (), wheels, elsewhere=sources), tuple(sources))
 
 
 def test_joints_over_time_with_their_own_stamps(tmp_path):

@@ -14,9 +14,11 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Rejection, Sources
-from mobilecal_cli.readers import open_recording, pictures_near, read_images
+from mobilecal_cli.readers import open_recording, pictures_near
 from mobilecal_cli.vision import Detection, detect
 from tests.readers.recordings import START_NS, STEP_NS
+
+from . import recordings as r
 
 TOPIC = "/stereo/left/image_raw/compressed"
 ENCODERS = {"h264": "libx264", "h265": "libx265"}
@@ -30,7 +32,7 @@ def pictures(sample_logs):
             m.decode().header.stamp.sec * 10**9 + m.decode().header.stamp.nanosec
             for m in recording.messages([TOPIC])
         ]
-        return [p for _, _, p in read_images(recording, {"left": TOPIC}, {"left": set(stamps[:8])})]
+        return [p for _, _, p in r.read_images(recording, {"left": TOPIC}, {"left": set(stamps[:8])})]
 
 
 def encoded(pictures, kind: str) -> list[bytes]:
@@ -70,7 +72,7 @@ def test_wanted_frames_come_out_whatever_they_build_on(pictures, tmp_path, kind)
     packets = encoded(pictures, kind)
     assert len(packets) == len(pictures)
     with open_recording([written(tmp_path / "log.mcap", packets, kind)]) as recording:
-        found = {ns: p for _, ns, p in read_images(recording, {"left": "/left/video"}, at(2, 5, 7))}
+        found = {ns: p for _, ns, p in r.read_images(recording, {"left": "/left/video"}, at(2, 5, 7))}
     assert [(ns - START_NS) // STEP_NS for ns in sorted(found)] == [2, 5, 7]
     for ns, picture in found.items():
         original = pictures[(ns - START_NS) // STEP_NS]
@@ -87,7 +89,7 @@ def test_frames_without_their_key_frame_and_damaged_ones_are_rejections(pictures
     packets = encoded(pictures, "h264")
     broken = [*packets[1:4], packets[0], b"\x00\x00\x01garbage" * 9, *packets[1:3]]
     with open_recording([written(tmp_path / "log.mcap", broken, "h264")]) as recording:
-        found = {ns: p for _, ns, p in read_images(recording, {"left": "/left/video"}, at(*range(7)))}
+        found = {ns: p for _, ns, p in r.read_images(recording, {"left": "/left/video"}, at(*range(7)))}
     kinds = [isinstance(found[ns], Rejection) for ns in sorted(found)]
     assert kinds[:5] == [True, True, True, False, True]
     assert "key frame" in found[START_NS].detail
@@ -109,5 +111,5 @@ def test_without_pyav_the_extra_is_named(pictures, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with open_recording([path]) as recording:
         with pytest.raises(RecordingError, match="PyAV") as caught:
-            list(read_images(recording, {"left": "/left/video"}, at(0)))
+            list(r.read_images(recording, {"left": "/left/video"}, at(0)))
         assert "mobilecal[video]" in caught.value.hint

@@ -39,11 +39,9 @@ def contents(path: Path, scenario: Scenario):
     sources = robot.topics(compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
         prelude = read_prelude(recording)
-        signals = read_signals(recording, sources, robot.joint_names)
-        wanted = {side: [int(stamp) for stamp in stamps] for side, stamps in signals.image_ns.items()}
-        pictures = {
-            f"{side} {stamp}": image for side, stamp, image in read_images(recording, sources.image, wanted)
-        }
+        (signals,) = read_signals(recording, sources, robot.joint_names)
+        found = read_images(recording, sources.image, signals.images)
+        pictures = {f"{side} {stamp}": image for side, stamp, image in found}
     return prelude, signals, pictures
 
 
@@ -115,7 +113,7 @@ def test_readings_are_the_truth_within_the_stated_noise(reference):
         assert np.ptp(error) < robot.encoder_step_rad + 8 * 0.003 * np.sqrt(travelled)
     begin, end = route.rests_s.T
     for side in wheels_of:
-        times_s = (signals.image_ns[side] - START_NS) / 1e9
+        times_s = (signals.images[side].time_ns - START_NS) / 1e9
         assert np.all(np.any((times_s[:, None] > begin + 0.2) & (times_s[:, None] < end - 0.2), axis=1))
 
 
@@ -155,7 +153,7 @@ def test_tick_counters_wrap_and_are_read_as_the_wheels_angles(tmp_path):
 def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp_path):
     scenario = Scenario(motion="moving", stations=1)
     _, signals, _ = contents(recorded(tmp_path, scenario), scenario)
-    left, right = (signals.image_ns[side] for side in ("left", "right"))
+    left, right = (signals.images[side].time_ns for side in ("left", "right"))
     assert np.array_equal(left, right)
     assert np.diff(left) == pytest.approx(1e8, abs=1)
     assert len(left) >= 20  # three seconds, less half a second at each end
@@ -253,7 +251,7 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     stated = imperfect_extraction(robot, route, Imperfection())
     for i, o in enumerate(expected.observations):
         for side, corners in (("left", o.left), ("right", o.right)):
-            grey = pictures[f"{side} {signals.image_ns[side][i]}"]
+            grey = pictures[f"{side} {signals.images[side].time_ns[i]}"]
             found = cv2.cornerSubPix(
                 grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
             )
@@ -271,9 +269,9 @@ def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
     _, signals, _ = contents(out, scenario)
     truth = truth_of(out)
     assert truth["scenario"]["stamp_s"] == 0.0005
-    jitter_s = (signals.image_ns["left"] - START_NS) / 1e9 - scenario.picture_times_s(route)
+    jitter_s = (signals.images["left"].time_ns - START_NS) / 1e9 - scenario.picture_times_s(route)
     assert 0.0002 < np.std(jitter_s) < 0.001  # 20 stamps of 0.5 ms
-    assert np.array_equal(signals.image_ns["left"], signals.image_ns["right"])
+    assert np.array_equal(signals.images["left"].time_ns, signals.images["right"].time_ns)
     constants = truth["constants"]
     track = signals.wheels["left"]
     at_s = (track.time_ns - START_NS) / 1e9

@@ -1,0 +1,154 @@
+"""Rotation of a wheel from positions, velocities or a counter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import FloatArray, IntArray, Track, WheelSource
+from mobilecal_cli.readers.series import Samples
+
+#: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
+GAP_S = 0.5
+GAP_INTERVALS = 10
+#: ... and is noted if the wheel turned by more than this during it.
+GAP_RAD = 0.01
+#: After a longer pause, a wheel may have turned by more than half the range of its readings.
+PAUSE_S = 1.0
+_TURN = 2 * math.pi
+_SLACK = 1e-3
+
+
+def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> Track:
+    """A wheel's track from positions, rad, or from a counter, ticks.
+
+    Raises:
+        RecordingError: readings do not fit the counter's width.
+    """
+    time_ns, readings = position.ordered(notes)
+    value = readings[:, 0]
+    if source.bits is not None:
+        check_width(position.label, (value.min(), value.max()), source.bits)
+        value = unwrap(time_ns, value, 2.0**source.bits)
+    elif source.ticks_per_revolution is None and (jumps := _jumps_of_a_turn(time_ns, value)):
+        notes.append(f"{position.label}: positions are wrapped to one turn; {jumps} jumps are undone")
+        value = unwrap(time_ns, value, _TURN)
+    return Track(time_ns, value * _scale(source))
+
+
+def from_velocities(source: WheelSource, velocity: Samples, notes: list[str]) -> Track:
+    """A wheel's track from velocities, rad/s or ticks/s, starting at zero."""
+    time_ns, rate = velocity.ordered(notes)
+    steps = np.diff(time_ns) * 1e-9 * (rate[1:, 0] + rate[:-1, 0]) / 2
+    return Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * _scale(source))
+
+
+def _scale(source: WheelSource) -> float:
+    """Angle per unit of the readings, rad."""
+    per_turn = source.ticks_per_revolution or _TURN
+    return float(source.sign) * _TURN / per_turn
+
+
+class Counter:
+    """Readings of a counter relative to its first one: exact for integers of 64 bits, which floats are not.
+
+    Args:
+        label: name for messages.
+        bits: width of a counter that wraps around; None: it does not wrap.
+    """
+
+    def __init__(self, label: str, bits: int | None) -> None:
+        self._label, self._bits = label, bits
+        self._first: float | None = None
+        self._range: tuple[float, float] = (0, 0)
+
+    def since_first(self, ticks: float) -> float:
+        """Ticks since the first reading; of integers, at most half the counter's range to either side."""
+        if not math.isfinite(ticks):
+            return ticks
+        if self._first is None:
+            self._first = ticks
+        self._range = min(self._range[0], ticks), max(self._range[1], ticks)
+        since = ticks - self._first
+        if self._bits is None or not isinstance(since, int):
+            return since
+        half = 1 << (self._bits - 1)
+        return (since + half) % (2 * half) - half
+
+    def check(self) -> None:
+        """See `check_width`."""
+        if self._bits is not None:
+            check_width(self._label, self._range, self._bits)
+
+
+def check_width(label: str, ticks: Iterable[float], bits: int) -> None:
+    """Check that readings fit a counter's width, signed or not.
+
+    Raises:
+        RecordingError: one does not.
+    """
+    for reading in ticks:
+        if not -(2 ** (bits - 1)) <= reading < 2**bits:
+            raise RecordingError(
+                f"{label}: a reading of {reading:.0f} does not fit a counter of {bits} bits",
+                "correct the wheel's bits in rig.yaml",
+            )
+
+
+def unwrap(time_ns: IntArray, value: FloatArray, span: float) -> FloatArray:
+    """Continuous values from readings that repeat after `span`: a counter, or an angle within one turn.
+
+    Between two readings the value is expected to change by less than half of `span`; over a pause, by that much more or
+    less than at the mean rate just before and after it.
+
+    Args:
+        time_ns: (n,) increasing.
+        value: (n,) readings.
+        span: 2 pi, or 2^bits.
+    """
+    step, seconds = np.diff(value), np.diff(time_ns) * 1e-9
+    expected = np.zeros(len(step))
+    pauses = np.flatnonzero(seconds > PAUSE_S)
+    if len(pauses):
+        rate = (step - span * np.round(step / span)) / seconds
+        rate[pauses] = 0.0
+        ends = np.maximum(pauses - 1, 0), np.minimum(pauses + 1, len(step) - 1)
+        expected[pauses] = (rate[ends[0]] + rate[ends[1]]) / 2 * seconds[pauses]
+    turns = np.round((expected - step) / span)
+    return np.asarray(value + span * np.concatenate([[0.0], np.cumsum(turns)]), dtype=np.float64)
+
+
+def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray) -> int:
+    """Number of jumps in positions that a driver wraps to one turn; 0 for other positions.
+
+    Positions are wrapped if they never leave [-pi, pi] or [0, 2 pi], and jump, but always by more than three quarters
+    of a turn. Changes over a pause tell nothing.
+    """
+    low, high = value.min(), value.max()
+    turns = ((-math.pi, math.pi), (0.0, _TURN))
+    if not any(low >= start - _SLACK and high <= end + _SLACK for start, end in turns):
+        return 0
+    step = np.abs(np.diff(value)[np.diff(time_ns) <= PAUSE_S * 1e9])
+    jumps = step[step > math.pi]
+    return 0 if np.any(jumps < 1.5 * math.pi) else len(jumps)
+
+
+def gap_notes(label: str, track: Track) -> list[str]:
+    """Notes on pauses during which a wheel turned, because its path in them is unknown."""
+    if len(track.time_ns) < 3:
+        return []
+    pauses_s = np.diff(track.time_ns) * 1e-9
+    turned = np.abs(np.diff(track.value))
+    limit_s = max(GAP_S, GAP_INTERVALS * float(np.median(pauses_s)))
+    gaps = np.flatnonzero((pauses_s > limit_s) & (turned > GAP_RAD))
+    if not len(gaps):
+        return []
+    worst = gaps[np.argmax(turned[gaps])]
+    start_s = (track.time_ns[worst] - track.time_ns[0]) * 1e-9
+    return [
+        f"{label}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''} during which the wheel turned; the worst lasts "
+        f"{pauses_s[worst]:.2f} s from {start_s:.2f} s on, with {turned[worst]:.3f} rad"
+    ]

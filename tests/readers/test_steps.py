@@ -1,0 +1,97 @@
+"""Clock steps: where a recording is cut, and what the clocks are in its pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.readers.series import Samples
+from mobilecal_cli.readers.steps import cut, steps_of
+
+S = 10**9
+MS = 10**6
+AT = 20.0
+
+
+def samples(topic, hz=50, seconds=40.0, lag_ms=3.0, step_s=0.0, at_s=AT):
+    """Readings whose value is the true time; their stamps step at some time."""
+    rng = np.random.default_rng(len(topic))
+    true_ns = np.round(np.arange(0, seconds, 1 / hz) * S).astype(np.int64)
+    log_ns = true_ns + np.round((lag_ms + rng.random(len(true_ns))) * MS).astype(np.int64)
+    stamp_ns = true_ns + round(step_s * S) * (true_ns >= at_s * S)
+    return Samples(topic, topic, stamp_ns, log_ns, true_ns[:, None] / S)
+
+
+@pytest.mark.parametrize("step_s", [-30, -10, -1.5, 1.5, 30])
+def test_all_clocks_step(step_s):
+    series = [
+        samples("/j", 50, step_s=step_s),
+        samples("/l", 5, step_s=step_s),
+        samples("/r", 1, step_s=step_s),
+    ]
+    (first, second), (note,) = cut(series)
+    for before, after, whole in zip(first, second, series, strict=True):
+        assert before.value.max() < AT <= after.value.min()
+        assert len(before) + len(after) == len(whole)
+        assert after.shift_ns == 0
+    way = "back" if step_s < 0 else "forward"
+    assert note.startswith(
+        f"the clock of /j, /l, /r steps {way} by {abs(step_s):.3f} s, 20.0 s after the start"
+    )
+
+
+@pytest.mark.parametrize("step_s", [-10, 30])
+@pytest.mark.parametrize("stepping", ["/joints", "/left /right", "/left"])
+def test_a_step_of_some_clocks_is_undone_by_its_size(step_s, stepping):
+    rates = {"/joints": 50, "/left": 5, "/right": 5}
+    series = [samples(name, hz, step_s=step_s if name in stepping else 0) for name, hz in rates.items()]
+    (_, second), _ = cut(series)
+    for after in second:
+        assert np.abs(after.time_ns / S - after.value[:, 0]).max() < 1e-3
+    left, right = second[1:]
+    if stepping == "/left /right":  # they stay as simultaneous as they are
+        np.testing.assert_array_equal(left.time_ns, right.time_ns)
+
+
+def test_clocks_of_two_computers_step_by_different_amounts():
+    series = [samples("/joints", 50, step_s=-10), samples("/left", 5, step_s=3)]
+    (_, second), _ = cut(series)
+    for after in second:
+        assert np.abs(after.time_ns / S - after.value[:, 0]).max() < 1e-3
+
+
+def test_two_steps_make_three_pieces():
+    one = samples("/j", step_s=5.0)
+    later = one.value[:, 0] > 30
+    twice = Samples("/j", "/j", one.stamp_ns - 12 * S * later, one.log_ns, one.value)
+    pieces, notes = cut([twice])
+    assert [len(piece[0]) for piece in pieces] == [1000, 501, 499]
+    assert [note.split(" s,")[0].split("steps ")[1] for note in notes] == [
+        "forward by 5.000",
+        "back by 12.000",
+    ]
+
+
+def test_what_is_no_step():
+    usual = samples("/j")
+    stray = usual.stamp_ns.copy()
+    stray[[400, 700, 701]] += np.array([50, -7, -9]) * S
+    stalled = usual.log_ns.copy()  # a network that holds messages back for 4 s, then sends all
+    held = (usual.value[:, 0] >= 10) & (usual.value[:, 0] < 14)
+    stalled[held] = 14 * S + np.arange(held.sum())
+    pause = np.where(usual.value[:, 0] > AT, 9 * S, 0)
+    for stamp_ns, log_ns in (
+        (usual.stamp_ns, usual.log_ns),
+        (stray, usual.log_ns),
+        (usual.stamp_ns, stalled),
+        (usual.stamp_ns + pause, usual.log_ns + pause),  # a recorder that pauses
+        (usual.stamp_ns // 20, usual.log_ns),  # a playback at a twentieth of the speed
+        (usual.log_ns, usual.log_ns),  # no stamps
+        (usual.stamp_ns[:9], usual.log_ns[:9]),
+    ):
+        assert not len(steps_of(stamp_ns, log_ns))
+
+
+def test_a_slow_playback_of_rare_messages_is_no_step():
+    true_ns = np.arange(100) * 10 * S
+    assert not len(steps_of(true_ns // 2, true_ns))
