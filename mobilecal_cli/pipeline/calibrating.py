@@ -29,18 +29,14 @@ from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import (
     Change,
     Verdict,
-    change_checks,
     change_from_nominal,
     change_since,
-    figures_of,
-    gate_checks,
     gates_of,
     judge,
     recommendation,
     report_html,
     report_json,
     suggestion_sentences,
-    use_limits,
 )
 from mobilecal_cli.solvers import Constraints, clock_offsets, evaluate, solve
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
@@ -186,8 +182,7 @@ def calibrate(
         drawing = draughtsman.begin(solution, extraction)
         params = params_yaml(solution, extraction, provenance)
         change = _change(parameters_from_yaml(params), earlier, last, extraction)
-        gated = gate_checks(limits, figures_of(solution, extraction, trial))
-        verdict = judge(solution, extraction, (*change_checks(change), *gated), use_limits(limits))
+        verdict = judge(solution, extraction, limits, trial, change)
         progress("writing the report", 0, None)
         files = {
             "params.yaml": params.encode(),

@@ -2,7 +2,8 @@
 
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_checks, change_from_nominal, change_since
-from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.check import Check, Checks
+from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
 from mobilecal_cli.report.drawn import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
@@ -17,12 +18,14 @@ from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
 from mobilecal_cli.report.numbers import reference_frame, reference_pose, reference_std
 from mobilecal_cli.report.text import summary_table
-from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict, judge
+from mobilecal_cli.report.verdict import Verdict, judge
+from mobilecal_cli.report.wording import words
 
 __all__ = [
     "MIN_STATIONS",
     "Change",
     "Check",
+    "Checks",
     "Drawn",
     "Figures",
     "OwnEstimate",
@@ -62,4 +65,5 @@ __all__ = [
     "suggestion_sentences",
     "summary_table",
     "use_limits",
+    "words",
 ]

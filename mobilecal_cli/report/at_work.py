@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from mobilecal_cli.model import AtWork, Solution
 from mobilecal_cli.report.budget import advice, limiting_sentence
-from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check
+from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome
 from mobilecal_cli.report.numbers import std_text
 
 # With less head motion, a parameter depends on a difference about as small as the noise.
@@ -108,17 +108,13 @@ def use_checks(solution: Solution, limits: Mapping[str, float]) -> Iterator[Chec
     """Whether each expected error is within its limit; the least certain first."""
     for use in sorted(uses(solution, limits), key=lambda use: -use.share):
         figure = use.figure
-        value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
-        limit = f"{use.limit:g} {figure.unit}"
-        why = f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {limit})."
-        yield Check(
-            f"expected error: {figure.meaning}",
-            value,
-            f"at most {limit}",
-            "good" if use.within else "short",
-            f"{why} {limiting_sentence(solution, figure.field, figure.meaning)}",
-            " ".join((advice(solution, figure.field), *_hints(solution, figure))),
-        )
+        facts = {
+            "meaning": figure.meaning,
+            "limiting": limiting_sentence(solution, figure.field, figure.meaning),
+            "advice": " ".join((advice(solution, figure.field), *_hints(solution, figure))),
+        }
+        outcome: Outcome = "good" if use.within else "short"
+        yield Check(f"use.{figure.field}", use.value, use.limit, figure.unit, outcome, facts=facts)
 
 
 def _hints(solution: Solution, figure: Figure) -> Sequence[str]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from mobilecal_cli.comparison import difference, nine_apart
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
-from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.units import SHOWN, value_text
 
@@ -105,12 +104,17 @@ def change_checks(change: Change | None) -> Iterator[Check]:
     if change is None or change.chance is None:
         return
     worst = int(np.argmax(np.abs(np.nan_to_num(change.sigmas))))
-    moved = f"{NINE[worst]} by {change.sigmas[worst]:+.1f} sigma"
+    facts = {
+        "parameter": NINE[worst],
+        "sigmas": float(change.sigmas[worst]),
+        "against": change.against,
+    }
     yield Check(
-        "change since the last calibration",
-        f"largest: {moved}",
-        f"probability by chance at least {100 * _UNLIKELY:g} %",
+        "change",
+        100 * change.chance,
+        100 * _UNLIKELY,
+        "%",
         "look" if change.chance < _UNLIKELY else "good",
-        f"The robot has changed since {visible(change.against)}: {moved}.",
-        "Check for a loose camera and worn tires. If you find no cause, record and calibrate again.",
+        at_least=True,
+        facts=facts,
     )

@@ -1,9 +1,10 @@
-"""One criterion of the verdict."""
+"""One criterion of the verdict, as numbers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 Outcome = Literal["good", "look", "bad", "short"]
 #: Outcome → its label in the report and in report.json.
@@ -20,24 +21,45 @@ MIN_TURNED_DEG, MIN_DRIVEN_M = 20.0, 0.2
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One criterion.
+    """One criterion. Its sentences are in `wording`.
 
     Attributes:
-        name: the criterion.
-        measured, limit: text with units.
+        id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint_rad").
+        value: as measured, None where it is unknown.
+        limit: beyond it the outcome is "bad" or "short"; None for a criterion without a number.
+        unit: of both, "" for counts and ratios.
         outcome: "good", "look" (a warning; passes), "bad" (fails) or "short" (too little data to decide).
-        why: a sentence for every outcome but "good".
-        next_step: what to do then.
+        at_least: whether the limit is a lower one.
+        facts: further numbers and names that the sentences state.
     """
 
-    name: str
-    measured: str
-    limit: str
+    id: str
+    value: float | None
+    limit: float | None
+    unit: str
     outcome: Outcome
-    why: str
-    next_step: str
+    at_least: bool = False
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Checks(tuple[Check, ...]):
+    """Criteria in order; also by their id: `checks["point_error"].value`."""
+
+    __slots__ = ()
+
+    def __getitem__(self, key: Any) -> Any:  # noqa: ANN401
+        """A criterion by its id (KeyError if there is none), or as in a tuple."""
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        found = {check.id: check for check in self}
+        return found[key]
 
 
 def graded(value: float, look: float, bad: float) -> Outcome:
     """The outcome of a value that should be small."""
     return "bad" if value > bad else "look" if value > look else "good"
+
+
+def enough(value: float, least: float) -> Outcome:
+    """The outcome of a value that should not be small."""
+    return "good" if value >= least else "short"

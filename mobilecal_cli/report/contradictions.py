@@ -135,25 +135,23 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
         scale_done |= is_scale
         outcome: Outcome = "bad" if found.shift_sigmas > SHIFT_SIGMAS else "look"
         what, cure = contradiction_sentences(found, solution)
-        depends = f"It changes the result by up to {found.shift_sigmas:.1f} standard deviations."
         yield Check(
-            f"robot description: {visible(found.part)}, {nuisance.kind(found.kind).meaning}",
-            f"{found.sigmas:.1f} sigma from the stated values",
-            f"at most {CONTRADICTION_SIGMAS:g} sigma",
+            f"contradiction.{found.kind}.{found.part}",
+            found.sigmas,
+            CONTRADICTION_SIGMAS,
+            "sigma",
             outcome,
-            f"{what} {depends}",
-            cure,
+            facts={
+                "part": found.part,
+                "meaning": nuisance.kind(found.kind).meaning,
+                "shift_sigmas": found.shift_sigmas,
+                "what": what,
+                "cure": cure,
+            },
         )
     if not solution.contradictions:
         most = max((found.sigmas for found in solution.evidence), default=0.0)
-        yield Check(
-            "robot description",
-            f"at most {most:.1f} sigma from the stated values",
-            f"at most {CONTRADICTION_SIGMAS:g} sigma",
-            "good",
-            "",
-            "",
-        )
+        yield Check("description", most, CONTRADICTION_SIGMAS, "sigma", "good")
 
 
 @dataclass(frozen=True, slots=True)

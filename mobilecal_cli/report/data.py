@@ -26,10 +26,9 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change
-from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.contradictions import contradiction_sentences
 from mobilecal_cli.report.decomposition import error_parts
-from mobilecal_cli.report.evaluation import evaluation_data
+from mobilecal_cli.report.evaluation import check_data, evaluation_data
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
     QUANTITIES,
@@ -45,7 +44,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.verdict import Verdict
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 _COUNTS = {"pictures": "images"}
 
 
@@ -62,6 +61,7 @@ def report_json(
     data = {
         "schema_version": SCHEMA_VERSION,
         "verdict": _verdict(verdict),
+        "metrics": verdict.metrics,
         "parameters": _parameters(solution.parameters, cameras)
         | _rotation_std(solution)
         | {"parent_frame": extraction.rig.chain.head_frame, "child_frame": reference_frame(cameras)},
@@ -153,11 +153,12 @@ def _rotation_std(solution: Solution) -> dict[str, Any]:
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    checks = [
-        asdict(check) | {"outcome": OUTCOME_LABELS[check.outcome].replace(" ", "_")}
-        for check in verdict.checks
-    ]
-    return asdict(verdict) | {"checks": checks}
+    return {
+        "level": verdict.level,
+        "reason": verdict.reason,
+        "next_step": verdict.next_step,
+        "checks": [check_data(check) for check in verdict.checks],
+    }
 
 
 def _quality(solution: Solution, extraction: Extraction) -> dict[str, Any]:

@@ -14,8 +14,9 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import OUTCOME_LABELS, Check
 from mobilecal_cli.report.gates import drift_figures, rms
 from mobilecal_cli.report.verdict import Verdict
+from mobilecal_cli.report.wording import words
 
-EVALUATION_SCHEMA = 1
+EVALUATION_SCHEMA = 2
 
 
 def evaluation_data(found: Evaluation) -> dict[str, Any]:
@@ -64,18 +65,29 @@ def evaluation_json(
             "level": verdict.level,
             "reason": verdict.reason,
             "next_step": verdict.next_step,
-            "checks": [
-                {key: getattr(check, key) for key in ("name", "measured", "limit")}
-                | {"outcome": OUTCOME_LABELS[check.outcome]}
-                for check in verdict.checks
-            ],
+            "checks": [check_data(check) for check in verdict.checks],
         },
-        "gates": [
-            {"name": c.name, "measured": c.measured, "limit": c.limit, "kept": c.outcome == "good"}
-            for c in gates
-        ],
+        "gates": [check_data(check) for check in gates],
     }
     return json.dumps(data, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def check_data(check: Check) -> dict[str, Any]:
+    """A criterion as numbers and sentences."""
+    said = words(check)
+    return {
+        "id": check.id,
+        "value": check.value,
+        "limit": check.limit,
+        "unit": check.unit,
+        "at_least": check.at_least,
+        "outcome": OUTCOME_LABELS[check.outcome].replace(" ", "_"),
+        "name": said.name,
+        "measured_text": said.measured,
+        "limit_text": said.limit,
+        "why": "" if check.outcome == "good" else said.why,
+        "next_step": "" if check.outcome == "good" else said.next_step,
+    }
 
 
 def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
@@ -142,8 +154,9 @@ def evaluation_text(found: Evaluation, notes: Sequence[str] = (), verdict: Verdi
             "",
             f"  {'Calibration against this recording':<56}{'':<21}limit",
             *(
-                f"  {OUTCOME_LABELS[check.outcome]:<12}{check.name:<44}{check.measured:<21}{check.limit}"
+                f"  {OUTCOME_LABELS[check.outcome]:<12}{said.name:<44}{said.measured:<21}{said.limit}"
                 for check in verdict.checks
+                for said in [words(check)]
             ),
         ]
     return "\n".join(lines) + "\n"

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.comparison import nine_apart
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, FloatArray, StereoRig
-from mobilecal_cli.report.check import Check, Outcome
-from mobilecal_cli.report.verdict import MIN_STATIONS, PIXEL_ERROR_BAD, Verdict
+from mobilecal_cli.report.check import Check, Checks, Outcome, enough
+from mobilecal_cli.report.checks.faults import PIXEL_ERROR_BAD
+from mobilecal_cli.report.checks.recording import MIN_STATIONS
+from mobilecal_cli.report.verdict import Level, Verdict
+from mobilecal_cli.report.wording import words
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 CAMERA_DEG, CAMERA_MM, RADIUS_PERCENT, SEPARATION_PERCENT = 0.75, 20.0, 1.0, 2.0
@@ -26,11 +30,11 @@ SIGMA_SHARE = 0.5
 #: Corner errors above the limit fail the calibration if they are so many times those of the recording's own estimate.
 _TIMES_OWN = 1.5
 _QUANTITIES = (
-    ("camera rotation", slice(0, 3), "deg", CAMERA_DEG),
-    ("camera position", slice(3, 6), "mm", CAMERA_MM),
-    ("right wheel radius", slice(6, 7), "%", RADIUS_PERCENT),
-    ("left wheel radius", slice(7, 8), "%", RADIUS_PERCENT),
-    ("wheel separation", slice(8, 9), "%", SEPARATION_PERCENT),
+    ("camera_rotation", slice(0, 3), "deg", CAMERA_DEG),
+    ("camera_position", slice(3, 6), "mm", CAMERA_MM),
+    ("radius_right", slice(6, 7), "%", RADIUS_PERCENT),
+    ("radius_left", slice(7, 8), "%", RADIUS_PERCENT),
+    ("separation", slice(8, 9), "%", SEPARATION_PERCENT),
 )
 
 
@@ -67,12 +71,14 @@ def judge_evaluation(
         used: names of the recordings that the calibration was made from.
         gates: the user's limits, see `gate_checks`.
     """
-    checks = (*_checks(found, cameras, robot, own), *gates)
-    for outcome, level in (("bad", "FAIL"), ("short", "NOT ENOUGH")):
+    checks = Checks((*_checks(found, cameras, robot, own), *gates))
+    levels: tuple[tuple[Outcome, Level], ...] = (("bad", "FAIL"), ("short", "NOT ENOUGH"))
+    for outcome, level in levels:
         for check in checks:
             if check.outcome == outcome:
-                return Verdict(level, check.why, check.next_step, checks)  # type: ignore[arg-type]
-    agreement = ", ".join(f"{check.name} {check.measured}" for check in checks[2:7])
+                return Verdict(level, words(check).why, words(check).next_step, checks)
+    compared = (words(check) for check in checks if check.id.startswith("agreement."))
+    agreement = ", ".join(f"{each.name} {each.measured}" for each in compared)
     next_step = "Use params.yaml on the robot."
     if used:
         next_step = "Evaluate a recording that was not used for this calibration."
@@ -83,23 +89,17 @@ def _checks(
     found: Evaluation, cameras: StereoRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
 ) -> Iterator[Check]:
     yield Check(
-        "stations",
-        str(found.stations),
-        f"at least {MIN_STATIONS}",
-        "good" if found.stations >= MIN_STATIONS else "short",
-        f"Both cameras see the board at {found.stations} stations; at least {MIN_STATIONS} are needed.",
-        "Record at least ten stations.",
+        "evaluated_stations",
+        found.stations,
+        MIN_STATIONS,
+        "",
+        enough(found.stations, MIN_STATIONS),
+        at_least=True,
     )
     yield _corners(found, cameras, own)
     if isinstance(own, MobilecalError):
-        yield Check(
-            "estimate from this recording",
-            "none",
-            "all nine parameters",
-            "short",
-            f"This recording cannot be solved by itself: {own.message}.",
-            f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again.",
-        )
+        facts = {"message": own.message, "hint": own.hint}
+        yield Check("own_estimate", None, None, "", "short", facts=facts)
         return
     yield from _differences(robot, own)
 
@@ -113,40 +113,16 @@ def _corners(found: Evaluation, cameras: StereoRig, own: OwnEstimate | Mobilecal
     outcome: Outcome = (
         "short" if unexplained else "bad" if px > _TIMES_OWN * best_px and px > limit_px else "good"
     )
-    return Check(
-        "median station-to-station corner error",
-        f"{px:.2f} px",
-        f"at most {max(limit_px, _TIMES_OWN * best_px):.1f} px",
-        outcome,
-        f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
-        if unexplained
-        else f"The median station-to-station corner error is {px:.1f} px (limit {limit_px:.1f} px)"
-        + (
-            "."
-            if isinstance(own, MobilecalError)
-            else f"; the recording's own estimate leaves {best_px:.1f} px."
-        ),
-        "Check for wheel slip, a moved board and wrong encoder settings, and record again."
-        if unexplained
-        else "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again.",
-    )
+    facts = {"limit_px": limit_px, "best_px": None if isinstance(own, MobilecalError) else best_px}
+    return Check("corner_error", px, max(limit_px, _TIMES_OWN * best_px), "px", outcome, facts=facts)
 
 
 def _differences(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
     change, covariance, known = _compared(robot, own.robot)
     for name, part, unit, limit in _QUANTITIES:
-        limits = f"at most {limit:g} {unit}, or {SIGMAS:g} sigma"
+        facts: dict[str, Any] = {"sigmas": SIGMAS, "cure": own.cure}
         if not known[part].all():
-            yield Check(
-                name,
-                "unobservable",
-                limits,
-                "short",
-                f"The {name} is unobservable in this recording.",
-                f"{own.cure[:1].upper()}{own.cure[1:]}."
-                if own.cure
-                else "Record more motion of base and head.",
-            )
+            yield Check(f"agreement.{name}", None, limit, unit, "short", facts=facts)
             continue
         x, C = change[part], covariance[part, part]
         size = float(np.linalg.norm(x))
@@ -158,18 +134,8 @@ def _differences(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
             outcome = "bad"
         elif largest > needed:
             outcome = "short"
-        yield Check(
-            name,
-            f"{size:.2g} ± {sigma:.1g} {unit}",
-            limits,
-            outcome,
-            f"The {name} differs from this recording by {size:.2g} ± {sigma:.1g} {unit} (limit {limit:g} {unit})."
-            if outcome == "bad"
-            else f"This recording gives the {name} to {largest:.2g} {unit} (1 sigma); {needed:.2g} {unit} are needed.",
-            "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
-            if outcome == "bad"
-            else "Record more stations; mobilecal suggest lists the most useful ones.",
-        )
+        facts |= {"sigma": sigma, "largest": largest, "needed": needed}
+        yield Check(f"agreement.{name}", size, limit, unit, outcome, facts=facts)
 
 
 def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -43,6 +43,22 @@ _CALIBRATED = (
     *(figure.gate for figure in FIGURES),
     *(f"hold_out.{name}" for name in _EVALUATED),
 )
+#: Criteria whose values gates can limit too, see `checks`.
+_CRITERIA = (
+    "leg_outlier.point",
+    "leg_outlier.reprojection",
+    "noise.joint",
+    "noise.wheel",
+    "noise.wheel_share",
+    "noise.floor",
+    "noise.stamp",
+    "outliers",
+    "point_error",
+    "rejected",
+    "reprojection_error",
+    "stereo_error",
+    "wheel_difference",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +88,8 @@ def gates_of(
     Raises:
         ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
     """
-    known = _EVALUATED if evaluating else _CALIBRATED
-    every = {*_EVALUATED, *_CALIBRATED}
+    known = _EVALUATED if evaluating else (*_CALIBRATED, *_CRITERIA)
+    every = {*_EVALUATED, *_CALIBRATED, *_CRITERIA}
     limits = dict(config)
     for name in config:
         if name not in every:
@@ -106,8 +122,10 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
     return ConfigError(f"{where}: unknown figure", hint)
 
 
-def figures_of(solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None) -> Figures:
-    """Every figure of a calibration that a gate can limit."""
+def figures_of(
+    solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None
+) -> dict[str, float | None]:
+    """Figures of a calibration that a gate can limit; the values of the criteria are added by `judge`."""
     found = solution.uncertainty
     figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
     figures |= {
@@ -162,25 +180,8 @@ def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
     Known expected errors in use are left out: `judge` compares them with `use_limits`.
     """
     for gate in gates:
-        value, least = figures[gate.name], gate.name in _AT_LEAST
+        value, least = figures.get(gate.name), gate.name in _AT_LEAST
         if gate.name in USE_GATES and value is not None:
             continue
         passes = value is not None and (value >= gate.limit if least else value <= gate.limit)
-        measured = "unknown" if value is None else _rounded(value, gate.limit)
-        yield Check(
-            f"gate {gate.name}",
-            measured,
-            f"at {'least' if least else 'most'} {gate.limit:g}",
-            "good" if passes else "bad",
-            f"Gate failed: {gate.name} = {measured} (limit {gate.limit:g}).",
-            "See the report for the cause. `mobilecal suggest` lists stops that improve the result.",
-        )
-
-
-def _rounded(value: float, limit: float) -> str:
-    """A value with three digits, or more where three equal the limit."""
-    for digits in (3, 6, 9):
-        text = f"{value:.{max(digits, len(str(int(abs(value)))))}g}"
-        if float(text) != limit or value == limit:
-            break
-    return text
+        yield Check(f"gate.{gate.name}", value, gate.limit, "", "good" if passes else "bad", at_least=least)

@@ -15,6 +15,7 @@ from mobilecal_cli.report import overlays
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_rows
 from mobilecal_cli.report.check import OUTCOME_LABELS
+from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
 from mobilecal_cli.report.data import coverage, square_mm
 from mobilecal_cli.report.decomposition import reprojection_sentence
@@ -48,7 +49,8 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.outliers import outlier_sentences
 from mobilecal_cli.report.pages import environment
 from mobilecal_cli.report.units import value_text
-from mobilecal_cli.report.verdict import MIN_STATIONS, Verdict
+from mobilecal_cli.report.verdict import Verdict
+from mobilecal_cli.report.wording import words
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -85,7 +87,7 @@ def report_html(
     template = _template()
     page: dict[str, Any] = {
         "verdict": verdict,
-        "checks": verdict.checks,
+        "checks": [(check, words(check)) for check in verdict.checks],
         "numbers": _table_one(solution, extraction, rotation),
         "refined": solution.refinement is not None,
         "method": solution.method,

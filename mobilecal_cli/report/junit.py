@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import OUTCOME_LABELS, Check
+from mobilecal_cli.report.wording import words
 
 
 def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
@@ -22,16 +23,17 @@ def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
     suites = ET.Element("testsuites", counts)
     suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
     for check in checks:
-        case = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(check.name)})
+        said = words(check)
+        case = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(said.name)})
         if check.outcome in ("bad", "short"):
             failure = ET.SubElement(
-                case, "failure", {"message": visible(check.why), "type": OUTCOME_LABELS[check.outcome]}
+                case, "failure", {"message": visible(said.why), "type": OUTCOME_LABELS[check.outcome]}
             )
-            failure.text = visible(check.next_step)
+            failure.text = visible(said.next_step)
         out = ET.SubElement(case, "system-out")
-        out.text = visible(f"measured: {check.measured}; limit: {check.limit}")
+        out.text = visible(f"measured: {said.measured}; limit: {said.limit}")
         if check.outcome == "look":
-            out.text += visible(f"; warning: {check.why}")
+            out.text += visible(f"; warning: {said.why}")
     return _written(suites)
 
 

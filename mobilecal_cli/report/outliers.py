@@ -14,7 +14,6 @@ _KINDS = {
     "joint": "wrong joint readings",
     "corners": "stations with corners that do not fit the board",
 }
-_NOISY = {"views": "stations' images", "legs": "legs' wheel rotations", "readings": "joint readings"}
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:
@@ -27,12 +26,3 @@ def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> It
             continue
         at = ", ".join("-".join(names[i] for i in outlier.observations) for outlier in mine)
         yield f"{len(mine)} {cause} ({at}). The first: {mine[0].text}"
-
-
-def noisy_sentence(noisy: Sequence[str]) -> str:
-    """What it means that so many measurements of some kinds looked like outliers."""
-    which = " and of the ".join(_NOISY[kind] for kind in noisy)
-    return (
-        f"More than a third of the {which} differ from the rest: their noise is larger than usual. All of them are "
-        "used, with the noise level that fits them."
-    )

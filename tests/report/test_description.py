@@ -15,14 +15,13 @@ from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, LogSource, Nominal
 from mobilecal_cli.report import (
-    gate_checks,
     gates_of,
     judge,
     recommendation,
     report_html,
     report_json,
     summary_table,
-    use_limits,
+    words,
 )
 from mobilecal_cli.report.at_work import FIGURES, uses
 from mobilecal_cli.report.budget import FAMILIES, SOURCES, families, limiting_sentence
@@ -107,18 +106,18 @@ def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_
 def test_a_gate_replaces_a_default_limit(limit, level):
     solution, extraction = drawn()
     gates = gates_of([f"predicted.camera_mm={limit}"], {})
-    figures = {"predicted.camera_mm": 5.0}
-    verdict = judge(solution, extraction, tuple(gate_checks(gates, figures)), use_limits(gates))
+    verdict = judge(solution, extraction, gates)
     assert verdict.level == level
-    (check,) = [c for c in verdict.checks if "camera position" in c.name]
-    assert check.limit == f"at most {limit:g} mm"
+    check = verdict.checks["use.camera_m"]
+    assert (check.limit, check.unit) == (limit, "mm")
+    assert check.value == verdict.metrics["predicted.camera_mm"]
+    assert words(check).limit == f"at most {limit:g} mm"
 
 
 def test_a_gate_on_an_unknown_expected_error_fails():
     extraction = make_extraction()
     gates = gates_of(["predicted.camera_mm=10"], {})
-    checks = tuple(gate_checks(gates, {"predicted.camera_mm": None}))
-    verdict = judge(make_solution(extraction), extraction, checks, use_limits(gates))
+    verdict = judge(make_solution(extraction), extraction, gates)
     assert (verdict.level, verdict.reason) == (
         "FAIL",
         "Gate failed: predicted.camera_mm = unknown (limit 10).",
@@ -126,21 +125,21 @@ def test_a_gate_on_an_unknown_expected_error_fails():
 
 
 @pytest.mark.parametrize(
-    ("motion", "fixed", "limits"),
+    ("motion", "fixed"),
     [
-        ("base_fixed", "wheels", {}),
-        ("head_fixed", "head_eye", {}),
+        ("base_fixed", "wheels"),
+        ("head_fixed", "head_eye"),
     ],
 )
-def test_fixed_parameters_need_no_motion(motion, fixed, limits):
+def test_fixed_parameters_need_no_motion(motion, fixed):
     solution, extraction = solved(motion=motion, fixed=(fixed,))
-    verdict = judge(solution, extraction, limits=limits)
+    verdict = judge(solution, extraction)
     assert verdict.level == "PASS", verdict.reason
 
 
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
-    narrow = {"predicted.camera_deg": 0.2}
-    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), limits=narrow)
+    narrow = gates_of(["predicted.camera_deg=0.2"], {})
+    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
     assert verdict.level == "NOT ENOUGH"
     assert "The stated geometry of the head limits the camera rotation in the base" in verdict.reason
     assert "More stations will not help much" in verdict.next_step
@@ -251,13 +250,13 @@ def test_the_files_hold_budget_and_constants():
     assert data["constants"]["stereo_r_x"]["used_prior"] > data["constants"]["stereo_r_x"]["prior"]
     assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
     page = report_html(solution, extraction, (), provenance, verdict)
-    for words in (
+    for said in (
         "What the description gets wrong",
         "Error budget",
         "contradicts",
         "error budget: what each",
     ):
-        assert words in page
+        assert said in page
 
 
 # -- parts of the reprojection error ----------------------------------------------------------------
@@ -310,8 +309,7 @@ def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
     verdict = judge(fixed, extraction)
     assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
-    (check,) = [c for c in verdict.checks if c.name == "expected error: camera position in the base"]
-    assert check.measured == "fixed by the user"
+    assert words(verdict.checks["use.camera_m"]).measured == "fixed by the user"
 
 
 def test_a_camera_info_that_changes_is_no_silent_pass():

@@ -20,6 +20,7 @@ from mobilecal_cli.report import (
     judge,
     junit_error_xml,
     junit_xml,
+    words,
 )
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.gates import Gate
@@ -94,21 +95,28 @@ def test_each_side_of_a_limit():
     gates = [Gate(name, limit) for name, limit in zip(names, (3, 3, 7, 4.0, 100), strict=True)]
     checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
     assert [check.outcome for check in checks] == ["good", "bad", "bad", "good", "bad"]
-    assert checks[1].why == "Gate failed: legs = 2 (limit 3)."
-    assert "unknown (limit 100)" in checks[4].why
+    assert words(checks[1]).why == "Gate failed: legs = 2 (limit 3)."
+    assert "unknown (limit 100)" in words(checks[4]).why
 
 
 def test_a_broken_gate_fails_a_sound_calibration():
     extraction = make_extraction()
     solution = make_solution(extraction)
-    figures = figures_of(solution, extraction)
     assert judge(solution, extraction).level == "PASS"
-    kept = tuple(gate_checks([Gate("stations", 12)], figures))
-    assert judge(solution, extraction, kept).level == "PASS"
-    broken = tuple(gate_checks([Gate("point_rms_mm", 5)], figures))
-    verdict = judge(solution, extraction, broken)
+    assert judge(solution, extraction, [Gate("stations", 12)]).level == "PASS"
+    verdict = judge(solution, extraction, [Gate("point_rms_mm", 5)])
     assert verdict.level == "FAIL"
     assert "point_rms_mm" in verdict.reason
+
+
+def test_gates_limit_the_values_of_criteria():
+    extraction = make_extraction()
+    solution = make_solution(extraction)
+    value = judge(solution, extraction).checks["leg_outlier.point"].value
+    for limit, level in ((value + 0.1, "PASS"), (value - 0.1, "FAIL")):
+        verdict = judge(solution, extraction, gates_of([f"leg_outlier.point={limit}"], {}))
+        assert verdict.level == level
+        assert verdict.checks["gate.leg_outlier.point"].value == value
 
 
 def test_figures_of_a_calibration_are_those_of_its_files():
@@ -128,7 +136,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
 def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
     figures = {"stations": 1234.0, "point_rms_mm": 2.84886, "reprojection_rms_px": 0.5000012}
     gates = [Gate(name, limit) for name, limit in zip(figures, (2000, 0.5, 0.5), strict=True)]
-    assert [check.why for check in gate_checks(gates, figures)] == [
+    assert [words(check).why for check in gate_checks(gates, figures)] == [
         "Gate failed: stations = 1234 (limit 2000).",
         "Gate failed: point_rms_mm = 2.85 (limit 0.5).",
         "Gate failed: reprojection_rms_px = 0.500001 (limit 0.5).",
@@ -137,15 +145,15 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
 
 def test_junit():
     checks = [
-        Check("fine <&>", "1", "2", "good", "", ""),
-        Check("so so", "1", "2", "look", "why\x1b", "next"),
-        Check("bad", "3", "2", "bad", "because of \x00", "do"),
-        Check("short", "3", "2", "short", "too little", "more"),
+        Check("stations", 9, 8, "", "good", at_least=True),
+        Check("camera_info", 1, 0, "", "look", facts={"note": "why\x1b"}),
+        Check("rejected", 60, 50, "%", "bad", facts={"rejected": 6, "found": 10, "often": "<&>\x00"}),
+        Check("gate.legs", 3, 4, "", "short", at_least=True),
     ]
     suite = ET.fromstring(junit_xml("log\x07.mcap", checks)).find("testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
     cases = suite.findall("testcase")
-    assert [case.get("name") for case in cases] == ["fine <&>", "so so", "bad", "short"]
+    assert [case.get("name") for case in cases] == [words(check).name for check in checks]
     assert [case.find("failure") is not None for case in cases] == [False, False, True, True]
     broken = ET.fromstring(junit_error_xml("log", RecordingError("no\x00thing", "look")))
     assert broken.find("testsuite/testcase/error").get("type") == "recording"

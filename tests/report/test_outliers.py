@@ -1,7 +1,8 @@
 """Outliers in words: a few singly, many by count."""
 
 from mobilecal_cli.model import Outlier
-from mobilecal_cli.report.outliers import noisy_sentence, outlier_sentences
+from mobilecal_cli.report import Check, words
+from mobilecal_cli.report.outliers import outlier_sentences
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -36,5 +37,8 @@ def test_many_slips_are_named_by_their_legs():
 
 
 def test_noise_is_named_by_its_kind():
-    assert "joint readings differ" in noisy_sentence(["readings"])
-    assert "legs' wheel rotations and of the joint readings" in noisy_sentence(["legs", "readings"])
+    def said(*kinds):
+        return words(Check("outliers_as_noise", len(kinds), 0, "", "look", facts={"kinds": kinds})).why
+
+    assert "joint readings differ" in said("readings")
+    assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
-from mobilecal_cli.report import judge
+from mobilecal_cli.report import judge, words
 from mobilecal_cli.solvers import solve
 from tests.report.example import T_H_C, WHEELS, make_extraction, make_rig, make_solution, project
 
@@ -120,8 +120,7 @@ def test_a_stereo_pair_that_does_not_fit(solution, extraction):
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
     verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
-    (check,) = [c for c in verdict.checks if c.name == "stereo reprojection error of the board"]
-    assert check.measured == "0.0031 px (median)"
+    assert words(verdict.checks["stereo_error"]).measured == "0.0031 px (median)"
 
 
 def test_squares_of_another_size(solution, extraction):
@@ -258,4 +257,4 @@ class TestWithTheSolver:
         )
         verdict = solved(extraction, observations=loose)
         assert verdict.level == "FAIL"
-        assert "joints" in verdict.next_step
+        assert "joint" in verdict.next_step

@@ -132,10 +132,8 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     chain = replace(extraction.rig.chain, links=(lift,), pan="", tilt="")
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
     assert [row.unit for row in noise_rows(found, lifted) if row.meaning == "joint reading"] == ["mm"]
-    (check,) = [c for c in judge(found, lifted).checks if c.name == "noise of the joint readings"]
-    assert check.measured.endswith(" mm")
-    assert check.limit == "under 0.7 mm"
-    assert check.outcome == "good"
+    check = judge(found, lifted).checks["noise.joint"]
+    assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "good")
 
 
 # -- fixed parameters -------------------------------------------------------------------------------

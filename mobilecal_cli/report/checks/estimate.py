@@ -1,0 +1,103 @@
+"""Criteria on the maximum-likelihood estimate: observability, noise, outliers, scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mobilecal_cli.model import NINE, Extraction, Solution
+from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
+
+# Stated square size against the stereo measurement; a difference scales all lengths.
+SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT = 1.0, 3.0
+# Share of outliers that a robust estimate tolerates.
+OUTLIERS_BAD_PERCENT = 30.0
+# Noise levels (look, bad). The estimate allows for them, so the limits are wide.
+JOINT_DEG, JOINT_MM, WHEEL = (0.2, 0.4), (0.35, 0.7), (0.015, 0.03)
+FLOOR_DEG, STAMP_MS, WHEEL_SHARE_PERCENT = (0.3, 1.5), (2.0, 20.0), (1.0, 5.0)
+
+
+def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
+    """Parameters that the recording does not determine, and the motion that would.
+
+    Args:
+        solution: the solution.
+        enough: whether all expected errors are within their limits all the same.
+    """
+    found, motion = solution.uncertainty, solution.motion
+    if found is None:
+        return
+    seen = zip(NINE, found.observable, found.fixed, strict=True)
+    fixed = [name for name, ok, by_user in seen if not (ok or by_user)]
+    if not fixed:
+        return
+    cures = []
+    if set(fixed) & set(NINE[:6]):
+        cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
+    if set(fixed) & set(NINE[6:]):
+        turns, drives = motion["turned_deg"] >= MIN_TURNED_DEG, motion["driven_m"] >= MIN_DRIVEN_M
+        cures.append(
+            "turn the base by 20 degrees or more between stops"
+            if drives and not turns
+            else "drive forward and back by 20 cm or more between stops"
+            if turns and not drives
+            else "drive and turn the base between stops"
+        )
+    yield Check(
+        "observable",
+        9 - len(fixed),
+        9,
+        "",
+        "look" if enough else "short",
+        at_least=True,
+        facts={"unobservable": fixed, "cures": cures},
+    )
+
+
+def outlier_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Outliers, and kinds of measurements with so many of them that they are noise."""
+    if solution.uncertainty is None:
+        return
+    gross = [o for o in solution.outliers if o.kind != "corners"]
+    stations = len(extraction.observations)
+    share = 100 * len(gross) / max(1, stations)
+    outcome: Outcome = "bad" if share > OUTLIERS_BAD_PERCENT else "look" if gross else "good"
+    facts = {"count": len(gross), "stations": stations, "first": gross[0].text if gross else ""}
+    yield Check("outliers", share, OUTLIERS_BAD_PERCENT, "%", outcome, facts=facts)
+    if solution.noisy:
+        yield Check("outliers_as_noise", len(solution.noisy), 0, "", "look", facts={"kinds": solution.noisy})
+
+
+def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Noise levels of joints, wheels, floor and time stamps, if they are not zero."""
+    if solution.uncertainty is None:
+        return
+    noise, chain = solution.uncertainty.noise, extraction.rig.chain
+    slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
+    joint = (
+        (1e3 * chain.joint_units[0] * noise.joint_rad, "mm", JOINT_MM)
+        if slides
+        else (float(np.degrees(noise.joint_rad)), "degrees", JOINT_DEG)
+    )
+    moving = not all(o.at_rest for o in extraction.observations)
+    for name, (level, unit, (look, bad)) in {
+        "joint": joint,
+        "wheel": (noise.wheel_rad_per_sqrt_rad, "rad per sqrt(rad)", WHEEL),
+        "wheel_share": (100 * noise.wheel_share, "%", WHEEL_SHARE_PERCENT),
+        "floor": (float(np.degrees(noise.floor_rad)), "degrees", FLOOR_DEG),
+        "stamp": (1e3 * noise.stamp_s if moving else 0.0, "ms", STAMP_MS),
+    }.items():
+        if level:
+            yield Check(f"noise.{name}", level, bad, unit, graded(level, look, bad), facts={"usual": look})
+
+
+def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Stated square size against the stereo baseline, for methods that do not estimate both."""
+    if solution.uncertainty is None and extraction.board.square_m is not None:
+        stated = extraction.board.square_m
+        seen = float(np.median([o.square_m for o in extraction.observations]))
+        off = 100 * (seen / stated - 1)
+        outcome = graded(abs(off), SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT)
+        facts = {"seen_mm": seen * 1e3, "stated_mm": stated * 1e3}
+        yield Check("square_size", off, SQUARE_BAD_PERCENT, "%", outcome, facts=facts)

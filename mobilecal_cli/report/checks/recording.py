@@ -1,0 +1,67 @@
+"""Criteria on the recording: stations, motion, camera_info, rejections, mistakes in the robot description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, Extraction, Solution
+from mobilecal_cli.report.at_work import MIN_PAN_DEG, MIN_TILT_DEG
+from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, enough, graded
+from mobilecal_cli.report.numbers import rejection_counts, stations_looked_at
+
+# Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
+MIN_STATIONS = 8
+REJECTED_LOOK_PERCENT = 50.0
+_MOTION = (
+    ("pan_range_deg", "degrees", MIN_PAN_DEG),
+    ("tilt_range_deg", "degrees", MIN_TILT_DEG),
+    ("turned_deg", "degrees", MIN_TURNED_DEG),
+    ("driven_m", "m", MIN_DRIVEN_M),
+)
+
+
+def mistakes(solution: Solution) -> Iterator[Check]:
+    """The mistake in the robot description that explains a bad fit."""
+    found = solution.diagnosis
+    if found is None:
+        return
+    before, after = (
+        None if share is None else 100 * share for share in (found.error_share, found.corrected_share)
+    )
+    facts = {"cause": found.cause, "cure": found.cure, "corrected": after}
+    yield Check("mistake", before, None, "%", "bad", facts=facts)
+
+
+def station_checks(extraction: Extraction) -> Iterator[Check]:
+    """Stations, and legs between them in several recordings."""
+    have, logs = len(extraction.observations), len({o.log for o in extraction.observations})
+    yield Check("stations", have, MIN_STATIONS, "", enough(have, MIN_STATIONS), at_least=True)
+    if logs > 1:
+        legs, least = have - logs, MIN_STATIONS - 1
+        yield Check("legs", legs, least, "", enough(legs, least), at_least=True, facts={"logs": logs})
+
+
+def motion_checks(solution: Solution) -> Iterator[Check]:
+    """Motion of head and base, for methods without standard deviations."""
+    for key, unit, least in _MOTION:
+        if key in solution.motion:
+            value = solution.motion[key]
+            yield Check(f"motion.{key}", value, least, unit, enough(value, least), at_least=True)
+
+
+def camera_info(extraction: Extraction) -> Iterator[Check]:
+    """One calibration of each camera for the whole recording; the estimate uses the first."""
+    changes = [note for note in extraction.notes if CAMERA_INFO_CHANGES in note]
+    if changes:
+        yield Check("camera_info", len(changes), 0, "", "look", facts={"note": changes[0]})
+
+
+def rejected(extraction: Extraction) -> Check:
+    """Share of rejected stations."""
+    found, used = stations_looked_at(extraction), len(extraction.observations)
+    share, counts = 100 * (1 - used / found), rejection_counts(extraction)
+    often = next(iter(counts))[1] if counts else ""
+    facts = {"rejected": found - used, "found": found, "often": often}
+    outcome = graded(share, REJECTED_LOOK_PERCENT, math.inf)
+    return Check("rejected", share, REJECTED_LOOK_PERCENT, "%", outcome, facts=facts)
