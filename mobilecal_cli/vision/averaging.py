@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.model import Board, BoolArray, Camera, Corners, FloatArray
-from mobilecal_cli.vision.grid import scatter_px, turned, turns
+from mobilecal_cli.vision.grid import turned, turns
+from mobilecal_cli.vision.grid_map import scatter_px
 from mobilecal_cli.vision.roughness import roughness_px
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, rms
 

@@ -36,6 +36,7 @@ _STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur i
 # One iteration leaves about 1/50 of the step (measured: 0.06 sigma of 3). After a step no longer than this,
 # in units of sigma, another iteration would reduce the variance by less than 1 %.
 _SETTLED = 6.0
+_FAR_PX = 0.5  # a corner that still moves this far is on its way, whatever the others do
 # Approximation of erf(z / sqrt(2)) within 4e-4 by tanh, which is fast in single precision.
 _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
@@ -93,11 +94,8 @@ class FittedCorners:
 
 
 def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Steps to the next corner along a row and along a column, (M, 2) each, by central differences."""
-    along, down = np.empty_like(grid), np.empty_like(grid)
-    along[:, 1:-1], down[1:-1] = (grid[:, 2:] - grid[:, :-2]) / 2, (grid[2:] - grid[:-2]) / 2
-    along[:, 0], along[:, -1] = grid[:, 1] - grid[:, 0], grid[:, -1] - grid[:, -2]
-    down[0], down[-1] = grid[1] - grid[0], grid[-1] - grid[-2]
+    """Steps to the next corner along a row and along a column, (M, 2) each, by differences of second order."""
+    down, along = np.gradient(grid, axis=(0, 1), edge_order=2)
     return along.reshape(-1, 2), down.reshape(-1, 2)
 
 
@@ -300,8 +298,9 @@ def _fitted(image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | 
     for done in range(1, _MOST_ROUNDS + 1):
         last = fit.round()
         variance = (last.cov[:, 0, 0] + last.cov[:, 1, 1]) / 2
-        moved = _median(last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
-        if (look is not None or done > 1) and moved < _SETTLED**2 * _median(variance):
+        moved = (last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
+        settled = _median(moved) < _SETTLED**2 * _median(variance) and moved.max() < _FAR_PX**2
+        if (look is not None or done > 1) and settled:
             break
     start = grid.reshape(-1, 2)
     off = fit.pixels - start
@@ -309,7 +308,7 @@ def _fitted(image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | 
     fitted = (
         (fit.used >= _LEAST_PIXELS) & (off[:, 0] ** 2 + off[:, 1] ** 2 < limit**2) & (variance < limit**2)
     )
-    fitted &= np.abs(last.contrast_grey) > np.maximum(_LEAST_CONTRAST_GREY, 3 * last.noise_grey)
+    fitted &= np.abs(last.contrast_grey) > np.maximum(_LEAST_CONTRAST_GREY, 2 * last.noise_grey)
     poor = limit[:, None, None] ** 2 * np.eye(2)
     return FittedCorners(
         np.where(fitted[:, None], fit.pixels, start),

@@ -6,17 +6,20 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
-from mobilecal_cli.vision.corner_model import fit_corners
+from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, check_grid, check_size, fit_board, off_grid
 from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
-from mobilecal_cli.vision.grid import canonical, fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.grid import canonical, right_handed, smallest_edge_px
+from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.spots import spot_strength
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
 
 _LARGE = 1280  # image width from which half size is tried first, which is three times as fast, px
-MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 _SMALLEST_PICTURE = 64
+_ADAPTIVE = (
+    cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+)  # for uneven light; slow in full images
 #: A saddle response below this share of the board's is not a second board in the same light.
 FAINTEST = 0.1
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
@@ -53,26 +56,20 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     """Refine corners and apply the acceptance checks."""
     rows, columns = grid.shape[:2]
     grid = right_handed(grid)
-    edge = smallest_edge_px(grid)
-    if edge < MIN_EDGE_PX:
-        return _too_small(edge)
-    limit = roughest_px(edge)
     for _ in range(2):
-        grid = refine(image, grid.reshape(-1, 2), edge).reshape(grid.shape)
-        grid_map = fit_grid(grid)
-        if grid_map.worst_px <= limit:
+        if (small := check_size(grid)) is not None:
+            return small
+        grid = refine(image, grid.reshape(-1, 2), smallest_edge_px(grid)).reshape(grid.shape)
+        grid_map = fit_grid(grid, image.shape)
+        bad = off_grid(grid_map, smallest_edge_px(grid))
+        if not bad.any():
             break
-        grid = (
-            grid - grid_map.residual
-        )  # restart a corner that diverged from the position predicted by the others
-    edge = smallest_edge_px(grid)
-    if edge < MIN_EDGE_PX:
-        return _too_small(edge)
+        grid = grid_map.predicted(grid, bad)  # restart corners that diverged where the others predict them
+    if (small := check_size(grid)) is not None:
+        return small
     outer_whole = outer_squares_whole(image, grid_map, columns, rows)
-    grid = refine_widely(image, grid, edge, outer_whole)
-    fit = fit_corners(image, grid, outer_whole)
-    grid = fit.pixels.reshape(grid.shape)
-    grid_map = fit_grid(grid)
+    grid = refine_widely(image, grid, smallest_edge_px(grid), outer_whole)
+    fit, grid_map = fit_board(image, grid, outer_whole)
     polarity = check_polarity(image, grid_map, columns, rows)
     blurred = check_sharpness(image, grid_map, columns, rows)
     if isinstance(polarity, Miss):
@@ -81,28 +78,17 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         return blurred if blurred is not None and washed_out else polarity
     if blurred is not None:
         return blurred
-    if grid_map.worst_px > limit:
-        return Miss(
-            "corners not on a regular grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
-        )
-    order, dark_at_origin = canonical(grid, polarity.dark_at_origin)
+    if (rough := check_grid(fit, grid_map)) is not None:
+        return rough
+    order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), polarity.dark_at_origin)
     contrast = fit.half_contrast_grey
     look = Look(fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole)
     return Detection(fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], look=look)
 
 
-def _too_small(edge_px: float) -> Miss:
-    return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
-
-
-def roughest_px(edge_px: float) -> float:
-    """Largest distance of a corner from the smooth grid, px."""
-    return max(0.6, 0.12 * edge_px)
-
-
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
     """The image with a board, its outer squares and a margin painted over in the mean brightness."""
-    grid_map = fit_grid(pixels.reshape(rows, columns, 2))
+    grid_map = fit_grid(pixels.reshape(rows, columns, 2), image.shape)
     low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
     hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
     painted = np.array(image)
@@ -172,7 +158,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
     grown = grow_any(image, columns * rows)
     if grown is None or grown.grid.size < 2 * _TELLING * columns * rows:
         for scale in (0.25, 0.125):
-            grid = _classic(image, columns, rows, 0, scale)
+            grid = _classic(image, columns, rows, _ADAPTIVE, scale)
             if grid is not None:
                 return _judge(image, grid)
         return first or Miss("no board found", f"no grid of {columns} x {rows} corners")
@@ -185,8 +171,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
         return _judge(image, grid)
     if grown.open_sides == 0:
         return first or _other_size(grown.grid, grown.open_sides, columns, rows)
-    adaptive = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    again = _classic(image, columns, rows, adaptive, 0.5 if image.shape[1] >= _LARGE else 1.0)
+    again = _classic(image, columns, rows, _ADAPTIVE, 0.5 if image.shape[1] >= _LARGE else 1.0)
     if again is not None:
         judged = _judge(image, again)
         if isinstance(judged, Detection):

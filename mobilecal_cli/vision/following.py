@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, check_grid, check_size, fit_board
 from mobilecal_cli.vision.boards import find_board
-from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners
-from mobilecal_cli.vision.detection import FAINTEST, MIN_EDGE_PX, roughest_px
+from mobilecal_cli.vision.corner_model import FittedCorners
+from mobilecal_cli.vision.detection import FAINTEST
 from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
-from mobilecal_cli.vision.grid import fit_grid, smallest_edge_px
+from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.refinement import refine_once
 from mobilecal_cli.vision.spots import has_spots, spot_strength
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
@@ -50,13 +51,13 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
             "board partly occluded or outside the image", "the predicted corners are at the image border"
         )
     grid = expected.reshape(rows, columns, 2)
+    if (small := check_size(grid)) is not None:
+        return small
     edge = smallest_edge_px(grid)
-    if edge < MIN_EDGE_PX:
-        return Miss("squares too small", f"smallest square {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     grid = refine_once(image, expected, edge, look.outer_whole).reshape(grid.shape)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
-    fit = fit_corners(image, grid, look.outer_whole, look)
+    fit, grid_map = fit_board(image, grid, look.outer_whole, look)
     width_squares = 2.563 * fit.blur_px / edge
     if width_squares > MAX_EDGE_WIDTH:
         return Miss(
@@ -67,11 +68,8 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
             "square colors do not alternate",
             "corners at the predicted position are occluded or have the wrong square colors",
         )
-    grid_map, limit = fit_grid(fit.pixels.reshape(grid.shape)), roughest_px(edge)
-    if grid_map.worst_px > limit:
-        return Miss(
-            "corners not on a regular grid", f"worst corner {grid_map.worst_px:.2f} px, limit {limit:.2f} px"
-        )
+    if (rough := check_grid(fit, grid_map)) is not None:
+        return rough
     contrast = np.copysign(fit.half_contrast_grey, look.contrast_grey)
     seen = Look(fit.blur_px, fit.noise_grey, float(contrast), look.outer_whole)
     return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, look=seen)

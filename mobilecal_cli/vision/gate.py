@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
-from mobilecal_cli.vision.grid import GridMap, Places, places
+from mobilecal_cli.vision.grid_map import GridMap, Places, places
 from mobilecal_cli.vision.values import Miss
 
 # Outer squares are sampled near the corners, because printed boards often have narrow ones.

@@ -9,7 +9,8 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.gate import sample
-from mobilecal_cli.vision.grid import fit_grid, right_handed, smallest_edge_px
+from mobilecal_cli.vision.grid import right_handed, smallest_edge_px
+from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.refinement import refine
 
 _SEEDS = ((3, 3), (5, 4))
@@ -81,7 +82,7 @@ def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:
 def _next_line(grid: FloatArray, image: GrayImage) -> tuple[FloatArray | None, bool]:
     """The grid extended by one row, or None; and whether part of that row is visible."""
     rows, columns = grid.shape[:2]
-    grid_map = fit_grid(grid)
+    grid_map = fit_grid(grid, image.shape)
     uv = np.stack([np.arange(columns), np.full(columns, rows)], axis=-1).astype(np.float64)
     guess = grid_map(uv)
     height, width = image.shape

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArray, Markers
-from mobilecal_cli.vision.grid import scatter_px
+from mobilecal_cli.vision.grid_map import scatter_px
 from mobilecal_cli.vision.values import Detection, Miss, rms
 
 #: Fewer corners, or fewer tags, do not determine the board's pose.

@@ -6,7 +6,7 @@ import numpy as np
 
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.model import Camera, FloatArray
-from mobilecal_cli.vision.grid import fit_grid, homography_px, noise_px
+from mobilecal_cli.vision.grid_map import fit_grid, homography_px, noise_px
 
 
 def roughness_px(camera: Camera, grid: FloatArray) -> float:

@@ -78,6 +78,11 @@ def _rays(camera: Camera) -> np.ndarray:
     target = np.stack([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
     if camera.distortion == "none":
         return target
+    if camera.distortion == "equidistant":
+        angle = np.hypot(*np.moveaxis(target, -1, 0))
+        assert not np.any(camera.D), "only the pure projection is inverted here"
+        # A ray at 90 degrees and beyond has no z = 1 coordinates; these are far outside any board.
+        return target * (np.tan(np.minimum(angle, 1.55)) / np.maximum(angle, 1e-12))[..., None]
     k1, k2, p1, p2, k3 = camera.D
     ray = target.copy()
     for _ in range(25):

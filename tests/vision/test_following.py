@@ -149,3 +149,31 @@ def test_a_board_that_leaves_the_picture_is_said_to(film):
     gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.look, 9, 6)
     assert isinstance(gone, Miss)
     assert gone.reason == "board partly occluded or outside the image"
+
+
+@pytest.mark.parametrize("corner", [0, 8, 45, 53, 4, 22])
+def test_a_corner_predicted_wrongly_is_found_by_the_others(film, corner):
+    """An outermost corner draws the smooth grid to itself; it was once kept 7 px off."""
+    image, truth = film[0]
+    seen = detect(image, 9, 6)
+    assert isinstance(seen, Detection)
+    assert seen.look is not None
+    for off in ([7.0, 0.0], [-6.0, 4.0], [0.0, -8.0], [10.0, 10.0]):
+        expected = truth.copy()
+        expected[corner] += off
+        found = follow(image, expected, seen.look, 9, 6)
+        assert isinstance(found, Detection), (off, found)
+        assert np.abs(found.pixels - truth).max() < 0.1, off
+
+
+def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(film):
+    image, truth = film[0]
+    seen = detect(image, 9, 6)
+    assert isinstance(seen, Detection)
+    assert seen.look is not None
+    for corner in (0, 45, 22):
+        hidden = image.copy()
+        u, v = np.rint(truth[corner]).astype(int)
+        hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
+        assert isinstance(detect(hidden, 9, 6), Miss), corner
+        assert isinstance(follow(hidden, truth, seen.look, 9, 6), Miss), corner

@@ -12,7 +12,7 @@ import pytest
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.vision import Detection, detect
 from mobilecal_cli.vision.averaging import Shots
-from mobilecal_cli.vision.grid import fit_grid
+from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.roughness import roughness_px
 from tests.vision.scenes import random_pose, render, seen, stereo_rig
 

@@ -1,0 +1,277 @@
+"""A smooth map from board coordinates to pixels, fitted to corners.
+
+Grid coordinates (u, v) count squares: corner (column, row) is at (u, v) = (column, row), and the borders
+between squares are at whole numbers, also beyond the inner corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.vision.fisheye import Fisheye, fisheyes
+
+# A grid less smooth than this under a perspective camera may have been seen by a fisheye lens, px. The lens must
+# leave less than this share of the noise.
+_ROUGH_PX = 0.2
+_BETTER = 0.7
+_LENS_PX = 0.3  # error of the lens model, against which its likely values count
+_LENS_STEPS, _LITTLE = 4, 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Grid coordinates prepared for repeated evaluation.
+
+    Attributes:
+        w: (n, 2) centered and scaled coordinates.
+        terms: (n, terms) monomials of the polynomial.
+    """
+
+    w: FloatArray
+    terms: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridMap:
+    """Map from grid coordinates to pixels: a homography, a lens, and a polynomial for other distortion.
+
+    Attributes:
+        H: (3, 3) homography from centered grid coordinates to pixels, or to the rays of the lens.
+        lens: of a fisheye camera; None for a perspective one.
+        bend: (terms, 2) coefficients of the polynomial, px.
+        degree: of the polynomial; 0 for none.
+        `centre`, `size`: offset and scale of the grid coordinates.
+        residual: (rows, columns, 2) corner minus smooth map, px.
+        sigma_px: noise of one coordinate, from the residuals and their degrees of freedom.
+    """
+
+    H: FloatArray
+    lens: Fisheye | None
+    bend: FloatArray
+    degree: int
+    centre: FloatArray
+    size: float
+    residual: FloatArray
+    sigma_px: float
+
+    def __call__(self, uv: FloatArray) -> FloatArray:
+        """(..., 2) grid coordinates → (..., 2) px."""
+        w = (uv - self.centre) / self.size
+        return _through(self.H, w, self.lens) + _monomials(w, self.degree) @ self.bend
+
+    @property
+    def off_px(self) -> FloatArray:
+        """(rows, columns) distance of each corner from the map through all others, px.
+
+        A corner at the edge of the board draws the map to itself; its residual shows a small part of its error.
+        """
+        frame = _frame(*self.residual.shape[:2])
+        return np.asarray(np.hypot(*np.moveaxis(self.residual, -1, 0)) / frame.freedom)
+
+    def predicted(self, grid: FloatArray, bad: BoolArray) -> FloatArray:
+        """The corners (rows, columns, 2) this map was fitted to, px, the bad ones as the others predict them."""
+        frame = _frame(*grid.shape[:2])
+        chosen = frame.finer[bad.ravel()]
+        free = np.eye(len(chosen)) - chosen @ chosen.T
+        better = grid.copy()
+        better[bad] -= np.linalg.lstsq(free, self.residual[bad], rcond=1e-3)[0]
+        return better
+
+    def at(self, places: Places) -> FloatArray:
+        """(n, 2) px at places prepared for the same board size."""
+        return _through(self.H, places.w, self.lens) + places.terms @ self.bend
+
+
+def _through(H: FloatArray, w: FloatArray, lens: Fisheye | None = None) -> FloatArray:
+    h = w @ H[:, :2].T + H[:, 2]
+    if lens is not None:
+        return lens.project(h)
+    pixels: FloatArray = h[..., :2] / h[..., 2:]
+    return pixels
+
+
+def _monomials(w: FloatArray, degree: int) -> FloatArray:
+    x, y = w[..., 0], w[..., 1]
+    return np.stack([x**i * y ** (d - i) for d in range(degree + 1) for i in range(d + 1)], axis=-1)
+
+
+def _products(w: FloatArray) -> FloatArray:
+    """(M, 9) outer products of (w, 1) with itself, flattened."""
+    one = np.column_stack([w, np.ones(len(w))])
+    return np.asarray((one[:, :, None] * one[:, None, :]).reshape(-1, 9))
+
+
+def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Homography to pixels (M, 2), normalized for the direct linear transformation."""
+    mean, spread = pixels.mean(axis=0), pixels.std()
+    back = np.array([[spread, 0, mean[0]], [0, spread, mean[1]], [0, 0, 1]])
+    return np.asarray(
+        back @ _to_rays(products, np.column_stack([(pixels - mean) / spread, np.ones(len(pixels))]))
+    )
+
+
+def _to_rays(products: FloatArray, rays: FloatArray) -> FloatArray:
+    """Homography to rays (M, 3) of any length (direct linear transformation: ray x H q = 0).
+
+    Hartley and Zisserman 2004, algorithm 4.1, with all three equations of a corner.
+    """
+    squares = np.sum(rays**2, axis=1)[:, None, None] * np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    blocks = (squares.reshape(-1, 9).T @ products).reshape(3, 3, 3, 3)
+    normal = blocks.transpose(0, 2, 1, 3).reshape(9, 9)
+    homography: FloatArray = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
+    return homography
+
+
+def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Residuals of scattered corners from a smooth map: a homography and a low-degree polynomial.
+
+    Args:
+        uv: (n, 2) positions on the board, any unit, n at least 6.
+        pixels: (n, 2) px.
+
+    Returns:
+        (n, 2) residuals, px, scaled up for the lost degrees of freedom: their mean square is the noise
+        variance.
+    """
+    w = (uv - uv.mean(axis=0)) / max(float(np.ptp(uv, axis=0).max()) / 2, 1e-9)
+    bent = pixels - _through(_homography(_products(w), pixels), w)
+    degree = 4 if len(w) >= 40 else 3 if len(w) >= 24 else 2 if len(w) >= 12 else 0
+    residual, unknowns = bent, 8
+    if degree:
+        terms = _monomials(w, degree)
+        residual = bent - terms @ np.linalg.lstsq(terms, bent, rcond=None)[0]
+        unknowns = 2 * terms.shape[1] + 2
+    return np.asarray(residual * np.sqrt(2 * len(w) / max(2 * len(w) - unknowns, 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """The part of `fit_grid` that depends only on the board's size.
+
+    Attributes:
+        w: (M, 2) centered and scaled grid coordinates.
+        products: (M, 9) see `_products`.
+        `centre`, `size`: offset and scale of the grid coordinates.
+        degree: of the polynomial.
+        solver: (terms, M) from the homography's residuals to the polynomial's coefficients.
+        finer: (M, k) orthonormal basis of the polynomials that residuals are computed against.
+        freedom: (rows, columns) share of a corner's own error that its residual shows.
+        unknowns: number of parameters of the homography and that polynomial.
+    """
+
+    w: FloatArray
+    products: FloatArray
+    centre: FloatArray
+    size: float
+    degree: int
+    solver: FloatArray
+    finer: FloatArray
+    freedom: FloatArray
+    unknowns: int
+
+
+@lru_cache(maxsize=64)
+def _frame(rows: int, columns: int) -> _Frame:
+    uv = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
+    centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    size = max(columns, rows) / 2
+    w = ((uv - centre) / size).reshape(-1, 2)
+    # A grid of n lines determines a polynomial of degree n - 1; a degree of n - 2 leaves residuals.
+    finest = min(4, min(rows, columns) - 2)
+    if finest <= 1:
+        freedom = np.ones((rows, columns))
+        none = np.zeros((1, len(w))), np.zeros((len(w), 0))
+        return _Frame(w, _products(w), centre, size, 0, *none, freedom, 8)
+    degree, terms = min(3, finest), _monomials(w, finest)
+    finer = np.linalg.qr(terms)[0]
+    freedom = (1 - np.sum(finer**2, axis=1)).reshape(rows, columns)
+    # Six of the homography's eight parameters are an affine map, which the polynomial contains.
+    unknowns = 2 * terms.shape[1] + 2
+    solver = np.asarray(np.linalg.pinv(_monomials(w, degree)), dtype=np.float64)
+    return _Frame(w, _products(w), centre, size, degree, solver, finer, freedom, unknowns)
+
+
+def places(uv: FloatArray, columns: int, rows: int) -> Places:
+    """Prepare (..., 2) grid coordinates of a board for `GridMap.at`, flattened."""
+    frame = _frame(rows, columns)
+    w = (uv.reshape(-1, 2) - frame.centre) / frame.size
+    return Places(w, _monomials(w, frame.degree))
+
+
+def fit_grid(grid: FloatArray, image_shape: tuple[int, int] | None = None) -> GridMap:
+    """Fit a smooth map through (rows, columns, 2) corners, px.
+
+    The polynomial is cubic if the board has enough corners, so that it can be extrapolated. Residuals are
+    computed against one degree more, so that they show the noise of the corners and not the lens distortion.
+
+    Args:
+        grid: the corners.
+        image_shape: (height, width), to try fisheye lenses where a perspective camera leaves a rough grid.
+    """
+    perspective = _fit(grid, None)
+    if image_shape is None or perspective.sigma_px <= _ROUGH_PX:
+        return perspective
+    best = _fisheye_fit(grid, image_shape)
+    return best if best is not None and best.sigma_px < _BETTER * perspective.sigma_px else perspective
+
+
+def _fisheye_fit(grid: FloatArray, image_shape: tuple[int, int]) -> GridMap | None:
+    """The smoothest map through a fisheye lens, by Gauss-Newton steps on the lens from the best of a few."""
+    fits = [_fit(grid, lens) for lens in fisheyes(*image_shape) if lens.reaches(grid.reshape(-1, 2))]
+    best = min(fits, key=lambda fit: fit.sigma_px, default=None)
+    if best is None or best.lens is None:
+        return None
+    start, change = best.lens, np.zeros(3)
+
+    def cost(change: FloatArray) -> tuple[FloatArray, GridMap]:
+        fit = _fit(grid, start.moved(change, max(image_shape)))
+        return np.append(fit.residual / _LENS_PX, change), fit
+
+    costs, best = cost(change)
+    for _ in range(_LENS_STEPS):
+        J = np.stack([cost(change + _LITTLE * unit)[0] - costs for unit in np.eye(3)], axis=1) / _LITTLE
+        change = change - np.linalg.lstsq(J, costs)[0]
+        new_costs, fit = cost(change)
+        if np.sum(new_costs**2) >= np.sum(costs**2):
+            break
+        costs, best = new_costs, fit
+    return best
+
+
+def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:
+    frame = _frame(*grid.shape[:2])
+    pixels = grid.reshape(-1, 2)
+    if lens is None:
+        H = _homography(frame.products, pixels)
+    else:
+        rays = lens.rays(pixels)
+        H = _to_rays(frame.products, rays)
+        H *= np.sign(np.sum(rays * (frame.w @ H[:, :2].T + H[:, 2])))  # toward the camera's front
+    bent = pixels - _through(H, frame.w, lens)
+    residual, sigma_px = _scatter(frame, bent)
+    bend = np.asarray(frame.solver @ bent)
+    return GridMap(
+        H, lens, bend, frame.degree, frame.centre, frame.size, residual.reshape(grid.shape), sigma_px
+    )
+
+
+def homography_px(grid: FloatArray) -> FloatArray:
+    """(rows, columns, 2) corners by the homography that fits (rows, columns, 2) best."""
+    frame = _frame(*grid.shape[:2])
+    pixels = grid.reshape(-1, 2)
+    return _through(_homography(frame.products, pixels), frame.w).reshape(grid.shape)
+
+
+def noise_px(bent: FloatArray) -> float:
+    """Noise of one coordinate, px, from differences (rows, columns, 2) from a homography that are smooth without it."""
+    return _scatter(_frame(*bent.shape[:2]), bent.reshape(-1, 2))[1]
+
+
+def _scatter(frame: _Frame, bent: FloatArray) -> tuple[FloatArray, float]:
+    """Residuals (M, 2) of differences from a homography about a polynomial, and the noise of one coordinate, px."""
+    residual = bent - frame.finer @ (frame.finer.T @ bent)
+    return residual, float(np.sqrt(np.sum(residual**2) / max(2 * len(bent) - frame.unknowns, 1)))
