@@ -1,6 +1,31 @@
 """mobilecal: head-eye and wheel calibration of a differential-drive robot from a recording.
 
-Importing this package has no side effects. From a notebook, use `mobilecal_cli.pipeline`.
+In a notebook or a script:
+
+    import mobilecal_cli as mc
+
+    data = mc.extract("log.mcap", config="rig.yaml")
+    fit = mc.solve(data)
+    report = mc.Report(data, fit, gates={"point_rms_mm": 12})
+    report.save("result")
+
+Importing this package does no work: each name is loaded on first use.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mobilecal_cli.comparison import difference as compare
+    from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, load, solve
+
 __version__ = "0.1.0"
+__all__ = ["Data", "Fit", "Report", "compare", "extract", "load", "solve"]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
+    if name == "compare":
+        return import_module("mobilecal_cli.comparison").difference
+    if name in __all__:
+        return getattr(import_module("mobilecal_cli.pipeline.steps"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

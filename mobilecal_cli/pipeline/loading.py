@@ -18,7 +18,7 @@ from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
 
 #: Settings that do not change an extraction, only what is made of it.
-_OF_THE_SOLVER = ("priors.", "noise.")
+_OF_THE_SOLVER = ("priors.", "noise.", "gates.")
 
 
 def _is_extraction(path: Path) -> bool:

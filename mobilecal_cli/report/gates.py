@@ -113,7 +113,7 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    return tuple(Gate(name, limit) for name, limit in limits.items())
+    return tuple(Gate(name, float(limit)) for name, limit in limits.items())
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:

@@ -1,0 +1,315 @@
+"""A calibration in three steps, for notebooks and for `calibrate`: extract, solve, report."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli import __version__
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml, write_outputs
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Method,
+    Parameters,
+    Provenance,
+    Snapshot,
+    Solution,
+    StereoRig,
+)
+from mobilecal_cli.pipeline.evaluating import held_out, read_params
+from mobilecal_cli.pipeline.loading import load as load_logs
+from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.settings import settings_of
+from mobilecal_cli.report import (
+    Figures,
+    Gate,
+    change_from_nominal,
+    change_since,
+    gates_of,
+    judge,
+    report_html,
+    report_json,
+    summary_table,
+)
+from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
+from mobilecal_cli.solvers import evaluate as evaluate_parameters
+from mobilecal_cli.solvers import solve as solve_extraction
+from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
+
+AnyPath = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """What recordings contain: everything the numbers need, and images for the report.
+
+    Attributes:
+        extraction: the measurements.
+        snapshots: images of the stations; none from an extraction.npz.
+        gates: limits of the configuration, by name.
+    """
+
+    extraction: Extraction
+    snapshots: tuple[Snapshot, ...]
+    gates: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A solution and its data.
+
+    Attributes:
+        solution: with uncertainty, outliers, constants and residuals.
+        extraction: the measurements it was solved from.
+        method: as requested.
+        hold_out: share of the stations that was held out, if any.
+        trial: test of the parameters on the held-out stations, if there are any.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    method: Method
+    hold_out: float | None = None
+    trial: Evaluation | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """The nine parameters, of the left camera."""
+        return self.solution.parameters
+
+    @property
+    def cameras(self) -> StereoRig:
+        """The stereo pair as estimated."""
+        return self.solution.cameras
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(9, 9) covariance of the nine parameters with the pose of the reference camera, rad and m.
+
+        None for methods that give none.
+        """
+        found = self.solution.uncertainty
+        return None if found is None else found.reference_covariance
+
+
+def paths_of(paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
+    """One or several paths as a tuple."""
+    return (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(Path(path) for path in paths)
+
+
+def extract(
+    logs: AnyPath | Iterable[AnyPath],
+    config: AnyPath | None = None,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+    jobs: int = 1,
+) -> Data:
+    """Read recordings of one robot, or an extraction.npz.
+
+    Args:
+        logs: recordings, or one extraction.npz.
+        config: rig.yaml.
+        settings: dotted key → value, overriding the file, as `--set`.
+        progress: called with the progress.
+        jobs: worker processes for images; more than one needs a main module without side effects on import, as for
+            `multiprocessing`.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    path, flags = None if config is None else Path(config), settings or {}
+    rig = load_rig(path, flags)
+    extraction, snapshots = load_logs(paths_of(logs), rig, path, flags, progress, jobs)
+    return Data(extraction, snapshots, rig.gates)
+
+
+def solve(
+    data: Data | Extraction,
+    *,
+    method: Method = "ml",
+    fix: Mapping[str, float | None] | Iterable[str] = (),
+    prior: Mapping[str, tuple[float, float]] | None = None,
+    estimate: Iterable[str] = (),
+    hold_out: float | None = None,
+    progress: Progress = silent,
+) -> Fit:
+    """Estimate the nine parameters.
+
+    Args:
+        data: the measurements.
+        method: "ml" (maximum likelihood), "linear", "paper" or "lm", see `--method`.
+        fix: parameters, groups of them or constants to fix; with a value (m, rad, share) or None for the nominal one.
+        prior: parameter or constant → (value, standard deviation).
+        estimate: constants, or kinds of them, whose stated values are ignored.
+        hold_out: share at the end of each recording to hold out and to test the parameters on.
+        progress: called with the progress.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    fixed = fix if isinstance(fix, Mapping) else dict.fromkeys(fix)
+    constraints = constraints_of(
+        [name if value is None else f"{name}={value!r}" for name, value in fixed.items()],
+        [f"{name}={value!r}±{sigma!r}" for name, (value, sigma) in (prior or {}).items()],
+        list(estimate),
+    )
+    extraction = data.extraction if isinstance(data, Data) else data
+    return fitted(extraction, method, constraints, hold_out, progress)
+
+
+def fitted(
+    whole: Extraction,
+    method: Method = "ml",
+    constraints: Constraints | None = None,
+    hold_out: float | None = None,
+    progress: Progress = silent,
+) -> Fit:
+    """`solve` with constraints as a value.
+
+    Raises:
+        MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
+    """
+    extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
+    require_stations(extraction)
+    if method != "ml":
+        require_observable(extraction)
+    steps = itertools.count(1)
+    progress("solving", 0, None)
+    try:
+        solution = solve_extraction(
+            extraction,
+            method,
+            constraints=constraints,
+            on_step=lambda: progress("solving", next(steps), None),
+        )
+    except SolveError as error:
+        gaps = motion_gaps(extraction, constraints.fixed if constraints is not None else ())
+        if not gaps:
+            raise
+        because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
+        raise SolveError(f"{error.message}; {because}", f"{cures}; or {error.hint}") from error
+    trial = None
+    if rest is not None:
+        nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)
+        trial = evaluate_parameters(rest, solution.parameters, nominal, offsets_s=offsets)
+    return Fit(solution, extraction, method, hold_out, trial)
+
+
+def load(params: AnyPath) -> CalibratedRobot:
+    """The calibration in a params.yaml.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not a params.yaml.
+    """
+    return read_params(Path(params))
+
+
+class Report:
+    """The report on a fit.
+
+    Args:
+        data: the data that were solved.
+        fit: their solution.
+        gates: name → limit, over those of the configuration, as `--gate`.
+        last: params.yaml to compare the result with; the nominal values by default.
+        figures: returns the drawn figures, if another process draws them.
+
+    Attributes:
+        data, fit: as given.
+        provenance: version, time, recordings and settings.
+        params: text of params.yaml.
+        robot: what it says.
+        change: difference from the last calibration or from the nominal values, if there is either.
+        verdict: PASS, FAIL or NOT ENOUGH, with all criteria and metrics.
+
+    Raises:
+        ConfigError: an unknown gate, or a params.yaml that cannot be read.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        fit: Fit,
+        gates: Mapping[str, float] | Sequence[Gate] = (),
+        last: AnyPath | None = None,
+        figures: Callable[[], Figures] | None = None,
+    ) -> None:
+        self.data, self.fit, self._figures = data, fit, figures
+        solution, extraction = fit.solution, fit.extraction
+        if isinstance(gates, Mapping):
+            gates = gates_of((), {**data.gates, **gates}, hold_out=fit.trial is not None)
+        settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
+        self.provenance = Provenance(__version__, _created(), fit.method, extraction.logs, settings)
+        self.params = params_yaml(solution, extraction, self.provenance)
+        self.robot = parameters_from_yaml(self.params)
+        if last is None:
+            self.change = change_from_nominal(self.robot, extraction.rig.nominal)
+        else:
+            earlier = load(last)
+            name = f"{last} ({earlier.created})" if earlier.created else str(last)
+            self.change = change_since(self.robot, earlier, name)
+        self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
+
+    def __str__(self) -> str:
+        """The summary for the terminal."""
+        return summary_table(self.fit.solution, self.fit.extraction, self.fit.trial)
+
+    @cached_property
+    def json(self) -> str:
+        """Text of report.json."""
+        fit = self.fit
+        return report_json(
+            fit.solution, fit.extraction, self.provenance, self.verdict, fit.trial, self.change
+        )
+
+    @cached_property
+    def html(self) -> str:
+        """Text of report.html."""
+        fit = self.fit
+        return report_html(
+            fit.solution, fit.extraction, self.data.snapshots, self.provenance, self.verdict, fit.trial,
+            self.change, self._figures,
+        )  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        """The page in a frame, for notebooks."""
+        from html import escape
+
+        return f'<iframe srcdoc="{escape(self.html)}" width="100%" height="900"></iframe>'
+
+    def save(self, directory: AnyPath, force: bool = False) -> None:
+        """Write params.yaml, report.html, report.json and extraction.npz, completely or not at all.
+
+        Args:
+            directory: to create.
+            force: replace an existing output directory.
+
+        Raises:
+            OutputError: the directory cannot be written.
+        """
+        files = {
+            "params.yaml": self.params.encode(),
+            "report.json": self.json.encode(),
+            "extraction.npz": extraction_to_npz(self.data.extraction),
+            "report.html": self.html.encode(),
+        }
+        write_outputs(Path(directory), files, force)
+
+
+def _created() -> str:
+    """Current time in UTC; SOURCE_DATE_EPOCH overrides it, for reproducible output."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return now.strftime("%Y-%m-%dT%H:%M:%SZ")
