@@ -69,6 +69,13 @@ class Linearization:
         """The likelihood after a step of all unknowns."""
         return replace(self, state=self.state.plus(self.data, step))
 
+    def predicted(self, step: Step) -> Linearization:
+        """The likelihood after a small step: the residuals of the images to first order."""
+        views, other = self.views, self.after(step)
+        shift = views.by_base @ step.base[..., None] + views.by_own @ step.own[..., None]
+        other.__dict__["views"] = views.moved(shift[..., 0] + views.by_shared @ step.shared)
+        return other
+
     def under(self, priors: Priors) -> Linearization:
         """The same point with other priors."""
         other = replace(self, priors=priors)

@@ -54,6 +54,12 @@ class Views:
     by_own: FloatArray
     by_shared: FloatArray
 
+    def moved(self, shift: FloatArray) -> Views:
+        """The same after shifts (N, Q) of (delta, direct constants), to first order; `residual_px` stays."""
+        change = (self.information @ shift[..., None])[..., 0]
+        cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
+        return replace(self, gradient=self.gradient + change, cost=cost)
+
     def scaled(self, factor: float) -> Views:
         """The same with a corner noise that is so many times larger."""
         weight = factor**-2

@@ -14,7 +14,7 @@ from mobilecal_cli.model import BoolArray, FloatArray
 _CORNER_SIGMAS = 5.5
 _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
-_LOCAL_STEPS = 12
+_LOCAL_STEPS, _STILL = 12, 1e-7  # steps of a board pose, rad and m: the last ones move no corner visibly
 
 
 def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
@@ -38,7 +38,7 @@ def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
         At = np.swapaxes(A, 1, 2)
         step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
         T = se3.exp(step) @ T
-        if np.abs(step).max() < 1e-10:
+        if np.abs(step).max() < _STILL:
             break
     residual, _ = corner_residuals(data, state, T, stations)
     return np.asarray(np.linalg.norm(whitened(data.whitening[stations], residual), axis=-1))

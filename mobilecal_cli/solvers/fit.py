@@ -33,10 +33,10 @@ from mobilecal_cli.solvers.noise import (
     estimated,
     guess_worth,
 )
-from mobilecal_cli.solvers.optimize import NEAR, optimize
+from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
-_NOISE_ROUNDS = 60
+_NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 _OBSERVABILITY_ROUNDS = 4
 
@@ -294,18 +294,30 @@ class Fitter:
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
-        tolerances, search = tolerances or self.coarse, LevelSearch(self.given)
-        for _ in range(_NOISE_ROUNDS):
-            noise = estimated(fit.noise, fit.components, self.given, self._guess)
+        tolerances = tolerances or self.coarse
+        for _ in range(_NOISE_FITS):
+            noise = self._levels_near(fit, tolerances.levels)
             if tolerances.enough is not None and converged(fit.noise, noise, tolerances.enough):
                 break
             done = converged(fit.noise, noise, tolerances.levels)
             near = tolerances.near if done else max(tolerances.near, _WHILE_LEVELS_MOVE)
-            lin = fit.lin.with_noise(noise if done else search.next(fit.noise, noise))
+            lin = fit.lin.with_noise(noise)
             fit = self._fit_from(lin.under(self.priors(lin.state.parameters)), near)
             if done:
                 break
         return fit
+
+    def _levels_near(self, fit: Fit, tolerance: float) -> Noise:
+        """Noise levels that agree with the residuals, which follow the parameters to first order from a fit."""
+        lin, found, search = fit.lin, fit.components, LevelSearch(self.given)
+        for _ in range(_NOISE_ROUNDS):
+            noise = estimated(lin.noise, found, self.given, self._guess)
+            if converged(lin.noise, noise, tolerance):
+                break
+            lin = lin.with_noise(search.next(lin.noise, noise))
+            lin = lin.predicted(proposed(lin)[0])
+            found = components(lin)
+        return noise
 
 
 def _same_space(a: FloatArray, b: FloatArray) -> bool:

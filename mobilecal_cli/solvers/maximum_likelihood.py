@@ -103,6 +103,8 @@ class Solver:
     def _corners_restored(self, fit: Fit) -> Fit:
         """The fit with corners restored that fit the board in the estimated cameras: the stated ones may be wrong."""
         for _ in range(_CORNER_ROUNDS):
+            if np.array_equal(fit.inliers.corners, fit.data.seen):
+                break
             corners, _, _ = gross_corners(fit.data, fit.lin.state)
             restored = fit.inliers.corners | (corners & fit.inliers.corners.any(axis=2, keepdims=True))
             if np.array_equal(restored, fit.inliers.corners):

@@ -44,7 +44,7 @@ def _stalls(history: list[float]) -> bool:
     return last < _KINKED and last > _LEAP * before
 
 
-def _proposed(lin: Linearization, damping: float) -> tuple[Step, float]:
+def proposed(lin: Linearization, damping: float = 0.0) -> tuple[Step, float]:
     """The damped step of all unknowns, and the decrease of the cost that it promises.
 
     Raises:
@@ -90,7 +90,7 @@ def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], Non
     while len(history) <= _MAX_STEPS + 1:
         on_step()
         try:
-            step, gain = _proposed(lin, damping)
+            step, gain = proposed(lin, damping)
         except SolveError:
             damping = max(damping * 10, 1e-6)
             if damping > _LARGEST_DAMPING:

@@ -43,10 +43,10 @@ _DERIVED = ("camera position", "straight: distance", "straight: heading", "headi
 
 
 def drawn_nominal(robot: SimulatedRobot, random: np.random.Generator) -> Parameters:
-    """Nominal values of a robot, drawn from their priors around the truth."""
-    true = Parameters(robot.T_h_c, robot.wheels)
-    sigmas = np.concatenate([NINE_SIGMAS, WHEEL_SIGMA * robot.wheels.vector])
-    return true.plus(np.clip(random.normal(size=9), -3, 3) * sigmas)
+    """Nominal values of a robot, such that the truth is drawn from the priors around them."""
+    off = np.clip(random.normal(size=9), -3, 3)
+    head = Parameters(robot.T_h_c, robot.wheels).plus(np.concatenate([NINE_SIGMAS * off[:6], np.zeros(3)]))
+    return replace(head, wheels=WheelGeometry.of(robot.wheels.vector / (1 + WHEEL_SIGMA * off[6:])))
 
 
 def derived_errors(found: Parameters, robot: SimulatedRobot) -> np.ndarray:
