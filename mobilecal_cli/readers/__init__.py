@@ -6,9 +6,10 @@ images.
 """
 
 from mobilecal_cli.readers.hashing import sha256_of
-from mobilecal_cli.readers.images import decode_image, pictures_near, read_images
+from mobilecal_cli.readers.images import pictures_near, read_images
 from mobilecal_cli.readers.indexed import Pictures, find_pictures, read_stamps
 from mobilecal_cli.readers.opening import join_parts, open_recording, recognised
+from mobilecal_cli.readers.pixels import decode_image
 from mobilecal_cli.readers.prelude import read_prelude
 from mobilecal_cli.readers.recording import Message, Recording
 from mobilecal_cli.readers.signals import read_signals

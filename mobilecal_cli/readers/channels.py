@@ -54,6 +54,13 @@ _RELIED_ON = {
     "std_msgs/msg/Header": "stamp:builtin_interfaces/msg/Time frame_id:string",
     "std_msgs/msg/String": "data:string",
 }
+#: A common type that is in no release of the ROS core.
+_CONTROL = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
+    "control_msgs/msg/DynamicJointState": (
+        "std_msgs/Header header\nstring[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values"
+    ),
+}
 _ROS1_HEADER = f"seq:uint32 {_RELIED_ON['std_msgs/msg/Header']}"
 
 
@@ -282,4 +289,7 @@ def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples
 @lru_cache(maxsize=2)
 def _default_types(encoding: str) -> Typestore:
     """The common types. rosbag2 stores definitions since Iron, so files without them are older."""
-    return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    for name, definition in _CONTROL.items():
+        store.register(get_types_from_msg(definition, name))
+    return store

@@ -1,62 +1,23 @@
-"""Image decoding: sensor_msgs Image and CompressedImage to 8-bit gray."""
+"""Images of a recording: a selection of them, or a few near some times."""
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, Layout, PictureIndex, Rejection, Side, Sources
+from mobilecal_cli.readers.pixels import LARGEST_PIXELS, decode_image
 from mobilecal_cli.readers.recording import Recording
 from mobilecal_cli.readers.stamps import stamp_of
 from mobilecal_cli.readers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.video import Video, codec_of
 
-#: Maximum number of pixels of an image, five times those of a large stereo camera.
-LARGEST_PIXELS = 2**26
 #: Bytes of a video that are read to find a few key frames.
 _GLANCE_BYTES = 2**25
-_COMPRESSIONS = ("JPEG", "PNG")
-
-
-@dataclass(frozen=True, slots=True)
-class _Encoding:
-    """Storage of pixels: bytes per value, number of channels, and OpenCV's conversion to gray."""
-
-    depth: int
-    channels: int
-    to_gray: int | None = None
-
-
-# OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
-_ENCODINGS: dict[str, _Encoding] = {
-    "mono8": _Encoding(1, 1),
-    "8uc1": _Encoding(1, 1),
-    "mono16": _Encoding(2, 1),
-    "16uc1": _Encoding(2, 1),
-    "rgb8": _Encoding(1, 3, cv2.COLOR_RGB2GRAY),
-    "bgr8": _Encoding(1, 3, cv2.COLOR_BGR2GRAY),
-    "8uc3": _Encoding(1, 3, cv2.COLOR_BGR2GRAY),
-    "rgba8": _Encoding(1, 4, cv2.COLOR_RGBA2GRAY),
-    "bgra8": _Encoding(1, 4, cv2.COLOR_BGRA2GRAY),
-    "bayer_rggb8": _Encoding(1, 1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr8": _Encoding(1, 1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg8": _Encoding(1, 1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg8": _Encoding(1, 1, cv2.COLOR_BayerGB2GRAY),
-    "bayer_rggb16": _Encoding(2, 1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr16": _Encoding(2, 1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg16": _Encoding(2, 1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg16": _Encoding(2, 1, cv2.COLOR_BayerGB2GRAY),
-}
 
 
 def read_images(
@@ -200,101 +161,3 @@ def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:
         return picture
     first, second = np.array_split(picture, 2, axis=1 if layout == "side_by_side" else 0)
     return np.ascontiguousarray(first if side == "left" else second)
-
-
-def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
-    """Gray image from a decoded Image or CompressedImage message.
-
-    A 16-bit image keeps its upper byte. If no pixel uses the full range (10 or 12 bit sensors in 16-bit words), the
-    image is scaled by the smallest power of two that covers its largest value.
-
-    Args:
-        message: fields as in sensor_msgs, of ROS 1 or ROS 2.
-
-    Returns:
-        (height, width) uint8; a view of the message's bytes if no conversion is necessary.
-
-    Raises:
-        RecordingError: unknown encoding, size that does not match the data, or damaged JPEG or PNG.
-    """
-    try:
-        if hasattr(message, "format"):
-            return _decompressed(message)
-        return _raw(message)
-    except (AttributeError, TypeError, ValueError) as error:
-        raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
-    except cv2.error as error:
-        raise RecordingError(f"image damaged: {error.err}", "") from error
-
-
-def _decompressed(message: Any) -> GrayImage:  # noqa: ANN401
-    data = np.frombuffer(message.data, dtype=np.uint8)
-    if not data.size:
-        raise RecordingError("image empty: 0 bytes", "")
-    _check_claim(message.data, str(message.format))
-    gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-    if gray is None:
-        raise _not_a_picture(data.size, str(message.format))
-    return np.asarray(gray, dtype=np.uint8)
-
-
-def _not_a_picture(size: int, kind: str) -> RecordingError:
-    return RecordingError(f"image damaged: {size} bytes of {kind!r} are not a readable JPEG or PNG", "")
-
-
-def _check_claim(data: Any, kind: str) -> None:  # noqa: ANN401 - bytes or an array of them
-    """Check the size stated in a compressed image's header before memory for its pixels is allocated."""
-    stored = bytes(memoryview(data))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about a large image: it is refused below
-            with Image.open(io.BytesIO(stored), formats=_COMPRESSIONS) as picture:
-                width, height = picture.size
-    except Image.DecompressionBombError as error:  # far above the limit below
-        raise RecordingError(f"invalid image size: {error}", "") from error
-    except Exception as error:  # damaged headers may raise anything
-        raise _not_a_picture(len(stored), kind) from error
-    if width * height > LARGEST_PIXELS:
-        raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels", "")
-
-
-def _raw(message: Any) -> GrayImage:  # noqa: ANN401
-    encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
-    if encoding is None:
-        raise RecordingError(
-            f"unknown image encoding {message.encoding!r}; known: {', '.join(sorted(_ENCODINGS))}", ""
-        )
-    pixels = _pixels(message, encoding)
-    if encoding.depth == 2:
-        pixels = _to_8_bit(pixels)
-    if encoding.to_gray is None:
-        return np.asarray(pixels, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), encoding.to_gray), dtype=np.uint8)
-
-
-def _pixels(message: Any, encoding: _Encoding) -> NDArray[Any]:  # noqa: ANN401
-    """(height, width) or (height, width, channels) view of the data, respecting step and byte order."""
-    height, width = int(message.height), int(message.width)
-    data = np.frombuffer(message.data, dtype=np.uint8)
-    row = width * encoding.channels * encoding.depth
-    step = int(message.step) or row
-    if not height or not width or height * width > LARGEST_PIXELS:
-        raise RecordingError(f"invalid image size {width}x{height} (limit {LARGEST_PIXELS} pixels)", "")
-    # The last row needs no padding after it.
-    if step < row or data.size < step * (height - 1) + row:
-        raise RecordingError(
-            f"image size {width}x{height} {message.encoding} with {step} bytes per row does not match "
-            f"its {data.size} bytes",
-            "",
-        )
-    dtype = np.dtype(np.uint8 if encoding.depth == 1 else (">u2" if message.is_bigendian else "<u2"))
-    shape: tuple[int, ...] = (height, width)
-    strides: tuple[int, ...] = (step, encoding.channels * encoding.depth)
-    if encoding.channels > 1:
-        shape, strides = (*shape, encoding.channels), (*strides, encoding.depth)
-    return np.ndarray(shape, dtype, data, 0, strides)
-
-
-def _to_8_bit(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    bits = max(int(pixels.max()).bit_length(), 8)
-    return (pixels >> (bits - 8)).astype(np.uint8)

@@ -17,7 +17,8 @@ _FOXGLOVE = {
     "CompressedVideo": "sensor_msgs/msg/CompressedImage",
     "CameraCalibration": "sensor_msgs/msg/CameraInfo",
 }
-_DYNAMIC_JOINTS = "control_msgs/msg/DynamicJointState"
+#: Messages of controllers with the state of joints; their packages differ.
+_JOINT_STATES = ("DynamicJointState", "JointTrajectoryControllerState")
 _PREFIXES = ("foxglove.", "foxglove_msgs.", "foxglove/", "foxglove_msgs/msg/")
 
 Decoder = Callable[[bytes | memoryview], Any]
@@ -27,14 +28,14 @@ def ros_type(name: str) -> str:
     """The ROS type that is equivalent to a type; most types are returned unchanged.
 
     "foxglove.RawImage" is read as a sensor_msgs/msg/Image; "sensor_msgs.JointState" and "sensor_msgs.msg.JointState"
-    (as bridges to protobuf and JSON spell them) as a sensor_msgs/msg/JointState.
+    (as bridges to protobuf and JSON spell them) as a sensor_msgs/msg/JointState, and so are controllers' states.
     """
     for prefix in _PREFIXES:
         if name.startswith(prefix) and name.removeprefix(prefix) in _FOXGLOVE:
             return _FOXGLOVE[name.removeprefix(prefix)]
     package, _, rest = name.replace(".", "/").partition("/")
     spelled = f"{package}/msg/{rest.removeprefix('msg/')}" if package.endswith("_msgs") and rest else name
-    return "sensor_msgs/msg/JointState" if spelled == _DYNAMIC_JOINTS else spelled
+    return "sensor_msgs/msg/JointState" if spelled.endswith(_JOINT_STATES) else spelled
 
 
 def protobuf_decoder(definition: bytes, type_name: str) -> Decoder:
@@ -97,6 +98,11 @@ def like_ros(message: Any, type_name: str) -> Any:  # noqa: ANN401
     """The message with the fields of its equivalent ROS type, and a header if it has a `timestamp`."""
     if hasattr(message, "interface_values"):
         return _with(message, name=list(message.joint_names), **_interfaces(message.interface_values))
+    # The measured state of a trajectory controller; older versions call it actual.
+    state: Any = getattr(message, "feedback", None) or getattr(message, "actual", None)
+    if hasattr(message, "joint_names") and hasattr(state, "positions"):
+        names = list(message.joint_names)
+        return _with(message, name=names, position=state.positions, velocity=state.velocities)
     stamp = getattr(message, "timestamp", None)
     if stamp is None or hasattr(message, "header"):
         return message

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Rejection
@@ -39,10 +42,31 @@ def test_gray_is_passed_through_without_a_copy(encoding):
         ("8UC3", COLOR[..., ::-1]),
         ("rgba8", np.concatenate([COLOR, ALPHA], axis=-1)),
         ("bgra8", np.concatenate([COLOR[..., ::-1], ALPHA], axis=-1)),
+        ("8UC4", np.concatenate([COLOR[..., ::-1], ALPHA], axis=-1)),
+        ("rgb16", COLOR.astype(np.uint16) << 8),
+        ("bgr16", COLOR[..., ::-1].astype(np.uint16) << 8),
+        ("16UC3", COLOR[..., ::-1].astype(np.uint16) << 8),
+        ("rgba16", np.concatenate([COLOR, ALPHA], axis=-1).astype(np.uint16) << 8),
     ],
 )
 def test_colours_are_weighted(encoding, pixels):
     assert np.abs(decoded(pixels, encoding).astype(float) - LUMA).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("encodings", "pixels"),
+    [
+        (("yuv422", "uyvy"), np.stack([ALPHA[..., 0], GRAY], axis=-1)),
+        (("yuv422_yuy2", "yuy2", "yuyv"), np.stack([GRAY, ALPHA[..., 0]], axis=-1)),
+        (("nv12", "nv21"), np.concatenate([GRAY, ALPHA[:24, :, 0]])),
+        (("nv24",), np.concatenate([GRAY, ALPHA[..., 0], ALPHA[..., 0]])),
+    ],
+)
+def test_the_gray_image_of_yuv(encodings, pixels):
+    for encoding in encodings:
+        step = pixels.strides[0]
+        found = decoded(pixels, encoding, height=48, width=64, step=step)
+        np.testing.assert_array_equal(found, GRAY)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -55,6 +79,28 @@ def test_16_bit_in_either_byte_order(encoding, order):
 
 def test_12_bit_in_16_bit_words_is_scaled():
     np.testing.assert_array_equal(decoded(GRAY.astype(np.uint16) << 4, "mono16"), GRAY)
+
+
+@pytest.mark.parametrize("shift", [4, 8])
+@pytest.mark.parametrize("color", [False, True])
+def test_16_bit_png_is_scaled_like_raw_words(shift, color):
+    pixels = COLOR[..., ::-1] if color else GRAY
+    words = pixels.astype(np.uint16) << shift
+    raw = decoded(words, "bgr16" if color else "mono16")
+    np.testing.assert_array_equal(decode_image(r.compressed(words, ".png")(r.ROS2)), raw)
+    assert np.ptp(raw) > 50
+
+
+def test_exif_orientation_does_not_turn_an_image():
+    message = r.compressed(GRAY, ".jpg")(r.ROS2)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a quarter turn
+    upright, block = message.data.tobytes(), exif.tobytes()
+    expected = decode_image(message)
+    data = upright[:2] + b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block + upright[2:]
+    assert Image.open(io.BytesIO(data)).getexif()[0x0112] == 6
+    message.data = np.frombuffer(data, dtype=np.uint8)
+    np.testing.assert_array_equal(decode_image(message), expected)
 
 
 PATTERNS = {
@@ -74,6 +120,22 @@ def test_bayer_patterns(pattern, bits):
     pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
     gray = decoded(pixels, f"bayer_{pattern}{bits}")
     assert np.abs(gray[2:-2, 2:-2] - (color @ [0.299, 0.587, 0.114])).max() <= 1
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_bayer_mosaic_in_a_png_is_converted_like_a_raw_one(pattern, bits):
+    mosaic = GRAY if bits == 8 else GRAY.astype(np.uint16) << 8
+    message = r.compressed(mosaic, ".png")(r.ROS2)
+    message.format = f"bayer_{pattern}{bits}; png compressed "
+    np.testing.assert_array_equal(decode_image(message), decoded(mosaic, f"bayer_{pattern}{bits}"))
+
+
+def test_a_bayer_image_that_was_compressed_in_color_is_not_converted_again():
+    message = r.compressed(COLOR[..., ::-1], ".jpg")(r.ROS2)
+    expected = decode_image(message)
+    message.format = "bayer_rggb8; jpeg compressed bgr8"
+    np.testing.assert_array_equal(decode_image(message), expected)
 
 
 def test_rows_with_padding():
@@ -103,7 +165,8 @@ def test_compressed(extension, pixels):
         ({"step": 10}, "10 bytes per row"),
         ({"width": 0}, "invalid image size"),
         ({"width": 2**32 - 1, "height": 2**32 - 1}, "invalid image size"),
-        ({"encoding": "yuv422"}, "unknown image encoding 'yuv422'; known: 16uc1"),
+        ({"encoding": "yuv999"}, "unknown image encoding 'yuv999'; known: 16uc1"),
+        ({"encoding": "nv12"}, "size 64x48 nv12 with 64 bytes per row does not match its 3072 bytes"),
         ({"encoding": "rgb8"}, "does not match"),
     ],
 )

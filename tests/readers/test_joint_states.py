@@ -11,6 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
@@ -150,3 +153,89 @@ def test_padding_does_not_matter(tmp_path):
         data.append(bytes(bare))
     path = write(tmp_path / "log.mcap", False, data)
     assert outcome(path, repeats=True)[0] == outcome(path, repeats=False)[0]
+
+
+CONTROL = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
+    "control_msgs/msg/DynamicJointState": (
+        "std_msgs/Header header\nstring[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values"
+    ),
+    "control_msgs/msg/JointTrajectoryControllerState": (
+        "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint {0}\n"
+        "trajectory_msgs/JointTrajectoryPoint {1}\ntrajectory_msgs/JointTrajectoryPoint error"
+    ),
+}
+MOVING = ["wheel_left", "wheel_right", "pan"]
+
+
+def control_store(fields=("reference", "feedback")):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, definition in CONTROL.items():
+        store.register(get_types_from_msg(definition.format(*fields), name))
+    return store
+
+
+def dynamic(store, k, stamp_ns):
+    value = store.types["control_msgs/msg/InterfaceValue"]
+    interfaces = ["velocity", "position"]
+    values = [value(interfaces, np.array([9.0, factor * k])) for factor in (2.0, 3.0, 1.0)]
+    kind = store.types["control_msgs/msg/DynamicJointState"]
+    return kind(r.header(store, stamp_ns), MOVING, values)
+
+
+def trajectory(store, k, stamp_ns):
+    point, time = (store.types[f"{name}"] for name in (POINT, "builtin_interfaces/msg/Duration"))
+    none = np.zeros(0)
+    measured = point(np.array([2.0 * k, 3.0 * k, 1.0 * k]), none, none, none, time(0, 0))
+    other = point(np.full(3, 77.0), none, none, none, time(0, 0))
+    kind = store.types["control_msgs/msg/JointTrajectoryControllerState"]
+    return kind(r.header(store, stamp_ns), MOVING, other, measured, other)
+
+
+POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
+
+
+def control_log(folder, store, name, make):
+    """A rosbag2 of the time before definitions were stored."""
+    with Bag2Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/joint_states", name, typestore=store)
+        for k in range(5):
+            stamp_ns = r.START_NS + k * S // 10
+            writer.write(connection, stamp_ns, store.serialize_cdr(make(store, k, stamp_ns), name))
+    return folder
+
+
+def check_control(path):
+    with open_recording([path]) as recording:
+        assert recording.topic("/joint_states").type == JOINT_STATE
+        (signals,) = read_signals(recording, SOURCES, ("pan",))
+    np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(5))
+    np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(5))
+    np.testing.assert_array_equal(signals.wheels["right"].value, 3.0 * np.arange(5))
+    np.testing.assert_array_equal(signals.joints["pan"].time_ns, r.START_NS + np.arange(5) * S // 10)
+
+
+def test_dynamic_joint_states_without_a_definition(tmp_path):
+    check_control(
+        control_log(tmp_path / "log", control_store(), "control_msgs/msg/DynamicJointState", dynamic)
+    )
+
+
+@pytest.mark.parametrize("fields", [("reference", "feedback"), ("desired", "actual")])
+def test_measured_states_of_trajectory_controllers(tmp_path, fields):
+    name, store = "control_msgs/msg/JointTrajectoryControllerState", control_store(fields)
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(
+            name, "ros2msg", store.generate_msgdef(name, ros_version=2)[0].encode()
+        )
+        number = writer.register_channel("/joint_states", "cdr", schema)
+        for k in range(5):
+            stamp_ns = r.START_NS + k * S // 10
+            writer.add_message(
+                number, stamp_ns, bytes(store.serialize_cdr(trajectory(store, k, stamp_ns), name)), 0
+            )
+        writer.finish()
+    check_control(path)

@@ -1,0 +1,181 @@
+"""Pixels: any encoding of sensor_msgs Image and CompressedImage to 8-bit gray, in one way for all of them."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import GrayImage, listed
+
+#: Maximum number of pixels of an image, five times those of a large stereo camera.
+LARGEST_PIXELS = 2**26
+_COMPRESSIONS = ("JPEG", "PNG")
+_JPEG = b"\xff\xd8"
+#: The encoding of the original image, which compressed_image_transport states before its own: "bayer_rggb8; png".
+_BAYER_FORMAT = re.compile(r"\s*(bayer_\w+?)\s*;")
+
+Pixels = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Encoding:
+    """Storage of pixels.
+
+    Attributes:
+        depth: bytes per value, 1 or 2.
+        channels: values per pixel.
+        to_gray: (height, width) or (height, width, channels) uint8 to (height, width) uint8; None: it is gray.
+        rows: rows of the data for each row of the image; more than 1 if colors follow the gray image.
+    """
+
+    depth: int
+    channels: int
+    to_gray: Callable[[Pixels], Pixels] | None = None
+    rows: float = 1.0
+
+
+def _converted(code: int, pixels: Pixels) -> Pixels:
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+
+
+def _channel(number: int, pixels: Pixels) -> Pixels:
+    return np.ascontiguousarray(pixels[..., number])
+
+
+_BGR, _RGB = partial(_converted, cv2.COLOR_BGR2GRAY), partial(_converted, cv2.COLOR_RGB2GRAY)
+_BGRA, _RGBA = partial(_converted, cv2.COLOR_BGRA2GRAY), partial(_converted, cv2.COLOR_RGBA2GRAY)
+# OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+_BAYER = {
+    "bayer_rggb": partial(_converted, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr": partial(_converted, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg": partial(_converted, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg": partial(_converted, cv2.COLOR_BayerGB2GRAY),
+}
+_ENCODINGS: dict[str, _Encoding] = {
+    **dict.fromkeys(("mono8", "8uc1"), _Encoding(1, 1)),
+    **dict.fromkeys(("mono16", "16uc1"), _Encoding(2, 1)),
+    **{name: _Encoding(1, 3, way) for name, way in (("rgb8", _RGB), ("bgr8", _BGR), ("8uc3", _BGR))},
+    **{name: _Encoding(2, 3, way) for name, way in (("rgb16", _RGB), ("bgr16", _BGR), ("16uc3", _BGR))},
+    **{name: _Encoding(1, 4, way) for name, way in (("rgba8", _RGBA), ("bgra8", _BGRA), ("8uc4", _BGRA))},
+    **{name: _Encoding(2, 4, way) for name, way in (("rgba16", _RGBA), ("bgra16", _BGRA), ("16uc4", _BGRA))},
+    **{f"{name}8": _Encoding(1, 1, way) for name, way in _BAYER.items()},
+    **{f"{name}16": _Encoding(2, 1, way) for name, way in _BAYER.items()},
+    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(1, 2, partial(_channel, 1))),
+    **dict.fromkeys(("yuv422_yuy2", "yuy2", "yuyv"), _Encoding(1, 2, partial(_channel, 0))),
+    **dict.fromkeys(("nv12", "nv21"), _Encoding(1, 1, rows=1.5)),
+    "nv24": _Encoding(1, 1, rows=3.0),
+}
+
+
+def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
+    """Gray image from a decoded Image or CompressedImage message.
+
+    A 16-bit image keeps its upper byte. If no pixel uses the full range (10 or 12 bit sensors in 16-bit words), the
+    image is scaled by the smallest power of two that covers its largest value. Of YUV images, the Y plane is returned.
+    Pixels stay where the sensor has them: an orientation in EXIF data is ignored.
+
+    Args:
+        message: fields as in sensor_msgs, of ROS 1 or ROS 2.
+
+    Returns:
+        (height, width) uint8; a view of the message's bytes if no conversion is necessary.
+
+    Raises:
+        RecordingError: unknown encoding, size that does not match the data, or damaged JPEG or PNG.
+    """
+    try:
+        pixels, to_gray = _decompressed(message) if hasattr(message, "format") else _raw(message)
+        if pixels.dtype != np.uint8:
+            pixels = _to_8_bit(pixels)
+        return np.asarray(pixels if to_gray is None else to_gray(pixels), dtype=np.uint8)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
+    except cv2.error as error:
+        raise RecordingError(f"image damaged: {error.err}", "") from error
+
+
+def _to_8_bit(pixels: Pixels) -> Pixels:
+    bits = max(int(pixels.max()).bit_length(), 8)
+    return np.asarray(pixels >> (bits - 8), dtype=np.uint8)
+
+
+def _decompressed(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | None]:  # noqa: ANN401
+    """Pixels of a JPEG or PNG as they are stored, and their conversion to gray."""
+    data, kind = np.frombuffer(message.data, dtype=np.uint8), str(message.format)
+    if not data.size:
+        raise RecordingError("image empty: 0 bytes", "")
+    mode = _check_header(data.tobytes(), kind)
+    # A JPEG stores its gray image apart from the colors.
+    is_jpeg = data[:2].tobytes() == _JPEG
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION if is_jpeg else cv2.IMREAD_UNCHANGED
+    pixels = cv2.imdecode(data, flags)
+    if pixels is None:
+        raise _not_a_picture(data.size, kind)
+    if pixels.ndim == 3:
+        return pixels, _BGR if pixels.shape[2] == 3 else _BGRA
+    original = _BAYER_FORMAT.match(kind.lower()) if mode[0] in "LI" else None
+    encoding = _ENCODINGS.get(original[1]) if original else None
+    return pixels, encoding.to_gray if encoding else None
+
+
+def _not_a_picture(size: int, kind: str) -> RecordingError:
+    return RecordingError(f"image damaged: {size} bytes of {kind!r} are not a readable JPEG or PNG", "")
+
+
+def _check_header(stored: bytes, kind: str) -> str:
+    """Check the size in a compressed image's header before memory for its pixels is allocated.
+
+    Returns:
+        Mode of the pixels as Pillow names it; "L" and "I" for gray ones.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about a large image: it is refused below
+            with Image.open(io.BytesIO(stored), formats=_COMPRESSIONS) as picture:
+                (width, height), mode = picture.size, str(picture.mode)
+    except Image.DecompressionBombError as error:  # far above the limit below
+        raise RecordingError(f"invalid image size: {error}", "") from error
+    except Exception as error:  # damaged headers may raise anything
+        raise _not_a_picture(len(stored), kind) from error
+    if width * height > LARGEST_PIXELS:
+        raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels", "")
+    return mode
+
+
+def _raw(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | None]:  # noqa: ANN401
+    """View of an image's pixels that respects step and byte order, and their conversion to gray."""
+    encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
+    if encoding is None:
+        raise RecordingError(
+            f"unknown image encoding {message.encoding!r}; known: {listed(sorted(_ENCODINGS))}", ""
+        )
+    height, width = int(message.height), int(message.width)
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    row = width * encoding.channels * encoding.depth
+    step = int(message.step) or row
+    if not height or not width or height * width > LARGEST_PIXELS:
+        raise RecordingError(f"invalid image size {width}x{height} (limit {LARGEST_PIXELS} pixels)", "")
+    # The last row needs no padding after it.
+    if step < row or data.size < step * (int(height * encoding.rows) - 1) + row:
+        raise RecordingError(
+            f"image size {width}x{height} {message.encoding} with {step} bytes per row does not match "
+            f"its {data.size} bytes",
+            "",
+        )
+    dtype = np.dtype(np.uint8 if encoding.depth == 1 else (">u2" if message.is_bigendian else "<u2"))
+    shape: tuple[int, ...] = (height, width)
+    strides: tuple[int, ...] = (step, encoding.channels * encoding.depth)
+    if encoding.channels > 1:
+        shape, strides = (*shape, encoding.channels), (*strides, encoding.depth)
+    return np.ndarray(shape, dtype, data, 0, strides), encoding.to_gray
