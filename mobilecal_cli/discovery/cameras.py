@@ -8,14 +8,14 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig
+from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig, listed
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 _LEAST_BASELINE_M = 1e-4
 
 
 def _present(prelude: Prelude) -> str:
-    return ", ".join(f"{topic.name} ({topic.type})" for topic in prelude.topics) or "none"
+    return listed(f"{topic.name} ({topic.type})" for topic in prelude.topics)
 
 
 def is_rectified(topic: str) -> bool:
@@ -41,8 +41,14 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         if name is not None and name not in present:
             raise RecordingError(
                 f"cameras.{side}.image: the topic {name} contains no images in this recording",
-                f"image topics present: {', '.join(sorted(present)) or 'none'}; all topics: {_present(prelude)}",
+                f"image topics present: {listed(sorted(present))}; all topics: {_present(prelude)}",
             )
+    if not present:
+        raise RecordingError(
+            "no image topics were recorded",
+            "record the images of both cameras (sensor_msgs/Image or CompressedImage) with the joint states; "
+            f"topics present: {_present(prelude)}",
+        )
     candidates = [
         pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in _SIDES)
     ]
@@ -51,7 +57,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         if both not in present:
             raise RecordingError(
                 f"cameras.both.image: the topic {both} contains no images in this recording",
-                f"image topics present: {', '.join(sorted(present)) or 'none'}",
+                f"image topics present: {listed(sorted(present))}",
             )
         return {"left": both, "right": both}
     if configured["left"] and configured["right"]:
@@ -82,7 +88,7 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
         if configured not in prelude.infos:
             raise RecordingError(
                 f"cameras.{side}.info: the topic {configured} contains no camera info in this recording",
-                f"camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
+                f"camera-info topics present: {listed(sorted(prelude.infos))}",
             )
         return configured
     namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
@@ -99,7 +105,7 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
     raise RecordingError(
         f"no camera info for the {side} images on {image}: expected "
         + (f"one topic named {side}" if both else beside),
-        f"set cameras.{side}.info; camera-info topics present: {', '.join(sorted(prelude.infos)) or 'none'}",
+        f"set cameras.{side}.info; camera-info topics present: {listed(sorted(prelude.infos))}",
     )
 
 

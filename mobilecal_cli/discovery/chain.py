@@ -8,11 +8,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.config import ChainLink, RigConfig
-from mobilecal_cli.discovery.names import listed
 from mobilecal_cli.discovery.wheels import urdf_wheels
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics.urdf import Urdf, head_chain, vehicle_frame, wheel_centres
-from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink, Side, WheelSource
+from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink, Side, WheelSource, listed
 
 _MIDWAY_M = 1e-6
 

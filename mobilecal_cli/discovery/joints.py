@@ -6,10 +6,10 @@ import math
 from collections.abc import Container, Iterable
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery.names import listed, words
+from mobilecal_cli.discovery.names import words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
-from mobilecal_cli.model import TRANSFORMS, HeadChain, JointField, JointLink, JointTransform, Prelude
+from mobilecal_cli.model import TRANSFORMS, HeadChain, JointField, JointLink, JointTransform, Prelude, listed
 
 _HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 _PAN_WORDS = {"pan", "yaw"}

@@ -41,8 +41,3 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
 def joint_state_names(prelude: Prelude) -> list[str]:
     """Names of all joints in the recording's joint states."""
     return sorted({name for names in prelude.joint_names.values() for name in names})
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names as a list in a message."""
-    return ", ".join(names) or "none"

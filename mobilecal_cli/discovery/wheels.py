@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, WheelConfig
-from mobilecal_cli.discovery.names import joint_state_names, listed, pairs, side_of, words
+from mobilecal_cli.discovery.names import joint_state_names, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
-from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource
+from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource, listed
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 _COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
@@ -105,6 +105,12 @@ def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
         return RecordingError(
             f"wheels.{side}: no joint is named as a wheel; {listed(counters)} look like tick counters",
             "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
+        )
+    if not prelude.joint_names:
+        return RecordingError(
+            f"wheels.{side}: no joint states (sensor_msgs/JointState), odometry or tick counters were recorded",
+            "record /joint_states, or set topic and field of wheels.left and wheels.right in rig.yaml; topics present: "
+            f"{listed(topic.name for topic in prelude.topics)}",
         )
     return RecordingError(
         f"wheels.{side}: no pair of joints is named as left and right wheel",

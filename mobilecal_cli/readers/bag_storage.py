@@ -108,6 +108,11 @@ class BagStorage(BlockStorage):
                 f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
                 "decrypt it with rosbag decrypt first",
             )
+        stated = (
+            _U64.unpack(fields[b"index_pos"])[0] if len(fields.get(b"index_pos", b"")) == _U64.size else 0
+        )
+        if stated > self.size:
+            self.note_share(stated)
         if not self._read_index(fields):
             self.channels.clear()
             self.blocks.clear()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import struct
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
@@ -23,6 +24,8 @@ from mobilecal_cli.scratch import full_disk_told, scratch_directory
 
 MAGIC = b"SQLite format 3\x00"
 
+#: In the header of the file: bytes per page, change counter, number of pages, and the change that this number is of.
+_HEADER = struct.Struct(">16xH6xII60xI")
 #: Consecutive damaged or missing rows after which the search ends.
 MOST_FAILURES = 10_000
 #: Log times per query; older versions of SQLite accept 999 values at most.
@@ -52,6 +55,7 @@ class SqliteStorage(Storage):
             # Otherwise SQLite refuses a file that is shorter than its header states.
             self._connection.execute("PRAGMA writable_schema=ON")
             self._read_topics(self._connection)
+            self._check_size()
         except BaseException:
             self.close()
             raise
@@ -72,6 +76,16 @@ class SqliteStorage(Storage):
         connection.execute("PRAGMA trusted_schema=OFF")
         connection.text_factory = lambda raw: raw.decode(errors="replace")
         return connection
+
+    def _check_size(self) -> None:
+        """Note a file that is shorter than the pages that its header states."""
+        with self.opened.open("rb") as stream:
+            header = stream.read(_HEADER.size)
+        if len(header) == _HEADER.size:
+            page, change, pages, counted_at = _HEADER.unpack(header)
+            whole = (65536 if page == 1 else page) * pages
+            if change == counted_at and self.path == self.opened and whole > self.path.stat().st_size:
+                self.note_share(whole)
 
     def close(self) -> None:
         """Close the file."""

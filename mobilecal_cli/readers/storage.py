@@ -86,6 +86,13 @@ class Storage(ABC):
         """Add a note on damage; a repeated one counts once."""
         self._damage[f"{self.path.name}: {sentence}"] = None
 
+    def note_share(self, whole: int) -> None:
+        """Note that the file is shorter than it states, with the share of its bytes that is left."""
+        size = self.path.stat().st_size
+        self.note(
+            f"the file is truncated: {size} of {whole} bytes or more ({100 * size / whole:.0f} %) are left"
+        )
+
     @abstractmethod
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is intact."""

@@ -189,6 +189,8 @@ def test_explicit_chain_needs_no_urdf():
     ("sections", "changes", "error", "words_"),
     [
         ({}, {"images": ("/camera/image",)}, RecordingError, "no stereo pair"),
+        ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
+        ({}, {"joint_names": {}}, RecordingError, "no joint states (sensor_msgs/JointState), odometry"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
         ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),

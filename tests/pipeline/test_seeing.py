@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -89,6 +90,16 @@ def test_processes_see_what_one_sees(log, segmented):
     together, shown_together = everything(log, 2)
     assert same(alone, together)
     assert [s.left_jpeg for s in shown] == [s.left_jpeg for s in shown_together]
+
+
+def test_the_threads_of_the_caller_are_left_as_they_are(log):
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(3)
+        everything(log, 1)
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkeypatch):

@@ -100,6 +100,17 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
         note = " ".join(recording.damage)
     assert 0 < count < len(ITEMS)
     assert f"damaged; {count} messages of the topics in use could be read" in note
+    assert f"truncated: {path.stat().st_size} of {len(data)} bytes or more (70 %) are left" in note
+
+
+def test_the_share_of_a_truncated_bag_is_noted(originals, tmp_path):
+    data = originals["bag"]
+    path = tmp_path / "cut.bag"
+    path.write_bytes(data[: len(data) // 2])
+    with open_recording([path]) as recording:
+        (share,) = [note for note in recording.damage if "the file is truncated" in note]
+    assert f"{len(data) // 2} of " in share
+    assert "(5" in share  # the bag states where its index begins, which is near its end
 
 
 def test_truncated_part_is_compared_with_metadata(tmp_path):
@@ -190,7 +201,13 @@ def test_write_ahead_log_of_a_killed_recorder_is_read_and_nothing_is_written(ori
             shutil.copy(file, folder)
     connection.close()
     with open_recording([folder / "source.db3"]) as recording:
-        assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS) + 1
+        topics = {t.name for t in recording.topics}
+        assert sum(1 for _ in recording.messages(topics)) == len(ITEMS) + 1
+        (part,) = recording.parts
+        with open_recording([part.opened]) as again:  # as a worker process does
+            assert sum(1 for _ in again.messages(topics)) == len(ITEMS) + 1
+            assert again.parts[0].opened == part.opened  # not copied once more
+    assert not part.opened.exists()
     assert sorted(p.name for p in folder.iterdir()) == ["source.db3", "source.db3-wal"]
 
 
