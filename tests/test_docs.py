@@ -47,7 +47,7 @@ def test_every_error_says_what_to_do(generator):
     """Except for errors of the readers about a single image, which become rejections with their own cure."""
     lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
-    assert without == {"readers/pixels", "readers/video"}
+    assert without == {"readers/images/pixels", "readers/images/video"}
 
 
 def test_the_options_are_up_to_date():

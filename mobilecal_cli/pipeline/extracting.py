@@ -35,7 +35,7 @@ from mobilecal_cli.pipeline.repeated import (
     same_signals,
 )
 from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
-from mobilecal_cli.readers import Recording, join_parts, open_recording, read_prelude, sha256_of
+from mobilecal_cli.readers import Recording, join_splits, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
 from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_square
@@ -165,7 +165,7 @@ def extract(
         MobilecalError: see `errors`.
     """
     seen: list[Seen] = []
-    recordings = join_parts(logs)
+    recordings = join_splits(logs)
     paths = [path for parts in recordings for path in parts]
     # A file that does not exist is refused where it is opened.
     sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.exists()]

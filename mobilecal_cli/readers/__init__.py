@@ -5,15 +5,15 @@ the robot, `read_signals` reads everything except image contents in one pass, an
 images.
 """
 
-from mobilecal_cli.readers.hashing import sha256_of
-from mobilecal_cli.readers.images import pictures_near, read_images
-from mobilecal_cli.readers.indexed import Pictures, find_pictures, read_stamps
-from mobilecal_cli.readers.opening import join_parts, open_recording, recognised
-from mobilecal_cli.readers.pixels import decode_image
+from mobilecal_cli.readers.containers.hashing import sha256_of
+from mobilecal_cli.readers.containers.opening import join_splits, open_recording, recognised
+from mobilecal_cli.readers.containers.recording import Message, Recording
+from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.images.pixels import decode_image
+from mobilecal_cli.readers.images.selection import pictures_near, read_images
 from mobilecal_cli.readers.prelude import read_prelude
-from mobilecal_cli.readers.recording import Message, Recording
-from mobilecal_cli.readers.signals import read_signals
-from mobilecal_cli.readers.storage import Extent
+from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read_stamps
+from mobilecal_cli.readers.signals.reading import read_signals
 
 __all__ = [
     "Extent",
@@ -22,7 +22,7 @@ __all__ = [
     "Recording",
     "decode_image",
     "find_pictures",
-    "join_parts",
+    "join_splits",
     "open_recording",
     "pictures_near",
     "read_images",

@@ -17,10 +17,10 @@ from mobilecal_cli.model import (
     FloatArray,
     Prelude,
 )
-from mobilecal_cli.readers.camera_info import camera_info
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.transforms import transforms_of
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.messages.camera_info import camera_info
+from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE
+from mobilecal_cli.readers.signals.transforms import transforms_of
 
 T = TypeVar("T")
 

@@ -20,8 +20,8 @@ from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_prelude
-from mobilecal_cli.readers.channels import Channel
-from mobilecal_cli.readers.images import decode_image
+from mobilecal_cli.readers.images.selection import decode_image
+from mobilecal_cli.readers.messages.channels import Channel
 from tests.readers import recordings as r
 
 MEMORY_BYTES = 2**30

@@ -19,7 +19,7 @@ from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.pipeline import extract, planning
 from mobilecal_cli.pipeline.planning import plan_recording
 from mobilecal_cli.readers import open_recording, read_images
-from mobilecal_cli.readers.channels import Channel
+from mobilecal_cli.readers.messages.channels import Channel
 from mobilecal_cli.solvers import solve
 
 from ..readers import recordings as r

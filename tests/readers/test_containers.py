@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import (
-    join_parts,
+    join_splits,
     open_recording,
     read_prelude,
     sha256_of,
@@ -89,7 +89,7 @@ def test_parts_in_any_order_are_one_recording(tmp_path, name):
     write = r.CONTAINERS[name]
     halves = [write(tmp_path / "a", ITEMS[:70]), write(tmp_path / "b", ITEMS[70:])]
     for paths in (halves, halves[::-1]):
-        assert join_parts(paths) == [halves]
+        assert join_splits(paths) == [halves]
         with open_recording(paths) as recording:
             check_contents(recording)
             times = [m.log_time_ns for m in recording.messages(["/ticks", "/joint_states"])]
@@ -105,7 +105,7 @@ def test_separate_recordings_are_not_joined(tmp_path):
         first,
         r.write_bag(tmp_path / "again.bag", same_time),
     ]
-    assert join_parts(paths) == [[paths[0]], [paths[1]], [paths[2]]]
+    assert join_splits(paths) == [[paths[0]], [paths[1]], [paths[2]]]
 
 
 def test_two_recorders_side_by_side_are_one_recording(tmp_path):
@@ -115,7 +115,7 @@ def test_two_recorders_side_by_side_are_one_recording(tmp_path):
     rest = r.write_bag(
         tmp_path / "rest.bag", [i for i in ITEMS if not ("/left" in i.topic or "/right" in i.topic)]
     )
-    assert [set(group) for group in join_parts([cameras, rest])] == [{cameras, rest}]
+    assert [set(group) for group in join_splits([cameras, rest])] == [{cameras, rest}]
     with open_recording([cameras, rest]) as recording:
         check_contents(recording)
 

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.model import Sources
 from mobilecal_cli.readers import Extent, open_recording, pictures_near, read_images
-from mobilecal_cli.readers.storage import BlockStorage
+from mobilecal_cli.readers.containers.blocks import BlockStorage
 
 from . import recordings as r
 
@@ -68,7 +68,7 @@ def test_a_part_is_read_where_blocks_are_large(recording):
 
 def test_times_of_a_large_file_without_an_index_stay_unknown(tmp_path, monkeypatch):
     path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
-    monkeypatch.setattr("mobilecal_cli.readers.storage.UNINDEXED_BYTES", 10_000)
+    monkeypatch.setattr("mobilecal_cli.readers.containers.blocks.UNINDEXED_BYTES", 10_000)
     with open_recording([path]) as recording:
         assert recording.log_times() == {}
 

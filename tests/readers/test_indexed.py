@@ -87,7 +87,7 @@ def test_all_stamps_are_needed(tmp_path, items):
 
 
 def test_a_large_file_without_an_index(tmp_path, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.readers.storage.UNINDEXED_BYTES", 10_000)
+    monkeypatch.setattr("mobilecal_cli.readers.containers.blocks.UNINDEXED_BYTES", 10_000)
     path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
     with open_recording([path]) as recording:
         assert find_pictures(recording, IMAGES) is None
@@ -98,7 +98,7 @@ def logged(recording, extent):
 
 
 def test_sqlite_reads_the_log_times_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.readers.sqlite_storage._TIMES_AT_ONCE", 2)
+    monkeypatch.setattr("mobilecal_cli.readers.containers.sqlite._TIMES_AT_ONCE", 2)
     times = LOGGED["/left/image_raw"]
     at_ns = np.array([times[0] - 1, times[1], times[2], times[4], times[5]])
     with open_recording([r.write_bag2(tmp_path / "log", ITEMS)]) as recording:

@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_signals
-from mobilecal_cli.readers.channels import Channel
-from mobilecal_cli.readers.joint_states import JointStateDecoder
+from mobilecal_cli.readers.messages.channels import Channel
+from mobilecal_cli.readers.messages.joint_state import JointStateDecoder
 
 from . import recordings as r
 

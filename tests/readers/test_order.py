@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.storage import BlockStorage
+from mobilecal_cli.readers.containers.blocks import BlockStorage
 
 from . import recordings as r
 

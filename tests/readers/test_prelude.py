@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_prelude
-from mobilecal_cli.readers.camera_info import camera_info
+from mobilecal_cli.readers.messages.camera_info import camera_info
 
 from . import recordings as r
 

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import join_parts, open_recording, read_prelude
+from mobilecal_cli.readers import join_splits, open_recording, read_prelude
 
 from . import recordings as r
 
@@ -135,7 +135,7 @@ def test_split_bags_are_joined(shared_data):
         folder = shared_data / f"bags/rosbag2/rosbag2_py/test/resources/{kind}/wbag"
         paths = sorted(folder.glob(f"*.{storage}"))
         assert len(paths) == 5
-        assert join_parts(paths[::-1]) == [paths]
+        assert join_splits(paths[::-1]) == [paths]
 
 
 def test_wrong_serialization_is_named(shared_data):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, Side, Track, WheelGeometry
-from mobilecal_cli.readers.series import Samples, Series
+from mobilecal_cli.readers.signals.series import Samples, Series
 
 _SMALL = 1e-6
 #: No wheeled robot moves or turns this far from one message to the next: the driver was reset.

@@ -10,11 +10,11 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, Layout, PictureIndex, Rejection, Side, Sources
-from mobilecal_cli.readers.pixels import LARGEST_PIXELS, decode_image
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.stamps import stamp_of
-from mobilecal_cli.readers.storage import EVERYTHING, Extent
-from mobilecal_cli.readers.video import Video, codec_of
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
+from mobilecal_cli.readers.images.pixels import LARGEST_PIXELS, decode_image
+from mobilecal_cli.readers.images.video import Video, codec_of
+from mobilecal_cli.readers.messages.stamps import stamp_of
 
 #: Bytes of a video that are read to find a few key frames.
 _GLANCE_BYTES = 2**25

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import FloatArray, IntArray, Track, WheelSource
-from mobilecal_cli.readers.series import Samples
+from mobilecal_cli.readers.signals.series import Samples
 
 #: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
 GAP_S = 0.5

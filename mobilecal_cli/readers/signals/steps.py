@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.series import Samples
+from mobilecal_cli.readers.signals.series import Samples
 
 _NS = 1_000_000_000
 #: Smallest step, also in multiples of a topic's usual change of its lag: a slow playback is no step.

@@ -17,9 +17,10 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.channels import Channel, DefinitionFormat, ros2_spelling
-from mobilecal_cli.readers.compression import message_payload
-from mobilecal_cli.readers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
+from mobilecal_cli.readers.containers.compression import message_payload
+from mobilecal_cli.readers.containers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
+from mobilecal_cli.readers.messages.channels import Channel, ros2_spelling
+from mobilecal_cli.readers.messages.definitions import DefinitionFormat
 from mobilecal_cli.scratch import full_disk_told, scratch_directory
 
 MAGIC = b"SQLite format 3\x00"

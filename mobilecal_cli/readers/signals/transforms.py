@@ -11,10 +11,10 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import FloatArray, JointTransform, Track, listed
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.series import Samples, Series
-from mobilecal_cli.readers.stamps import stamp_of
-from mobilecal_cli.readers.storage import Extent
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.messages.stamps import stamp_of
+from mobilecal_cli.readers.signals.series import Samples, Series
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005

@@ -1,10 +1,9 @@
-"""Message times: header stamp or log time, and the treatment of faulty clocks."""
+"""Clocks: statistics of the stamps, and the treatment of faulty ones."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -14,19 +13,6 @@ from mobilecal_cli.model import BoolArray, IntArray
 CLOCKS_DIFFER_S = 1.0
 #: Lags stored per topic, enough for a median.
 _LAGS = 101
-
-
-def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is the recording's
-    """Header stamp of a message, ns; of a TFMessage, that of its first transform. None without a header."""
-    if getattr(message, "transforms", None):
-        message = message.transforms[0]
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
-
-
-def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
-    """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
-    return header_stamp_ns(message) or log_ns
 
 
 @dataclass(slots=True)

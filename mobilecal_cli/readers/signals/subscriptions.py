@@ -18,18 +18,20 @@ from mobilecal_cli.model import (
     WheelSource,
     listed,
 )
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE, Channel, Payload
-from mobilecal_cli.readers.fields import FieldSeries
-from mobilecal_cli.readers.info_changes import InfoChanges
-from mobilecal_cli.readers.joint_states import JointStateDecoder, JointStates
-from mobilecal_cli.readers.odometry import Odometry
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.series import Samples, Series
-from mobilecal_cli.readers.stamps import Clock, header_stamp_ns
-from mobilecal_cli.readers.storage import Extent
-from mobilecal_cli.readers.transforms import Transforms
-from mobilecal_cli.readers.video import codec_of
-from mobilecal_cli.readers.wheels import Counter, from_positions, from_velocities
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.images.video import codec_of
+from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE, Channel, Payload
+from mobilecal_cli.readers.messages.joint_state import JointStateDecoder
+from mobilecal_cli.readers.messages.stamps import header_stamp_ns
+from mobilecal_cli.readers.signals.clocks import Clock
+from mobilecal_cli.readers.signals.fields import FieldSeries
+from mobilecal_cli.readers.signals.info_changes import InfoChanges
+from mobilecal_cli.readers.signals.joints import JointStates
+from mobilecal_cli.readers.signals.odometry import Odometry
+from mobilecal_cli.readers.signals.series import Samples, Series
+from mobilecal_cli.readers.signals.transforms import Transforms
+from mobilecal_cli.readers.signals.wheels import Counter, from_positions, from_velocities
 
 #: Takes a message, its time (stamp or log time) and its log time.
 Taker = Callable[[Any, int, int], None]

@@ -16,10 +16,12 @@ from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.channels import Channel, DefinitionFormat, Payload, ros2_spelling
-from mobilecal_cli.readers.compression import ZSTD_MAGIC, decompress, message_payload
-from mobilecal_cli.readers.storage import LATEST_NS, SIZE_LIMIT, Block, BlockStorage
-from mobilecal_cli.readers.walk import Walk
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
+from mobilecal_cli.readers.containers.compression import ZSTD_MAGIC, decompress, message_payload
+from mobilecal_cli.readers.containers.reindex import Reindex
+from mobilecal_cli.readers.containers.storage import LATEST_NS, SIZE_LIMIT
+from mobilecal_cli.readers.messages.channels import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.messages.definitions import DefinitionFormat
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -63,7 +65,7 @@ class McapStorage(BlockStorage):
         if summary is not None:
             self._use(summary)
         else:
-            _Walk(self).run()
+            _Reindex(self).run()
 
     def _read_profile(self) -> str:
         opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))
@@ -210,7 +212,7 @@ class McapStorage(BlockStorage):
         )
 
 
-class _Walk(Walk):
+class _Reindex(Reindex):
     """Finds the blocks of a file without an index by reading record headers only."""
 
     def __init__(self, storage: McapStorage) -> None:

@@ -8,19 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import bag_storage, compression, mcap_storage, sqlite_storage
-from mobilecal_cli.readers.channels import Channel
-from mobilecal_cli.readers.parts import group_parts
-from mobilecal_cli.readers.recording import Recording, boundary
-from mobilecal_cli.readers.storage import Storage
+from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
+from mobilecal_cli.readers.containers.recording import Recording, boundary
+from mobilecal_cli.readers.containers.splits import group_splits
+from mobilecal_cli.readers.containers.storage import Storage
+from mobilecal_cli.readers.messages.channels import Channel
 from mobilecal_cli.scratch import full_disk_told, scratch_directory
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
-    mcap_storage.MAGIC: mcap_storage.McapStorage,
-    bag_storage.MAGIC: bag_storage.BagStorage,
-    sqlite_storage.MAGIC: sqlite_storage.SqliteStorage,
+    mcap.MAGIC: mcap.McapStorage,
+    rosbag1.MAGIC: rosbag1.BagStorage,
+    sqlite.MAGIC: sqlite.SqliteStorage,
 }
 METADATA = "metadata.yaml"
 KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
@@ -109,7 +109,7 @@ class _Opened:
         if not files:
             raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
         storages = [self._file(path) for path in files]
-        groups = group_parts(storages)
+        groups = group_splits(storages)
         if len(groups) > 1:
             names = "; ".join(", ".join(storages[i].path.name for i in group) for group in groups)
             raise RecordingError(
@@ -155,7 +155,7 @@ def _magic(path: Path, name: Path | None = None) -> bytes:
         raise RecordingError(
             f"{name}: the file is empty (0 bytes)", "copy the recording again, or record a new one"
         )
-    if head.startswith(b"#ROSBAG V") and not head.startswith(bag_storage.MAGIC):
+    if head.startswith(b"#ROSBAG V") and not head.startswith(rosbag1.MAGIC):
         raise RecordingError(
             f"{name}: ROS 1 bag of format {head[9:12].decode(errors='replace')}, only 2.0 is supported",
             "convert it with rosbag fix or rosbag filter",
@@ -172,10 +172,10 @@ def recognised(path: Path) -> bool:
         return False
 
 
-def join_parts(paths: Sequence[Path]) -> list[list[Path]]:
+def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """Group the user's paths into recordings.
 
-    See `parts.group_parts` for the rule: times and topics decide, not names. A directory counts like a file.
+    See `parts.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
 
     Returns:
         Groups of paths, in order of their first path; each in order of time.
@@ -189,7 +189,7 @@ def join_parts(paths: Sequence[Path]) -> list[list[Path]]:
     for path in paths:
         with open_recording([path]) as recording:
             ranges.append(_Range(recording))
-    return [[paths[i] for i in group] for group in group_parts(ranges)]
+    return [[paths[i] for i in group] for group in group_splits(ranges)]
 
 
 class _Range:

@@ -9,8 +9,8 @@ from typing import BinaryIO
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from mobilecal_cli.readers.channels import Payload
-from mobilecal_cli.readers.storage import SIZE_LIMIT
+from mobilecal_cli.readers.containers.storage import SIZE_LIMIT
+from mobilecal_cli.readers.messages.channels import Payload
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IMAGES, IntArray, PictureIndex, Side
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.stamps import Clock, header_stamp_ns, stamp_of
-from mobilecal_cli.readers.storage import Extent
-from mobilecal_cli.readers.video import codec_of
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.images.video import codec_of
+from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE
+from mobilecal_cli.readers.messages.stamps import header_stamp_ns, stamp_of
+from mobilecal_cli.readers.signals.clocks import Clock
 
 #: Images per topic, spread over it, that are read to measure the lag between stamp and log time.
 _LOOKS = 9

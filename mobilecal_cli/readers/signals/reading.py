@@ -7,14 +7,14 @@ from dataclasses import replace
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Side, Signals, Sources, Track
-from mobilecal_cli.readers.info_changes import InfoChanges
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.series import Samples, Series, order_notes
-from mobilecal_cli.readers.stamps import Clock, clock_notes
-from mobilecal_cli.readers.steps import cut
-from mobilecal_cli.readers.storage import EVERYTHING, Extent
-from mobilecal_cli.readers.subscriptions import Quantity, Subscriptions
-from mobilecal_cli.readers.wheels import gap_notes
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
+from mobilecal_cli.readers.signals.clocks import Clock, clock_notes
+from mobilecal_cli.readers.signals.info_changes import InfoChanges
+from mobilecal_cli.readers.signals.series import Samples, Series, order_notes
+from mobilecal_cli.readers.signals.steps import cut
+from mobilecal_cli.readers.signals.subscriptions import Quantity, Subscriptions
+from mobilecal_cli.readers.signals.wheels import gap_notes
 
 SIDES: tuple[Side, Side] = ("left", "right")
 

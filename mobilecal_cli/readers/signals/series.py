@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
-from mobilecal_cli.readers.stamps import in_order
+from mobilecal_cli.readers.signals.clocks import in_order
 
 
 @dataclass(frozen=True, slots=True, eq=False)

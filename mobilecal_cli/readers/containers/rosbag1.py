@@ -15,10 +15,10 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.channels import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.compression import decompress
-from mobilecal_cli.readers.storage import Block, BlockStorage
-from mobilecal_cli.readers.walk import Walk
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
+from mobilecal_cli.readers.containers.compression import decompress
+from mobilecal_cli.readers.containers.reindex import Reindex
+from mobilecal_cli.readers.messages.channels import Channel, Payload, ros2_spelling
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -117,7 +117,7 @@ class BagStorage(BlockStorage):
             self.channels.clear()
             self.blocks.clear()
             self.counts = None
-            _Walk(self).run()
+            _Reindex(self).run()
 
     def head(self, at: int) -> tuple[Fields, int, int]:
         """Header fields of the record at byte `at` of the file, and begin and end of its data."""
@@ -229,7 +229,7 @@ class BagStorage(BlockStorage):
         )
 
 
-class _Walk(Walk):
+class _Reindex(Reindex):
     """Finds the blocks of a bag without a usable index by reading record headers only."""
 
     def __init__(self, storage: BagStorage) -> None:

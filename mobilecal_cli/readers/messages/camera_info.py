@@ -8,7 +8,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CameraInfo, Distortion, FloatArray
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE
+from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
 _LENGTHS: dict[Distortion, tuple[int, ...]] = {

@@ -1,4 +1,4 @@
-"""Joint states, and the joints that are read from a topic of them."""
+"""Joint states, of which most are read without their message definition."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.model import JOINT_STATE
-from mobilecal_cli.readers.channels import Channel, Payload
-from mobilecal_cli.readers.series import Series
-from mobilecal_cli.readers.stamps import header_stamp_ns
+from mobilecal_cli.readers.messages.channels import Channel, Payload
+from mobilecal_cli.readers.messages.stamps import header_stamp_ns
 
 #: The stamp follows the encapsulation (CDR) or the sequence number (ROS 1), 4 bytes each.
 _STAMP, _STAMP_END = struct.Struct("<iI"), 12
@@ -111,45 +110,3 @@ class JointStateDecoder:
 
 def _bytes(numbers: Sequence[float]) -> bytes:
     return np.asarray(numbers, dtype=np.float64).tobytes()
-
-
-class JointStates:
-    """Positions and velocities of named joints on one topic.
-
-    Attributes:
-        position: name → readings, of the subscribed joints.
-        velocity: the same, of joints whose velocities are used.
-        present: all names found, in order.
-    """
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.position: dict[str, Series] = {}
-        self.velocity: dict[str, Series] = {}
-        self.present: dict[str, None] = {}
-        self._names: Sequence[str] | None = None
-        self._places: list[tuple[int, Series, bool]] = []
-
-    def want(self, name: str, *, velocity: bool = False) -> None:
-        """Subscribe to a joint."""
-        self.position.setdefault(name, Series(self.topic, f"joint {name} on {self.topic}"))
-        if velocity:
-            self.velocity.setdefault(name, Series(self.topic, f"velocity of joint {name} on {self.topic}"))
-
-    def take(self, reading: JointReading, stamp_ns: int, log_ns: int) -> None:
-        """Read one message; the order of names may change from message to message."""
-        if reading.names is not self._names:
-            self._names = reading.names
-            names = list(reading.names)
-            self.present.update(dict.fromkeys(names))
-            wanted = [(self.position, "position"), (self.velocity, "velocity")]
-            self._places = [
-                (names.index(name), series, field == "position")
-                for kind, field in wanted
-                for name, series in kind.items()
-                if name in names
-            ]
-        for place, series, is_position in self._places:
-            values = reading.position if is_position else reading.velocity
-            if place < len(values):
-                series.add(stamp_ns, log_ns, float(values[place]))

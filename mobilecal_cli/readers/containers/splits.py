@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from mobilecal_cli.readers.channels import Channel
+from mobilecal_cli.readers.messages.channels import Channel
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
 LARGEST_GAP_NS = 5 * 10**9
@@ -21,7 +21,7 @@ class Ranged(Protocol):
     end_ns: int | None
 
 
-def group_parts(files: Sequence[Ranged]) -> list[list[int]]:
+def group_splits(files: Sequence[Ranged]) -> list[list[int]]:
     """Indices of the files, grouped into recordings.
 
     Two files belong together if the later one begins within 5 s after the end of the earlier one (or up to 1 s before

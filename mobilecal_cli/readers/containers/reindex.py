@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mobilecal_cli.readers.storage import Block, BlockStorage
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
 
 #: Messages outside chunks are grouped into blocks of about this many bytes.
 SPAN_BYTES = 4 * 2**20
 
 
-class Walk:
+class Reindex:
     """Collects blocks and message counts during a scan of a file's records.
 
     The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
@@ -77,7 +77,7 @@ class Walk:
         storage = self._target
         storage.counts = self._counts
         if trouble:
-            storage.settle()
+            storage.set_time_range()
             seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
             messages = sum(self._counts.values())
             storage.note(
@@ -95,7 +95,7 @@ class Walk:
         if block is None:
             return
         if cut or not counts or not counts.keys() <= self._target.channels.keys():
-            found, start_ns, end_ns, error = self._target.look_inside(block, cut=cut)
+            found, start_ns, end_ns, error = self._target.scan(block, cut=cut)
             if not found and error is None:
                 return
             block = replace(block, start_ns=start_ns, end_ns=end_ns) if found else block

@@ -10,10 +10,10 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO, CAMERA_INFO_CHANGES, CameraInfo, IntArray
-from mobilecal_cli.readers.camera_info import camera_info
-from mobilecal_cli.readers.channels import NOT_ITS_TYPE, Channel, Payload
-from mobilecal_cli.readers.recording import Recording
-from mobilecal_cli.readers.storage import Extent
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.messages.camera_info import camera_info
+from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE, Channel, Payload
 
 #: Bytes of a recording that are read for camera infos alone.
 _SAMPLED_BYTES = 2**26

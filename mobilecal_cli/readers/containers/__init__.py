@@ -1,0 +1,1 @@
+"""Containers: bytes, channels and log times of recorded files."""

@@ -1,0 +1,111 @@
+"""Interface of all containers: channels, a time range, and raw messages in order of log time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from mobilecal_cli.model import IntArray
+from mobilecal_cli.readers.messages.channels import Channel, Payload
+
+RawMessage = tuple[Channel, int, Payload]
+
+#: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
+SIZE_LIMIT = 2**29
+#: Log times after the year 2262 are damage; times fit into 64 signed bits everywhere.
+LATEST_NS = 2**63
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extent:
+    """Part of a recording to read.
+
+    Attributes:
+        within_bytes: if the topics need more bytes of the file than this, only stretches spread evenly over it are
+            read; None: no limit.
+        at_ns: (n,) increasing log times: only their messages are needed, and others may be included; None: all times.
+    """
+
+    within_bytes: int | None = None
+    at_ns: IntArray | None = None
+
+
+EVERYTHING = Extent()
+
+
+class Storage(ABC):
+    """One file of a recording.
+
+    Attributes:
+        container: format of the file, for messages.
+        path: the file, as given by the user or unpacked.
+        opened: the file that is read: `path`, or a complete copy of it.
+        channels: channel id → channel.
+        counts: channel id → number of messages, stated in the file or counted; None if unknown.
+        start_ns, end_ns: log time of the first and last message, None if unknown or empty.
+        damage: data that was lost, as sentences; complete after a full pass.
+    """
+
+    container: ClassVar[str]
+    path: Path
+    opened: Path
+    channels: dict[int, Channel]
+    counts: dict[int, int] | None
+    start_ns: int | None
+    end_ns: int | None
+
+    def __init__(self, path: Path) -> None:
+        self.path = self.opened = path
+        self.channels = {}
+        self.counts = None
+        self.start_ns = None
+        self.end_ns = None
+        self._damage: dict[str, None] = {}
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """Each note once, in order of appearance."""
+        return tuple(self._damage)
+
+    def note(self, sentence: str) -> None:
+        """Add a note on damage; a repeated one counts once."""
+        self._damage[f"{self.path.name}: {sentence}"] = None
+
+    def note_share(self, whole: int) -> None:
+        """Note that the file is shorter than it states, with the share of its bytes that is left."""
+        size = self.path.stat().st_size
+        self.note(
+            f"the file is truncated: {size} of {whole} bytes or more ({100 * size / whole:.0f} %) are left"
+        )
+
+    @abstractmethod
+    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+        """Messages of the topics in order of log time, as far as the file is intact."""
+
+    @abstractmethod
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """Number of bytes that `raw` reads."""
+
+    @abstractmethod
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+        """First message of each topic at or after each time; only the few blocks that contain them are read."""
+
+    @abstractmethod
+    def log_times(self) -> dict[int, IntArray]:
+        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def compare_counts(self, topics: Collection[str], seen: Mapping[int, int]) -> None:
+        """After a full pass, note topics with fewer messages than the file states."""
+        if self.counts is None:
+            return
+        for number, channel in sorted(self.channels.items()):
+            stated = self.counts.get(number, 0)
+            if channel.topic in topics and seen.get(number, 0) < stated:
+                self.note(f"{channel.topic}: {seen.get(number, 0)} of {stated} messages could be read")

@@ -1,0 +1,1 @@
+"""Images: pixels of any encoding as 8-bit gray."""

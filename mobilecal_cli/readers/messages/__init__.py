@@ -1,0 +1,1 @@
+"""Messages: one payload decoded, in one form for all encodings and equivalent types."""

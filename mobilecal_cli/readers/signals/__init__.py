@@ -1,0 +1,1 @@
+"""Signals: joints, wheels and image times of a recording."""
