@@ -57,6 +57,7 @@ logs: $(VENV)/.run  ## generate sample_logs/ again from their seeds
 docs: $(VENV)/.dev  ## generate the pages made from the code, then build all pages; warnings are errors
 	$(BIN)/python docs/generate/errors.py
 	$(BIN)/python docs/generate/options.py
+	$(BIN)/python docs/generate/refusals.py
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 clean:

@@ -22,7 +22,7 @@ class Difference:
     Attributes:
         change: (9,) in the order of `NINE`: rotation vector of R_b R_a^T in the head's frame, rad; m.
         std: (9,) standard deviation of `change` for independent recordings; 0 where `known` is false.
-        known: (9,) whether the parameter can be compared: both have a standard deviation, and one observes it.
+        known: (9,) whether the parameter can be compared: both determine it, with a standard deviation.
         unobservable: (9,) whether the parameter is unobservable in one of them.
         chi2: squared Mahalanobis distance of the known parameters; None if there are none.
         chance: probability of a chi-squared this large if the robot did not change; None if there is none.
@@ -109,13 +109,13 @@ def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
 def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, FloatArray]:
     """Which parameters can be compared, (9,), and the covariance of the difference, (9, 9).
 
-    Both must have a standard deviation, and one must observe the parameter: two nominal values are no comparison.
+    Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
     """
     a, b = first.knowledge, second.knowledge
     if a is None or b is None:
         return np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
     known = (np.diag(a.covariance) > 0) & (np.diag(b.covariance) > 0)
-    return known & (a.observable | b.observable), a.covariance + b.covariance
+    return known & a.observable & b.observable, a.covariance + b.covariance
 
 
 def _unobservable(robot: CalibratedRobot) -> BoolArray:

@@ -10,23 +10,33 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
     FiniteFloat,
-    PositiveFloat,
+    Strict,
     ValidationError,
     model_validator,
 )
 
+from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
 
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Number = Annotated[float, Strict()]  # neither a text nor true
+Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
+Separation = Annotated[Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
+Square = Annotated[Number, AfterValidator(ranges.SQUARE.validated)]
+Ticks = Annotated[Number, AfterValidator(ranges.TICKS.validated)]
+Sigma = Annotated[Number, AfterValidator(ranges.SIGMA.validated)]
+Length = Annotated[Number, AfterValidator(ranges.POSITION.validated)]
+Angle = Annotated[Number, AfterValidator(ranges.ANGLE.validated)]
+Position = tuple[Length, Length, Length]
 Text = Annotated[str, Field(min_length=1)]
 
 
@@ -65,7 +75,7 @@ class BoardConfig(_Section):
     kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
     rows: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a column")
-    square_m: PositiveFloat | None = Field(
+    square_m: Square | None = Field(
         None, description="side of a square (of a tag), m; measured by the stereo pair if not given"
     )
     dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
@@ -153,7 +163,7 @@ class WheelConfig(_Section):
     topic: Text | None = None
     joint: Text | None = None
     field: Text | None = None
-    ticks_per_revolution: PositiveFloat | None = None
+    ticks_per_revolution: Ticks | None = None
     bits: Literal[8, 16, 32, 64] | None = None
     sign: Literal[1, -1] = 1
 
@@ -181,10 +191,10 @@ class WheelsConfig(_Section):
 class ChainLink(_Section):
     """One link: a fixed offset (xyz_m, rpy_rad) or a joint (joint, axis, kind)."""
 
-    xyz_m: Vector3 | None = None
-    rpy_rad: Vector3 | None = None
+    xyz_m: Position | None = None
+    rpy_rad: tuple[Angle, Angle, Angle] | None = None
     joint: Text | None = None
-    axis: Vector3 | None = None
+    axis: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     kind: Literal["revolute", "prismatic"] = "revolute"
 
     @model_validator(mode="after")
@@ -218,7 +228,7 @@ class HeadConfig(_Section):
 class HeadEyeNominal(_Section):
     """Nominal head-eye transform."""
 
-    translation_m: Vector3
+    translation_m: Position
     quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
     @model_validator(mode="after")
@@ -232,9 +242,9 @@ class HeadEyeNominal(_Section):
 class WheelsNominal(_Section):
     """Nominal wheels."""
 
-    radius_left_m: PositiveFloat
-    radius_right_m: PositiveFloat
-    separation_m: PositiveFloat
+    radius_left_m: Radius
+    radius_right_m: Radius
+    separation_m: Separation
 
 
 class NominalConfig(_Section):
@@ -251,9 +261,9 @@ def _prior_entry(value: object) -> object:
         ValueError: neither of them.
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value in ("fixed", "free") or (number and 0 <= float(value) < math.inf):  # type: ignore[arg-type]
+    if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
         return value
-    raise ValueError("must be a standard deviation (zero or more), fixed or free")
+    raise ValueError(f"must be a standard deviation (0, or from {ranges.PRIOR_SIGMA}), fixed or free")
 
 
 PriorEntry = float | Literal["fixed", "free"]
@@ -262,14 +272,14 @@ PriorEntry = float | Literal["fixed", "free"]
 class NoiseConfig(_Section):
     """Known standard deviations; the others are estimated from the recording."""
 
-    pixel_px: PositiveFloat | None = Field(None, description="of one corner coordinate")
-    wheel_rad_per_sqrt_rad: PositiveFloat | None = Field(None, description="of a wheel over one radian")
-    encoder_rad: PositiveFloat | None = Field(None, description="of one encoder reading")
-    joint_rad: PositiveFloat | None = Field(None, description="of one joint reading")
-    floor_rad: PositiveFloat | None = Field(None, description="of the base's roll and pitch at a station")
-    floor_m: PositiveFloat | None = Field(None, description="of the base's height at a station")
-    stamp_s: PositiveFloat | None = Field(None, description="of an image's stamp, in motion")
-    wheel_share: PositiveFloat | None = Field(None, description="of a wheel's rotation over a leg, relative")
+    pixel_px: Sigma | None = Field(None, description="of one corner coordinate")
+    wheel_rad_per_sqrt_rad: Sigma | None = Field(None, description="of a wheel over one radian")
+    encoder_rad: Sigma | None = Field(None, description="of one encoder reading")
+    joint_rad: Sigma | None = Field(None, description="of one joint reading")
+    floor_rad: Sigma | None = Field(None, description="of the base's roll and pitch at a station")
+    floor_m: Sigma | None = Field(None, description="of the base's height at a station")
+    stamp_s: Sigma | None = Field(None, description="of an image's stamp, in motion")
+    wheel_share: Sigma | None = Field(None, description="of a wheel's rotation over a leg, relative")
 
 
 class RigConfig(_Section):

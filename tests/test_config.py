@@ -178,12 +178,39 @@ def test_priors_are_numbers_or_words(write):
 def test_other_priors_are_refused(write, value):
     with pytest.raises(ConfigError) as caught:
         load_rig(write(f"priors: {{focal_length: {value}}}"))
-    assert (
-        "priors.focal_length: must be a standard deviation (zero or more), fixed or free"
-        in caught.value.message
-    )
+    said = "priors.focal_length: must be a standard deviation (0, or from 1e-09 to 1000), fixed or free"
+    assert said in caught.value.message
 
 
 def test_gates_have_dots_in_their_names():
     key, value = parse_setting("gates.std.wheels.separation_m=0.002")
     assert load_rig(None, {key: value}).gates == {"std.wheels.separation_m": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
+        ("board: {square_m: true}", "board.square_m: Input should be a valid number (got True)"),
+        ("board: {square_m: '0.1'}", "board.square_m: Input should be a valid number (got '0.1')"),
+        (
+            "nominal: {wheels: {radius_left_m: 1e300, radius_right_m: 0.1, separation_m: 0.5}}",
+            "nominal.wheels.radius_left_m: must be from 0.001 to 10 m (got 1e+300)",
+        ),
+        (
+            "nominal: {wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 1e-9}}",
+            "nominal.wheels.separation_m: must be from 0.01 to 100 m (got 1e-09)",
+        ),
+        (
+            "nominal: {head_eye: {translation_m: [0, 0, 1e200], quaternion_xyzw: [0, 0, 0, 1]}}",
+            "nominal.head_eye.translation_m.2: must be from -100 to 100 m (got 1e+200)",
+        ),
+        ("head: {chain: [{xyz_m: [1e300, 0, 0]}]}", "xyz_m.0: must be from -100 to 100 m (got 1e+300)"),
+        ("noise: {pixel_px: 1e-300}", "noise.pixel_px: must be from 1e-09 to 1000 (got 1e-300)"),
+        ("wheels: {left: {ticks_per_revolution: 1e300}}", "must be from 1 to 1e+09 (got 1e+300)"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_with_its_range(write, text, says):
+    with pytest.raises(ConfigError) as caught:
+        load_rig(write(text))
+    assert says in caught.value.message

@@ -9,6 +9,7 @@ from typing import NoReturn
 from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.errors import MobilecalError, QualityError, ResourceError
+from mobilecal_cli.source_date import source_date
 
 __all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
 
@@ -20,6 +21,7 @@ app.registered_commands.sort(key=lambda command: _ORDER.index(command.callback._
 def main() -> None:
     """Run the command line; on an error, print it and exit with its code."""
     try:
+        source_date()  # before libraries are imported that read it too
         app()
     except QualityError as error:  # `conclude` has printed the verdict
         sys.exit(error.exit_code)

@@ -61,6 +61,11 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
             )
         return {"left": both, "right": both}
     if configured["left"] and configured["right"]:
+        if configured["left"] == configured["right"]:
+            raise ConfigError(
+                f"cameras.left.image and cameras.right.image are both {configured['left']}",
+                "set them to different topics; for both cameras in one image, set cameras.both.image",
+            )
         return {"left": configured["left"], "right": configured["right"]}
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]

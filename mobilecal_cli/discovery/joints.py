@@ -36,6 +36,8 @@ def pan_and_tilt(config: RigConfig, prelude: Prelude, candidates: Iterable[str])
     names = list(candidates)
     pan = config.joints.pan or named_joint("pan", _PAN_WORDS, names)
     tilt = config.joints.tilt or named_joint("tilt", _TILT_WORDS, [name for name in names if name != pan])
+    if pan and pan == tilt:
+        raise ConfigError(f"joints.pan and joints.tilt are both {pan!r}", "set them to different joints")
     return pan, tilt
 
 

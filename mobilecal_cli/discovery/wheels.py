@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mobilecal_cli import ranges
 from mobilecal_cli.config import RigConfig, WheelConfig
 from mobilecal_cli.discovery.names import joint_state_names, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
@@ -64,7 +65,21 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
                 f"joints present: {listed(joint_state_names(prelude))}",
             )
         result[side] = WheelSource(topics[0], joint, None, wheel.ticks_per_revolution, wheel.bits, wheel.sign)
+    _refuse_one_source(result["left"], result["right"])
     return result
+
+
+def _refuse_one_source(left: WheelSource, right: WheelSource) -> None:
+    """Refuse both wheels from one reading.
+
+    Raises:
+        ConfigError: naming the reading.
+    """
+    if (left.topic, left.joint, left.field) == (right.topic, right.joint, right.field):
+        raise ConfigError(
+            f"wheels.left and wheels.right are both read from {left.joint or left.field} on {left.topic}",
+            "set wheels.left and wheels.right to different joints or fields",
+        )
 
 
 def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, WheelSource]:
@@ -138,6 +153,10 @@ def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> W
     separation = float(np.linalg.norm(left - right))
     if not radii["left"] or not radii["right"] or separation <= 0:
         return None
+    for side, name in wheels.items():
+        where = f"URDF: link {urdf.joints[name].child!r}, cylinder radius"
+        ranges.WHEEL_RADIUS.check(where, radii[side] or 0.0)
+    ranges.WHEEL_SEPARATION.check(f"URDF: distance of {wheels['left']!r} and {wheels['right']!r}", separation)
     return WheelGeometry(radii["right"], radii["left"], separation)
 
 

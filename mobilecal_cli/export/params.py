@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
 from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     FiniteFloat,
-    PositiveFloat,
+    Strict,
     ValidationError,
     field_validator,
     model_validator,
 )
 
-from mobilecal_cli import se3
+from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.likelihood.nuisance import kind
@@ -45,6 +47,9 @@ FIRST_LINE = "# Robot calibration by mobilecal."
 SCHEMA_VERSION = 2
 _OLDEST_READ = 1  # no constants
 NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
+_SAME_ROTATION_DEG = 0.01
+_SAME_STD = 1e-3
+_ROUNDING = 1e-6  # of the correlations
 _PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the joint's position
 _HINT = "use a params.yaml written by mobilecal calibrate"
@@ -215,11 +220,24 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
+_Number = Annotated[FiniteFloat, Strict()]  # neither a text nor true
+_Length = Annotated[_Number, AfterValidator(ranges.POSITION.validated)]
+_Radius = Annotated[_Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
+_Separation = Annotated[_Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
+
+
+class _Euler(_Section):
+    x: _Number
+    y: _Number
+    z: _Number
+
+
 class _HeadEye(_Section):
     parent_frame: str = Field(min_length=1)
     child_frame: str = Field(min_length=1)
-    translation_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    translation_m: tuple[_Length, _Length, _Length]
+    quaternion_xyzw: tuple[_Number, _Number, _Number, _Number]
+    euler_zyx_deg: _Euler | None = None
 
     @field_validator("quaternion_xyzw")
     @classmethod
@@ -229,18 +247,30 @@ class _HeadEye(_Section):
             raise ValueError(f"the norm is {norm:.6g}, expected 1")
         return value
 
+    @model_validator(mode="after")
+    def _one_rotation(self) -> _HeadEye:
+        if self.euler_zyx_deg is not None:
+            angles = self.euler_zyx_deg
+            R = se3.from_rpy(np.radians([angles.x, angles.y, angles.z]))
+            other = se3.from_quaternion_xyzw(np.array(self.quaternion_xyzw))
+            apart_deg = math.degrees(float(np.linalg.norm(se3.log_so3(R.T @ other))))
+            if apart_deg > _SAME_ROTATION_DEG:
+                raise ValueError(f"euler_zyx_deg and quaternion_xyzw are {apart_deg:.3g} degrees apart")
+        return self
+
 
 class _Wheels(_Section):
-    radius_left_m: PositiveFloat = Field(allow_inf_nan=False)
-    radius_right_m: PositiveFloat = Field(allow_inf_nan=False)
-    separation_m: PositiveFloat = Field(allow_inf_nan=False)
+    radius_left_m: _Radius
+    radius_right_m: _Radius
+    separation_m: _Separation
 
 
-_Row = Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)]
+_Row = Annotated[tuple[_Number, ...], Field(min_length=9, max_length=9)]
 
 
 class _Uncertainty(_Section):
     order: tuple[str, ...]
+    std: dict[str, _Number | None] | None = None
     covariance: Annotated[tuple[_Row, ...], Field(min_length=9, max_length=9)]
     observable: dict[str, bool]
     noise: dict[str, Any] = {}
@@ -252,11 +282,19 @@ class _Uncertainty(_Section):
         covariance = np.array(self.covariance)
         if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or np.any(np.diag(covariance) < 0):
             raise ValueError("the covariance is not symmetric or has a negative variance")
+        std = np.sqrt(np.diag(covariance))
+        scale = np.where(std > 0, std, 1.0)
+        if np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() < -_ROUNDING:
+            raise ValueError("the covariance is not positive semidefinite: no such uncertainty exists")
+        for name, value in zip(NINE, std, strict=True):
+            stated = (self.std or {}).get(name)
+            if stated is not None and not math.isclose(stated, value, rel_tol=_SAME_STD):
+                raise ValueError(f"std.{name} is {stated:g}, but the covariance gives {value:g}")
         return self
 
 
 class _Constant(_Section):
-    value: FiniteFloat
+    value: _Number
 
 
 class _Log(_Section):
@@ -362,5 +400,7 @@ def _problems(error: ValidationError) -> str:
     for item in error.errors():
         key = ".".join(str(part) for part in item["loc"])
         message = item["msg"].removeprefix("Value error, ")
-        parts.append(f"{key}: {message}")
+        given = item["input"]
+        got = f" (got {reprlib.repr(given)})" if isinstance(given, str | int | float) else ""
+        parts.append(f"{key}: {message}{got}")
     return "; ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
@@ -11,9 +12,10 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from mobilecal_cli import se3
+from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+from mobilecal_cli.model.text import listed
 
 _AXIS_DEFAULT = "1 0 0"  # default of the URDF specification
 
@@ -71,11 +73,11 @@ class Urdf:
         Raises:
             ConfigError: a link is not in the URDF, or no path of joints connects the two.
         """
+        links = self.links
         for link in (base, tip):
-            if link not in self.links:
+            if link not in links:
                 raise ConfigError(
-                    f"URDF of {self.name!r}: no link {link!r}",
-                    f"links present: {', '.join(self.links) or 'none'}",
+                    f"URDF of {self.name!r}: no link {link!r}", f"links present: {listed(links)}"
                 )
         above = {joint.child: joint for joint in self.joints.values()}
         path: list[UrdfJoint] = []
@@ -86,9 +88,23 @@ class Urdf:
                     f"URDF of {self.name!r}: no path of joints from {base!r} to {tip!r}",
                     "set head.base_frame and head.head_frame to the two ends of the chain",
                 )
-            path.append(above[link])
+            path.append(_checked(above[link]))
             link = above[link].parent
         return tuple(reversed(path))
+
+
+def _checked(joint: UrdfJoint) -> UrdfJoint:
+    """The joint itself, if a real robot can have it.
+
+    Raises:
+        ConfigError: a value is out of range.
+    """
+    where = f"URDF: joint {joint.name!r}"
+    for value in joint.T_parent_child[:3, 3]:
+        ranges.POSITION.check(f"{where}, origin xyz", float(value))
+    for value in joint.mimic[1:] if joint.mimic else ():
+        ranges.DIFFERENCE.check(f"{where}, mimic", value)
+    return joint
 
 
 def _numbers(text: str, count: int, where: str) -> FloatArray:
@@ -158,7 +174,7 @@ def parse_urdf(text: str) -> Urdf:
     # Transmissions and ros2_control blocks also contain <joint> elements; only those of the robot itself count.
     joints = [_joint(element) for element in root.findall("joint")]
     names = [joint.name for joint in joints]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise ConfigError(f"URDF: two joints have the name {twice[0]!r}", "correct the URDF")
     radii = {}

@@ -37,8 +37,8 @@ class Limits:
         if self.sigma is not None:
             if not found.known.any():
                 broken.append("no standard deviations for the limit in sigma")
-            open_ = found.unobservable & (found.known | (found.change != 0))
-            broken += [f"no conclusion about {NINE[k]}: unobservable" for k in np.flatnonzero(open_)]
+            blind = np.flatnonzero(found.unobservable)
+            broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
             sigmas = np.nan_to_num(np.abs(found.sigmas))
             worst = int(np.argmax(sigmas))
             if sigmas[worst] > self.sigma:

@@ -167,8 +167,8 @@ def extract(
     seen: list[Seen] = []
     recordings = join_splits(logs)
     paths = [path for parts in recordings for path in parts]
-    # A file that does not exist is refused where it is opened.
-    sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.exists()]
+    # A file that does not exist, or is a device or a pipe, is refused where it is opened.
+    sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
     refuse_equal_files(sources)
     for parts in recordings:
         with open_recording(parts) as recording, Crew(recording, jobs) as crew:

@@ -45,6 +45,7 @@ from mobilecal_cli.report import (
 from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
+from mobilecal_cli.source_date import source_date
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 AnyPath = str | os.PathLike[str]
@@ -310,6 +311,4 @@ class Report:
 
 def _created() -> str:
     """Current time in UTC; SOURCE_DATE_EPOCH overrides it, for reproducible output."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
-    return now.strftime("%Y-%m-%dT%H:%M:%SZ")
+    return (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")

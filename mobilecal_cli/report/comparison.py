@@ -57,17 +57,18 @@ def _felt(found: Difference) -> tuple[tuple[str, float, str], ...]:
 
 
 def _says(found: Difference) -> str:
+    names = ", ".join(name for name, ok in zip(NINE, found.unobservable, strict=True) if ok)
+    blind = f"No conclusion about {names}: at least one calibration does not determine it." if names else ""
     if found.chance is None:
-        return "No significance test: at least one calibration has no standard deviations."
+        return blind or "No significance test: at least one calibration has no standard deviations."
     verdict = (
         "The robot has changed, or one of the two calibrations is wrong."
         if found.chance < _UNLIKELY
-        else "The change is not significant."
+        else f"The change{' of these' if blind else ''} is not significant."
     )
     note = " The calibrations share a recording, so this test is weak." if found.shared else ""
-    if found.unobservable.any():
-        names = ", ".join(name for name, ok in zip(NINE, found.unobservable, strict=True) if ok)
-        note += f" At least one calibration does not determine {names}."
+    if blind:
+        note += f" {blind}"
     return (
         f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
         f"{_percent(found.chance)}. {verdict}{note}"

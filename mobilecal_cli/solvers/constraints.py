@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE
@@ -83,7 +84,7 @@ def _value(flag: str, text: str, number: str) -> float:
             f"{flag} {text}: {number!r} is not a number",
             "give lengths in m, angles in rad and ratios as shares",
         )
-    return float(number)
+    return ranges.of_parameter(text.partition("=")[0]).check(f"{flag} {text}", float(number))
 
 
 def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Constraints:
@@ -121,10 +122,11 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
         if name not in (*NINE, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
             raise _unknown("--prior", name, [*NINE, *fixed_rows])
         match = _PRIOR.fullmatch(rest.replace(" ", ""))
-        if match is None or float(match[2]) <= 0:
+        if match is None:
             raise ConfigError(
                 f"--prior {text}: not in the format NAME=VALUE±SIGMA",
                 f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad, ratios as shares",
             )
-        priors[name] = (float(match[1]), float(match[2]))
+        sigma = ranges.SIGMA.check(f"--prior {text}: standard deviation", float(match[2]))
+        priors[name] = (_value("--prior", text, match[1]), sigma)
     return Constraints(fixed, priors, requested)

@@ -52,7 +52,7 @@ def evaluate(
         before: wheels to compare dead reckoning with.
         offsets_s: clock offsets of the recording, see `clock_offsets`.
         reference: wheels that give path length and rotation, which drift is divided by: an estimate independent of
-            the calibration under test; its own wheels by default.
+            the calibration under test. Without them, the cameras give both, from station to station.
     """
     offsets = dict(offsets_s or {})
     pairs = _at_offsets(extraction, offsets)
@@ -60,18 +60,17 @@ def evaluate(
     o = extraction.observations
     seen = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
     apart = se3.inverse(seen) @ camera_motion(pairs, parameters)
-    reference = reference or parameters.wheels
-    path, turned = _covered(pairs, reference)
+    covered = _seen(pairs, parameters) if reference is None else _covered(pairs, reference)
     return Evaluation(
         stations=len(o),
         legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in pairs.legs.tolist()]),
         reprojection_px=residuals_of(extraction, pairs, parameters).leg_reprojection_px,
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
-        driven_m=float(path.sum()),
-        turned_rad=float(turned.sum()),
-        before=_drift(pairs, parameters, before, reference) if before is not None else None,
-        after=_drift(pairs, parameters, parameters.wheels, reference),
+        driven_m=float(covered[0].sum()),
+        turned_rad=float(covered[1].sum()),
+        before=_drift(pairs, parameters, before, covered) if before is not None else None,
+        after=_drift(pairs, parameters, parameters.wheels, covered),
         clock_offsets_s=offsets,
     )
 
@@ -96,28 +95,39 @@ def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, Flo
     return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
 
 
+def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """(L,) distance, m, and (L,) rotation below a half turn, rad, of the base over each leg, as the board shows."""
+    T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
+    i, j = pairs.legs.T
+    moved = se3.inverse(T_k_v[i]) @ T_k_v[j]
+    return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(_heading(moved))
+
+
 def _drift(
-    pairs: MotionPairs, parameters: Parameters, wheels: WheelGeometry, reference: WheelGeometry
+    pairs: MotionPairs,
+    parameters: Parameters,
+    wheels: WheelGeometry,
+    covered: tuple[FloatArray, FloatArray],
 ) -> Drift:
     """Error of dead reckoning with some wheels against the base poses that the board gives.
 
-    Path and rotation do not depend on these wheels but on the reference, so that drifts can be compared.
+    It is divided by path and rotation (`covered`), which do not depend on these wheels, so that drifts can be compared.
     """
     reckoned = dead_reckoned(pairs, Parameters(parameters.T_h_c, wheels))
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
-    path, turned = _covered(pairs, reference)
+    path, turned = covered
     place_m, heading_rad, path_m, turned_rad = [], [], [], []
     for legs in _logs(pairs):
         stations = np.concatenate([pairs.legs[legs, 0], pairs.legs[legs[-1:], 1]])
-        covered = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
+        so_far = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
         kept = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_STATIONS)).astype(int))
         first, second = (kept[index] for index in np.triu_indices(len(kept), 1))
         a, b = stations[first], stations[second]
         T_seen, T_reckoned = se3.inverse(T_k_v[a]) @ T_k_v[b], se3.inverse(reckoned[a]) @ reckoned[b]
         place_m.append(np.linalg.norm((T_reckoned - T_seen)[:, :2, 3], axis=-1))
         heading_rad.append(np.abs(_heading(se3.inverse(T_seen) @ T_reckoned)))
-        path_m.append(covered[0][second] - covered[0][first])
-        turned_rad.append(covered[1][second] - covered[1][first])
+        path_m.append(so_far[0][second] - so_far[0][first])
+        turned_rad.append(so_far[1][second] - so_far[1][first])
     return Drift(
         _over(np.concatenate(place_m), np.concatenate(path_m), _LEAST_M),
         _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import re
 from pathlib import Path
@@ -206,7 +207,12 @@ def test_read_back(extraction, solution):
             "schema_version: version 3 is not supported, only 1 to 2",
         ),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
-        (("  separation_m: 0", "  separation_m: -0"), "wheels.separation_m: Input should be greater than 0"),
+        (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),
+        (("  radius_left_m: 0", "  radius_left_m: true #"), "valid number (got True)"),
+        (("  radius_left_m: 0", "  radius_left_m: '0.1' #"), "valid number (got '0.1')"),
+        (("  radius_left_m: 0", "  radius_left_m: 1e-300 #"), "must be from 0.001 to 10 m (got 1e-300)"),
+        (("translation_m: [", "translation_m: [1e200, 0, 0] #"), "must be from -100 to 100 m (got 1e+200)"),
+        (('{"x": -88', '{"x": -80'), "euler_zyx_deg and quaternion_xyzw are 8 degrees apart"),
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
         (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "the norm is 2.64"),
         (("head_eye:", "head_eye: ["), "not valid YAML"),
@@ -279,3 +285,15 @@ def test_without_priors_no_constant_is_listed(extraction, solution):
 def test_a_file_of_version_1_is_read(extraction, solution):
     text = params_yaml(solution, extraction, make_provenance(extraction))
     assert parameters_from_yaml(text.replace("schema_version: 2", "schema_version: 1")).constants is None
+
+
+def test_an_uncertainty_that_contradicts_itself_is_refused(extraction, solution):
+    found, lifted = with_constants(solution, extraction)
+    text = params_yaml(found, lifted, make_provenance(lifted))
+    assert parameters_from_yaml(text).knowledge is not None
+    with pytest.raises(ConfigError, match=r"std.r_x is 0.01, but the covariance gives 0.001"):
+        parameters_from_yaml(text.replace("std: {r_x: 1.0", "std: {r_x: 1.0e-02, unused: 1.0", 1))
+    data = YAML(typ="safe").load(text)
+    data["uncertainty"]["covariance"][0][1] = data["uncertainty"]["covariance"][1][0] = 2e-6
+    with pytest.raises(ConfigError, match="not positive semidefinite"):
+        parameters_from_yaml(json.dumps(data))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
 from mobilecal_cli.pipeline import evaluate
@@ -63,8 +64,8 @@ def test_another_recording_of_the_same_robot_passes(calibrated, tmp_path, one, o
         (lambda s: with_wheels(s, left=0.98), "left wheel radius|corner error"),
         (lambda s: with_wheels(s, right=1.02, left=1.02), "wheel radius|corner error"),
         (lambda s: with_wheels(s, separation=1.04), "wheel separation|corner error"),
-        (lambda s: with_wheels(s, right=1000, left=1000, separation=1000), "in meters|corner error"),
-        (lambda s: with_wheels(s, right=1000, left=1000), "corner error"),
+        (lambda s: with_wheels(s, right=10, left=10, separation=10), "in meters|corner error"),
+        (lambda s: with_wheels(s, right=10, left=10), "corner error"),
         (lambda s: with_turned_camera(s, [1, 0, 0]), "camera rotation|corner error"),
         (lambda s: with_turned_camera(s, [0, 1, 0]), "camera rotation|corner error"),
         (lambda s: with_turned_camera(s, [0, 0, 1]), "camera rotation|corner error"),
@@ -75,6 +76,12 @@ def test_a_wrong_calibration_fails(calibrated, tmp_path, change, says):
     found = verdict(tmp_path, change(solution), made, calibrated[1][1])
     assert found.level == "FAIL"
     assert any(name in found.reason for name in says.split("|")), found.reason
+
+
+def test_millimeters_are_refused(calibrated, tmp_path):
+    solution, made = calibrated[0]
+    with pytest.raises(ConfigError, match=r"radius_left_m: must be from 0.001 to 10 m \(got 2"):
+        verdict(tmp_path, with_wheels(solution, right=1000, left=1000), made, calibrated[1][1])
 
 
 def test_a_short_recording_is_not_enough(calibrated, tmp_path):

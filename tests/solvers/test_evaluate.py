@@ -62,6 +62,17 @@ def test_drift_of_large_wheels_on_a_straight_way(exact):
     assert found.before.rad_per_rad is None  # it hardly turned
 
 
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_drift_is_not_measured_against_the_wheels_under_test(exact, factor):
+    """Ten times the radius: dead reckoning is off by nine times the way, whatever these wheels call the way."""
+    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
+    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    wrong = Parameters(TRUTH.T_h_c, WheelGeometry(0.1 * factor, 0.1 * factor, 0.5))
+    found = evaluate(extraction, wrong, None)
+    assert found.driven_m == pytest.approx(1.0)
+    assert found.after.m_per_m == pytest.approx(abs(factor - 1))
+
+
 def test_drift_of_a_narrow_base_turning_in_place(exact):
     """By hand: psi = 2 r phi / b; a base of 500 mm taken for 400 mm turns by a quarter more."""
     turns = np.array([0.0, 0.5, 1.2])

@@ -148,7 +148,8 @@ def _magic(path: Path, name: Path | None = None) -> bytes:
     """
     name = name or path
     if not path.is_file():
-        raise RecordingError(f"{name}: no such file", "check the path")
+        what = "not a regular file" if path.exists() else "no such file"
+        raise RecordingError(f"{name}: {what}", "check the path")
     with path.open("rb") as stream:
         head = stream.read(16)
     if not head:

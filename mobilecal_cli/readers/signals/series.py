@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from dataclasses import dataclass, replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.signals.clocks import in_order
 
 
@@ -72,8 +72,8 @@ class Series:
         return len(self._stamp_ns)
 
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
-        """Append a reading; one that is not finite is counted and dropped."""
-        if all(map(math.isfinite, value)):
+        """Append a reading; one that is not finite or impossibly large is counted and dropped."""
+        if all(number in READING for number in value):
             self._stamp_ns.append(stamp_ns)
             self._log_ns.append(log_ns)
             self._value.extend(value)

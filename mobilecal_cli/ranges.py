@@ -1,0 +1,78 @@
+"""Physical ranges: every value that a user, a file or a message gives is checked against one of these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mobilecal_cli.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Values that are possible for a real robot.
+
+    Attributes:
+        low, high: smallest and largest possible value.
+        unit: of both, "" for numbers without one.
+        zero: whether 0 is possible too.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+    zero: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high or (self.zero and value == 0)
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".strip()
+
+    def check(self, name: str, value: float) -> float:
+        """The value itself.
+
+        Raises:
+            ConfigError: it is out of range, or NaN.
+        """
+        if value not in self:
+            raise ConfigError(
+                f"{name}: {f'{value:g} {self.unit}'.strip()} is not possible (range {self})",
+                "check the value and its unit",
+            )
+        return value
+
+    def validated(self, value: float) -> float:
+        """The value itself, for fields of a schema.
+
+        Raises:
+            ValueError: it is out of range, or NaN.
+        """
+        if value not in self:
+            raise ValueError(f"must be {'0 or ' if self.zero else ''}from {self}")
+        return value
+
+
+WHEEL_RADIUS = Range(1e-3, 10.0, "m")
+WHEEL_SEPARATION = Range(1e-2, 100.0, "m")
+SQUARE = Range(1e-4, 10.0, "m")
+#: A distance between two frames of one robot.
+POSITION = Range(-100.0, 100.0, "m")
+ANGLE = Range(-100.0, 100.0, "rad")
+#: Standard deviations and noise levels in any unit of this package.
+SIGMA = Range(1e-9, 1e3)
+PRIOR_SIGMA = Range(1e-9, 1e3, zero=True)
+#: The difference of a constant of the robot description from its stated value: rad, m, s or a share.
+DIFFERENCE = Range(-100.0, 100.0)
+TICKS = Range(1.0, 1e9)
+FOCAL_LENGTH = Range(1.0, 1e6, "px")
+#: A reading of a joint, a counter or an odometry, rad or m.
+READING = Range(-1e9, 1e9)
+
+
+def of_parameter(name: str) -> Range:
+    """Range of one of the nine parameters, or of a constant."""
+    if name.startswith("radius_"):
+        return WHEEL_RADIUS
+    if name == "separation":
+        return WHEEL_SEPARATION
+    return DIFFERENCE

@@ -1,0 +1,480 @@
+"""Recordings that can be read and are wrong: what the calibration says about each.
+
+`python -m tests.hostile.meaning` prints the table in docs/explanation/results.md.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.model import (
+    Corners,
+    Extraction,
+    FixedLink,
+    FloatArray,
+    Observation,
+    StereoRig,
+    Track,
+    WheelGeometry,
+    WheelTrack,
+)
+from mobilecal_cli.report import judge
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+from mobilecal_cli.vision import Miss, board_pose, triangulate
+from tests.bench.simulated import errors
+
+SIGMAS = 4.0
+NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))
+STATIONS, HALF = 20, 10
+PAN, TILT = 0, 1
+OUTCOMES = ("refused", "FAIL, right cause", "FAIL, other cause", "NOT ENOUGH", "PASS, right", "PASS, wrong")
+Change = Callable[[Extraction], Extraction]
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """One wrong recording.
+
+    Attributes:
+        change: makes it from a right one.
+        cause: what the error or the verdict must name (regular expression).
+        unseen: why such a recording cannot show the mistake; then PASS is expected.
+    """
+
+    change: Change
+    cause: str
+    unseen: str = ""
+
+
+@cache
+def recorded() -> Extraction:
+    """A right recording."""
+    robot = tick_robot()
+    return ideal_extraction(robot, plan_route(robot, stations=STATIONS, seed=4), NOISE, 4)
+
+
+def wheels(right: Callable[[Track], Track], left: Callable[[Track], Track], swapped: bool = False) -> Change:
+    """Change the tracks of both wheels."""
+
+    def change(made: Extraction) -> Extraction:
+        (track,) = made.wheels
+        a, b = (track.left, track.right) if swapped else (track.right, track.left)
+        return replace(made, wheels=(WheelTrack(right(a), left(b)),))
+
+    return change
+
+
+def both(change: Callable[[Track], Track]) -> Change:
+    """Change the tracks of both wheels in the same way."""
+    return wheels(change, change)
+
+
+def same(track: Track) -> Track:
+    """No change."""
+    return track
+
+
+def times(factor: float) -> Callable[[Track], Track]:
+    """Readings in another unit, or with another sign."""
+    return lambda track: replace(track, value=factor * track.value)
+
+
+def late(seconds: float) -> Callable[[Track], Track]:
+    """Readings with delayed stamps."""
+    return lambda track: replace(track, time_ns=track.time_ns + round(seconds * 1e9))
+
+
+def middle(track: Track) -> FloatArray:
+    """(n,) which readings are after station HALF."""
+    return np.asarray(track.time_ns > recorded().observations[HALF].time_ns)
+
+
+def after(change: Callable[[FloatArray], FloatArray]) -> Callable[[Track], Track]:
+    """Change the readings from the middle on; they receive the last value before as 0."""
+
+    def changed(track: Track) -> Track:
+        later = middle(track)
+        start = track.value[~later][-1]
+        return replace(track, value=np.where(later, start + change(track.value - start), track.value))
+
+    return changed
+
+
+def reset(track: Track) -> Track:
+    """A counter that starts again at zero in the middle."""
+    later = middle(track)
+    return replace(track, value=np.where(later, track.value - track.value[~later][-1], track.value))
+
+
+def loses(every: int) -> Callable[[Track], Track]:
+    """A counter that misses one of so many steps."""
+    return times(1 - 1 / every)
+
+
+def joints(change: Callable[[FloatArray], FloatArray]) -> Change:
+    """Change the joint readings of every station."""
+    return lambda made: replace(
+        made,
+        observations=tuple(replace(o, joints=change(o.joints)) for o in made.observations),
+        joint_tracks=(),
+    )
+
+
+def joint(which: int, change: Callable[[float], float]) -> Change:
+    """Change the reading of one joint."""
+
+    def changed(q: FloatArray) -> FloatArray:
+        q = q.copy()
+        q[which] = change(float(q[which]))
+        return q
+
+    return joints(changed)
+
+
+def stations(change: Callable[[int, Observation, tuple[Observation, ...]], Observation]) -> Change:
+    """Change every station, with its index and all stations at hand."""
+    return lambda made: replace(
+        made,
+        observations=tuple(change(n, o, made.observations) for n, o in enumerate(made.observations)),
+        joint_tracks=(),
+    )
+
+
+def from_middle(change: Callable[[Observation], Observation]) -> Change:
+    """Change the stations from the middle on."""
+    return stations(lambda n, o, _: change(o) if n >= HALF else o)
+
+
+def moved_board(rotvec_rad: tuple[float, float, float], shift_m: tuple[float, float, float]) -> Change:
+    """A board that is moved in its own frame, in the middle of the recording."""
+    T = se3.transform(se3.exp_so3(np.array(rotvec_rad)), np.array(shift_m))
+
+    def change(o: Observation) -> Observation:
+        moved = o.T_c_k @ T
+        shift = moved @ se3.inverse(o.T_c_k)
+        return replace(o, T_c_k=moved, points_c=se3.act(shift, o.points_c))
+
+    def seen(made: Extraction) -> Extraction:
+        moved = from_middle(change)(made)
+        rig = made.rig.cameras
+        return measured(lambda n, o: (rig.left.project(o.points_c), rig.project_right(o.points_c)))(moved)
+
+    return seen
+
+
+def measured(pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]) -> Change:
+    """Other corners in the images, measured with the stated cameras."""
+    return lambda made: _measured(made, made.rig.cameras, pixels)
+
+
+def cameras(change: Callable[[StereoRig], StereoRig]) -> Change:
+    """Other camera infos for the same images."""
+
+    def changed(made: Extraction) -> Extraction:
+        rig = change(made.rig.cameras)
+        made = replace(made, rig=replace(made.rig, cameras=rig))
+        return _measured(made, rig, lambda n, o: (o.left.pixels, o.right.pixels))
+
+    return changed
+
+
+def _measured(
+    made: Extraction, rig: StereoRig, pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]
+) -> Extraction:
+    corners_k = made.board.grid() * (made.board.square_m or made.observations[0].square_m)
+    found = []
+    for n, o in enumerate(made.observations):
+        left, right = pixels(n, o)
+        points = triangulate(rig, left, right, o.left.sigma_px, o.right.sigma_px)
+        if isinstance(points, Miss):
+            continue
+        pose = board_pose(rig, corners_k, left, right, o.left.sigma_px, o.right.sigma_px, o.T_c_k)
+        found.append(
+            replace(
+                o,
+                left=Corners(left, o.left.sigma_px, 1),
+                right=Corners(right, o.right.sigma_px, 1),
+                points_c=points.points_c,
+                points_cov=points.points_cov,
+                T_c_k=pose.T_c_k,
+                T_c_k_cov=pose.T_c_k_cov,
+                reprojection_px=pose.rms_px,
+            )
+        )
+    return replace(made, observations=tuple(found), joint_tracks=())
+
+
+def focal(left: float, right: float) -> Change:
+    """Focal lengths in the infos, times the true ones."""
+
+    def change(rig: StereoRig) -> StereoRig:
+        scaled = {}
+        for side, factor in (("left", left), ("right", right)):
+            camera = getattr(rig, side)
+            K = camera.K * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+            scaled[side] = replace(camera, K=K)
+        return replace(rig, **scaled)
+
+    return cameras(change)
+
+
+def shifted(left: tuple[float, float], right: tuple[float, float]) -> Change:
+    """Images shifted by some pixels, as by a wrong region of interest."""
+    return measured(lambda n, o: (o.left.pixels + np.array(left), o.right.pixels + np.array(right)))
+
+
+def baseline(factor: float) -> Change:
+    """A baseline in the infos, times the true one."""
+
+    def change(rig: StereoRig) -> StereoRig:
+        T = rig.T_c_r.copy()
+        T[:3, 3] *= factor
+        return replace(rig, T_c_r=T)
+
+    return cameras(change)
+
+
+def exchanged_infos(rig: StereoRig) -> StereoRig:
+    """The infos of both cameras exchanged, with their frames in place."""
+    left, right = rig.left, rig.right
+    return replace(
+        rig, left=replace(right, frame_id=left.frame_id), right=replace(left, frame_id=right.frame_id)
+    )
+
+
+def square(factor: float) -> Change:
+    """A stated square, times the true one."""
+
+    def change(made: Extraction) -> Extraction:
+        board = replace(made.board, square_m=factor * (made.board.square_m or 0.0))
+        made = replace(made, board=board)
+        return _measured(made, made.rig.cameras, lambda n, o: (o.left.pixels, o.right.pixels))
+
+    return change
+
+
+def chain_offset(shift_m: tuple[float, float, float]) -> Change:
+    """A URDF whose head is mounted elsewhere."""
+    link = FixedLink(se3.transform(np.eye(3), np.array(shift_m)))
+
+    def change(made: Extraction) -> Extraction:
+        chain = replace(made.rig.chain, links=(link, *made.rig.chain.links))
+        return replace(made, rig=replace(made.rig, chain=chain))
+
+    return change
+
+
+def turned_axis(which: int, angle_rad: float) -> Change:
+    """A URDF in which the axis of a joint is turned."""
+    R = se3.exp_so3(np.array([angle_rad, 0.0, 0.0]))
+
+    def change(made: Extraction) -> Extraction:
+        links, name = [], made.rig.chain.joints[which]
+        for link in made.rig.chain.links:
+            turn = not isinstance(link, FixedLink) and link.joint == name
+            links.append(replace(link, axis=R @ link.axis) if turn else link)
+        return replace(made, rig=replace(made.rig, chain=replace(made.rig.chain, links=tuple(links))))
+
+    return change
+
+
+def nominal_wheels(radius: float, separation: float) -> Change:
+    """A URDF with other wheels."""
+
+    def change(made: Extraction) -> Extraction:
+        was = made.rig.nominal.wheels
+        assert was is not None
+        new = WheelGeometry(
+            radius * was.radius_right_m, radius * was.radius_left_m, separation * was.separation_m
+        )
+        nominal = replace(made.rig.nominal, wheels=new)
+        return replace(made, rig=replace(made.rig, nominal=nominal))
+
+    return change
+
+
+def with_pixels_of(n: int, o: Observation, other: Observation, right: bool, left: bool) -> Observation:
+    """A station with the images of another one."""
+    return replace(o, left=other.left if left else o.left, right=other.right if right else o.right)
+
+
+def old_images(left: bool, right: bool, frozen: bool) -> Change:
+    """Images of the previous station, or of the one in the middle from there on (frozen)."""
+
+    def change(made: Extraction) -> Extraction:
+        seen = made.observations
+
+        def source(n: int) -> Observation:
+            return seen[min(n, HALF)] if frozen else seen[max(n - 1, 0)]
+
+        return _measured(
+            made,
+            made.rig.cameras,
+            lambda n, o: (
+                (source(n) if left else o).left.pixels,
+                (source(n) if right else o).right.pixels,
+            ),
+        )
+
+    return change
+
+
+_WIDTH, _HEIGHT = 639.0, 479.0
+_WHEELS = "wheel|driv|dead reckoning|slip|leg"
+_TIME = "clock|late|time|stamp|wheel|slip|leg|station"
+_CAMERA = "stereo|camera|focal|principal|baseline|image|epipolar|reprojection|calibrat"
+_BOARD = "board|station|move|square"
+_SCALE = "square|baseline|scale|focal"
+WRONG: dict[str, Wrong] = {
+    "sign of the right wheel": Wrong(wheels(times(-1), same), "right wheel's encoder has the wrong sign"),
+    "sign of the left wheel": Wrong(wheels(same, times(-1)), "left wheel's encoder has the wrong sign"),
+    "signs of both wheels": Wrong(both(times(-1)), "wrong sign"),
+    "wheels swapped": Wrong(wheels(same, same, swapped=True), "wheels are swapped"),
+    "wheels swapped, one with a wrong sign": Wrong(wheels(times(-1), same, swapped=True), "swapped|sign"),
+    "wheels swapped, both with wrong signs": Wrong(wheels(times(-1), times(-1), swapped=True), "swapped|sign"),
+    "wheels in degrees": Wrong(both(times(57.29578)), "wheel radius|degrees"),
+    "wheels in turns": Wrong(both(times(1 / (2 * np.pi))), "wheel radius|turns"),
+    "gear ratio 2 of both wheels": Wrong(both(times(2.0)), "half of the nominal"),
+    "gear ratio 1/2 of both wheels": Wrong(both(times(0.5)), "twice the nominal"),
+    "gear ratio 2 of the right wheel": Wrong(wheels(times(2.0), same), "right wheel"),
+    "right wheel 10 % off": Wrong(wheels(times(1.1), same), "", "a wheel of another radius reads the same"),
+    "left wheel misses one of 50 steps": Wrong(wheels(same, loses(50)), "", "a wheel of another radius reads the same"),
+    "right wheel frozen": Wrong(wheels(times(0.0), same), "right wheel"),
+    "left wheel frozen": Wrong(wheels(same, times(0.0)), "left wheel"),
+    "both wheels frozen": Wrong(both(times(0.0)), "wheel|did not move|motion"),
+    "right wheel frozen from the middle": Wrong(wheels(after(lambda v: 0 * v), same), "right wheel"),
+    "both wheels frozen from the middle": Wrong(both(after(lambda v: 0 * v)), _WHEELS),
+    "right wheel twice as fast from the middle": Wrong(wheels(after(lambda v: 2 * v), same), _WHEELS),
+    "right wheel reversed from the middle": Wrong(wheels(after(lambda v: -v), same), _WHEELS),
+    "both wheels 10 % faster from the middle": Wrong(both(after(lambda v: 1.1 * v)), _WHEELS),
+    "both counters start again": Wrong(both(reset), _WHEELS),
+    "right wheel jumps by 3 rad": Wrong(wheels(after(lambda v: v + 3.0), same), _WHEELS),
+    "right wheel jumps by one turn": Wrong(wheels(after(lambda v: v + 2 * np.pi), same), _WHEELS),
+    "wheels 0.3 s late": Wrong(both(late(0.3)), "", "stops last longer than the delay"),
+    "wheels 3 s late": Wrong(both(late(3.0)), _TIME),
+    "wheels 10 s late": Wrong(both(late(10.0)), _TIME),
+    "right wheel 3 s late": Wrong(wheels(late(3.0), same), _TIME),
+    "sign of pan": Wrong(joint(PAN, lambda q: -q), "pan_joint is reversed"),
+    "sign of tilt": Wrong(joint(TILT, lambda q: -q), "tilt_joint is reversed"),
+    "signs of both joints": Wrong(joints(lambda q: -q), "all head joints are reversed"),
+    "pan and tilt exchanged": Wrong(joints(lambda q: q[::-1]), "exchanged"),
+    "joints in degrees": Wrong(joints(np.degrees), "in degrees"),
+    "joints taken for degrees": Wrong(joints(np.radians), "in radians"),
+    "pan in degrees": Wrong(joint(PAN, lambda q: float(np.degrees(q))), "degrees|pan_joint"),
+    "pan 10 % off": Wrong(joint(PAN, lambda q: 1.1 * q), "pan_joint"),
+    "tilt 20 % off": Wrong(joint(TILT, lambda q: 1.2 * q), "tilt_joint"),
+    "pan 0.2 rad off": Wrong(joint(PAN, lambda q: q + 0.2), "pan_joint"),
+    "tilt 0.2 rad off": Wrong(joint(TILT, lambda q: q + 0.2), "", "it is a rotation of the camera on the head"),
+    "pan frozen": Wrong(joint(PAN, lambda q: 0.1), "pan_joint never changes"),
+    "tilt frozen": Wrong(joint(TILT, lambda q: 0.1), "tilt_joint never changes"),
+    "pan frozen from the middle": Wrong(
+        stations(lambda n, o, all_: replace(o, joints=np.array([all_[min(n, HALF)].joints[PAN], o.joints[TILT]]))),
+        "pan_joint does not change",
+    ),
+    "joints of the previous station": Wrong(
+        stations(lambda n, o, all_: replace(o, joints=all_[max(n - 1, 0)].joints)), "joint|time|clock|station"
+    ),
+    "pan 0.1 rad off from the middle": Wrong(from_middle(lambda o: replace(o, joints=o.joints + np.array([0.1, 0.0]))), "joint|station|pan"),
+    "pan is the sum of pan and tilt": Wrong(joints(lambda q: np.array([q.sum(), q[1]])), "joint|axis|axes"),
+    "images of left and right exchanged": Wrong(measured(lambda n, o: (o.right.pixels, o.left.pixels)), _CAMERA),
+    "infos of left and right exchanged": Wrong(cameras(exchanged_infos), "", "both cameras have nearly the same info"),
+    "focal lengths 3 % off": Wrong(focal(1.03, 1.03), _SCALE),
+    "focal lengths 10 % off": Wrong(focal(1.1, 1.1), _SCALE),
+    "left focal length 3 % off": Wrong(focal(1.03, 1.0), _CAMERA),
+    "focal lengths of half the resolution": Wrong(focal(0.5, 0.5), _SCALE),
+    "left image shifted by 20 px": Wrong(shifted((20.0, 0.0), (0.0, 0.0)), _CAMERA),
+    "left image lowered by 20 px": Wrong(shifted((0.0, 20.0), (0.0, 0.0)), _CAMERA),
+    "both images shifted by 20 px": Wrong(shifted((20.0, 0.0), (20.0, 0.0)), _CAMERA),
+    "both images lowered by 20 px": Wrong(shifted((0.0, 20.0), (0.0, 20.0)), _CAMERA),
+    "images mirrored": Wrong(
+        measured(lambda n, o: tuple(np.array([_WIDTH, 0.0]) - p * [1, -1] for p in (o.left.pixels, o.right.pixels))),  # type: ignore[arg-type, return-value]
+        _CAMERA,
+    ),
+    "images upside down": Wrong(
+        measured(lambda n, o: tuple(np.array([_WIDTH, _HEIGHT]) - p for p in (o.left.pixels, o.right.pixels))),  # type: ignore[arg-type, return-value]
+        _CAMERA,
+    ),
+    "baseline 1 % off": Wrong(baseline(1.01), _SCALE),
+    "baseline 10 % off": Wrong(baseline(1.1), _SCALE),
+    "baseline in centimeters": Wrong(baseline(100.0), _SCALE),
+    "square 1 % off": Wrong(square(1.01), _SCALE),
+    "square 10 % off": Wrong(square(1.1), _SCALE),
+    "square in inches": Wrong(square(0.3937), _SCALE),
+    "left images frozen from the middle": Wrong(old_images(True, False, True), _CAMERA + "|station"),
+    "both images frozen from the middle": Wrong(old_images(True, True, True), _TIME),
+    "right images of the previous station": Wrong(old_images(False, True, False), _CAMERA + "|station"),
+    "both images of the previous station": Wrong(old_images(True, True, False), _TIME),
+    "board 3 cm to the side from the middle": Wrong(moved_board((0, 0, 0), (0.03, 0, 0)), _BOARD),
+    "board 3 cm higher from the middle": Wrong(moved_board((0, 0, 0), (0, 0.03, 0)), _BOARD),
+    "board 10 cm nearer from the middle": Wrong(moved_board((0, 0, 0), (0, 0, -0.1)), _BOARD),
+    "board turned by 5 degrees from the middle": Wrong(moved_board((0, 0, 0.087), (0, 0, 0)), _BOARD),
+    "board tilted by 5 degrees from the middle": Wrong(moved_board((0.087, 0, 0), (0, 0, 0)), _BOARD),
+    "head mounted 10 cm higher": Wrong(chain_offset((0.0, 0.0, 0.1)), "", "a drive on a floor does not show the height"),
+    "head mounted 10 cm further to the front": Wrong(chain_offset((0.1, 0.0, 0.0)), "chain|joint|position|mount"),
+    "pan axis turned by 10 degrees": Wrong(turned_axis(PAN, 0.175), "axis|pan_joint"),
+    "tilt axis turned by 10 degrees": Wrong(turned_axis(TILT, 0.175), "axis|tilt_joint"),
+    "nominal wheels twice as large": Wrong(nominal_wheels(2.0, 1.0), "half of the nominal"),
+    "nominal separation 20 % too large": Wrong(nominal_wheels(1.0, 1.2), "", "the motion determines the separation"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said.
+
+    Attributes:
+        kind: one of `OUTCOMES`.
+        message: the error, or the reason of the verdict.
+        sigmas: largest error of the nine parameters, in stated standard deviations; None without a result.
+    """
+
+    kind: str
+    message: str
+    sigmas: float | None = None
+
+
+def outcome(name: str) -> Outcome:
+    """Calibrate one wrong recording."""
+    case, robot = WRONG[name], tick_robot()
+    try:
+        made = case.change(recorded())
+        solution = solve(made)
+    except MobilecalError as error:
+        return Outcome("refused", error.message)
+    assert solution.uncertainty is not None
+    verdict = judge(solution, made)
+    worst = float(np.max(np.abs(errors(solution.parameters, robot)) / solution.uncertainty.std))
+    if verdict.level == "PASS":
+        return Outcome("PASS, right" if worst <= SIGMAS else "PASS, wrong", verdict.reason, worst)
+    if verdict.level == "NOT ENOUGH":
+        return Outcome("NOT ENOUGH", verdict.reason, worst)
+    named = bool(case.cause) and re.search(case.cause, verdict.reason, re.IGNORECASE) is not None
+    return Outcome("FAIL, right cause" if named else "FAIL, other cause", verdict.reason, worst)
+
+
+def main() -> None:
+    """Print the table, and the counts."""
+    counts: Counter[str] = Counter()
+    print("| recording | outcome | largest error, sigma | message |\n| --- | --- | --- | --- |")
+    for name in WRONG if len(sys.argv) < 2 else sys.argv[1:]:
+        found = outcome(name)
+        counts[found.kind] += 1
+        sigmas = "" if found.sigmas is None else f"{found.sigmas:.1f}"
+        print(f"| {name} | {found.kind} | {sigmas} | {found.message[:110].replace('|', '/')} |", flush=True)
+    print(", ".join(f"{kind}: {counts[kind]}" for kind in OUTCOMES), f"of {sum(counts.values())}")
+
+
+if __name__ == "__main__":
+    main()
