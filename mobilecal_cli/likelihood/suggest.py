@@ -203,6 +203,10 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
     own, _ = lin.normal.base_covariance()
     by_base = follow @ covariance
     joint = np.block([[covariance, by_base.T], [by_base, own[-1][:5, :5] + by_base @ follow.T]])
+    # A stop sees the last board alone: the others' columns only cost time.
+    named, board = lin.data.layout.named, lin.data.layout.named + 6 * int(lin.data.board[-1])
+    kept = np.r_[:named, board : board + 6, P : P + 5]
+    joint = joint[np.ix_(kept, kept)]
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     now = np.sqrt(np.diag(covariance)[:9])
     if not now.any():
@@ -211,7 +215,8 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
     stops = _reachable(lin.data, lin.state)
     best: dict[tuple[float, float], Suggestion] = {}
     for c, M in enumerate(_informations(lin, stops)):
-        after = joint - joint @ M @ np.linalg.solve(np.eye(P + 5) + joint @ M, joint)
+        M = M[np.ix_(kept, kept)]
+        after = joint - joint @ M @ np.linalg.solve(np.eye(len(kept)) + joint @ M, joint)
         then = np.sqrt(np.diag(after)[:9])
         gain = 1 - float(np.max(then / needed) / np.max(now / needed))
         way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))
