@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mobilecal_cli import pipeline
 from mobilecal_cli.report import plots
-from mobilecal_cli.report.figures import standalone
+from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.solvers import constraints_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -10,7 +10,6 @@ from typing import Any
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.export import check_output
 from mobilecal_cli.model import Evaluation, Extraction, Method, Solution
-from mobilecal_cli.pipeline.drawing import Draughtsman
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
@@ -95,7 +94,7 @@ def calibrate(
         last: params.yaml to compare the result with; the nominal values by default.
         force: replace an existing output directory.
         progress: called with the progress.
-        jobs: worker processes for images and figures; more than one needs a main module without side effects on
+        jobs: worker processes for images; more than one needs a main module without side effects on
             import, as for `multiprocessing`.
 
     Raises:
@@ -107,13 +106,9 @@ def calibrate(
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)
-    with Draughtsman(jobs) as draughtsman:
-        watched = draughtsman.watching(progress)
-        data = Data(*load(logs, config, config_path, flags or {}, watched, jobs), config.gates)
-        draughtsman.begin_with(data.extraction)
-        fit = fitted(data.extraction, method, constraints, hold_out, progress)
-        drawing = draughtsman.begin(fit.solution, fit.extraction)
-        report = Report(data, fit, limits, last, drawing)
-        progress("writing the report", 0, None)
-        report.save(directory, force)
+    data = Data(*load(logs, config, config_path, flags or {}, progress, jobs), config.gates)
+    fit = fitted(data.extraction, method, constraints, hold_out, progress)
+    report = Report(data, fit, limits, last)
+    progress("writing the report", 0, None)
+    report.save(directory, force)
     return Calibration(fit.solution, fit.extraction, report.verdict, directory, fit.trial)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -32,7 +32,6 @@ from mobilecal_cli.pipeline.loading import load as load_logs
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import (
-    Figures,
     Gate,
     change_from_nominal,
     change_since,
@@ -225,7 +224,6 @@ class Report:
         fit: their solution.
         gates: name → limit, over those of the configuration, as `--gate`.
         last: params.yaml to compare the result with; the nominal values by default.
-        figures: returns the drawn figures, if another process draws them.
 
     Attributes:
         data, fit: as given.
@@ -245,9 +243,8 @@ class Report:
         fit: Fit,
         gates: Mapping[str, float] | Sequence[Gate] = (),
         last: AnyPath | None = None,
-        figures: Callable[[], Figures] | None = None,
     ) -> None:
-        self.data, self.fit, self._figures = data, fit, figures
+        self.data, self.fit = data, fit
         solution, extraction = fit.solution, fit.extraction
         if isinstance(gates, Mapping):
             gates = gates_of((), {**data.gates, **gates}, hold_out=fit.trial is not None)
@@ -281,7 +278,7 @@ class Report:
         fit = self.fit
         return report_html(
             fit.solution, fit.extraction, self.data.snapshots, self.provenance, self.verdict, fit.trial,
-            self.change, self._figures,
+            self.change,
         )  # fmt: skip
 
     def _repr_html_(self) -> str:

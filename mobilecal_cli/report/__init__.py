@@ -6,7 +6,7 @@ from mobilecal_cli.report.check import Check, Checks
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
-from mobilecal_cli.report.drawn import Drawn, Figures, draw_figures, draw_seen, draw_solved, put_together
+from mobilecal_cli.report.drawn import Figures, draw_figures
 from mobilecal_cli.report.evaluation import dependence, evaluation_json, evaluation_text
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
 from mobilecal_cli.report.findings import suggestion_sentences
@@ -26,7 +26,6 @@ __all__ = [
     "Change",
     "Check",
     "Checks",
-    "Drawn",
     "Figures",
     "Gate",
     "OwnEstimate",
@@ -38,8 +37,6 @@ __all__ = [
     "comparison_text",
     "dependence",
     "draw_figures",
-    "draw_seen",
-    "draw_solved",
     "evaluated_figures",
     "evaluation_json",
     "evaluation_text",
@@ -56,7 +53,6 @@ __all__ = [
     "judge_evaluation",
     "junit_error_xml",
     "junit_xml",
-    "put_together",
     "recommendation",
     "reference_frame",
     "reference_pose",

@@ -42,6 +42,7 @@ from mobilecal_cli.report.numbers import (
     rotation_of,
     stations_looked_at,
 )
+from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.verdict import Verdict
 
 SCHEMA_VERSION = 4
@@ -86,6 +87,7 @@ def report_json(
             "p_value": change.chance,
         },
         "stations": _stations(solution, extraction),
+        "paths": _paths(solution, extraction),
         "motion": dict(solution.motion),
         "image_coverage": coverage(extraction),
         "board": {
@@ -362,9 +364,34 @@ def _stations(solution: Solution, extraction: Extraction) -> list[dict[str, Any]
             "board_distance_m": float(np.linalg.norm(o.points_c, axis=-1).mean()),
             "base_x_m": T_w_v[0, 3],
             "base_y_m": T_w_v[1, 3],
+            "T_world_base": _rows(T_w_v),
+            "T_world_camera": _rows(T_w_k @ se3.inverse(o.T_c_k)),
+            "T_world_board": _rows(T_w_k),
             "base_heading_deg": math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
         }
-        for o, T_w_v in zip(extraction.observations, solution.residuals.T_w_v, strict=True)
+        for o, T_w_v, T_w_k in zip(
+            extraction.observations, solution.residuals.T_w_v, solution.residuals.T_w_k, strict=True
+        )
+    ]
+
+
+def _rows(T: FloatArray) -> list[list[float]]:
+    """The first three rows of a transform, to a hundredth of a millimeter."""
+    rows: list[list[float]] = np.round(T[:3], 6).tolist()
+    return rows
+
+
+def _paths(solution: Solution, extraction: Extraction) -> list[dict[str, Any]]:
+    """Path of the base in each recording, in the frame of the base at its first station."""
+    seen, wheels = extraction.observations, solution.parameters.wheels
+    return [
+        {
+            "log": log,
+            "points_m": np.round(
+                trail(extraction.wheels[log], np.array([o.time_ns for o in seen if o.log == log]), wheels), 4
+            ),
+        }
+        for log in sorted({o.log for o in seen})
     ]
 
 

@@ -91,7 +91,9 @@ _ANY = re.compile(
 _TAG = re.compile(r"(<[^>]*>)")
 _NAME = re.compile(r"</?([a-zA-Z0-9]+)")
 #: Elements whose text gets no links: code, drawings, headings, the glossary itself, and links.
-_PLAIN = frozenset({"style", "title", "svg", "code", "a", "h1", "h2", "h3", "th", "summary", "dl"})
+_PLAIN = frozenset(
+    {"style", "title", "svg", "code", "a", "h1", "h2", "h3", "th", "summary", "dl", "label", "button"}
+)
 
 
 def link_terms(page: str) -> str:

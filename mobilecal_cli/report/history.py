@@ -9,10 +9,11 @@ import numpy as np
 from mobilecal_cli.comparison import History
 from mobilecal_cli.model import NINE
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.figures import BLUE, FAINT, INK, ORANGE, figure, standalone, style, svg
+from mobilecal_cli.report.svg import Axes, Canvas, Limits, standalone
 from mobilecal_cli.report.units import SHOWN
 
 _MOST_LABELS = 20
+_WIDE, _HIGH = 300.0, 210.0
 
 
 def history_plot(labels: Sequence[str], past: History) -> str:
@@ -22,21 +23,25 @@ def history_plot(labels: Sequence[str], past: History) -> str:
         labels: labels of the calibrations, such as dates; the plot numbers them from 1.
         past: the parameters of all calibrations.
     """
-    at = np.arange(1, len(labels) + 1)
-    with style():
-        drawing, panels = figure(9.0, 6.4, 3, 3, header_in=0.4, sharex=True)
-        for k, (axes, name) in enumerate(zip(panels, NINE, strict=True)):
-            unit, factor = SHOWN[name]
-            change, std = past.change[:, k] * factor, past.std[:, k] * factor
-            known = std > 0
-            axes.axhline(0, color=FAINT, linewidth=1)
-            axes.errorbar(at[known], change[known], 2 * std[known], fmt="o", color=BLUE, capsize=3)
-            axes.plot(at[~known], change[~known], "x", color=ORANGE)
-            axes.set_title(f"{name} [{unit}]")
-            axes.margins(x=0.1, y=0.2)
-            axes.locator_params(axis="x", integer=True)
-        shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]
-        more = f" and {len(labels) - len(shown)} more" if len(labels) > len(shown) else ""
-        drawing.text(0.01, 0.005, ",  ".join(shown) + more, fontsize=7, color=INK, va="bottom")
-        title = "change of each parameter since the first calibration, with bars of 2 sigma"
-        return standalone(svg(drawing, "history", title))
+    title = "change of each parameter since the first calibration, with bars of 2 sigma"
+    shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]
+    if len(labels) > len(shown):
+        shown.append(f"and {len(labels) - len(shown)} more")
+    canvas = Canvas(3 * _WIDE, 3 * _HIGH + 10 + 16 * ((len(shown) + 2) // 3), title)
+    for k, name in enumerate(NINE):
+        unit, factor = SHOWN[name]
+        change, std = past.change[:, k] * factor, past.std[:, k] * factor
+        left, top = k % 3 * _WIDE, k // 3 * _HIGH
+        y = Limits.of([0.0, *(change - 2 * std), *(change + 2 * std)], margin=0.1)
+        box = (left, top, left + _WIDE, top + _HIGH)
+        axes = Axes.of(canvas, Limits(0.5, len(labels) + 0.5), y, f"{name} [{unit}]", box)
+        axes.grid(x=False)
+        axes.level(0.0, "faint thin")
+        for n, (value, s) in enumerate(zip(change.tolist(), std.tolist(), strict=True), 1):
+            if s > 0:
+                axes.line(np.array([[n, value - 2 * s], [n, value + 2 * s]]), "blue")
+            axes.dot(n, value, "blue" if s > 0 else "orange", tip=f"{n}: {value:+.3g} {unit}")
+            canvas.text(axes.x(n), axes.y.start + 14, str(n), anchor="middle")
+    for n, label in enumerate(shown):
+        canvas.text(8 + n % 3 * _WIDE, 3 * _HIGH + 12 + 16 * (n // 3), label)
+    return standalone(canvas.svg)

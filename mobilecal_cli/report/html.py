@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +20,9 @@ from mobilecal_cli.report.changes import Change, change_rows
 from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
-from mobilecal_cli.report.data import coverage, square_mm
+from mobilecal_cli.report.data import coverage, report_json, square_mm
 from mobilecal_cli.report.decomposition import reprojection_sentence
-from mobilecal_cli.report.drawn import Figures, draw_figures
+from mobilecal_cli.report.drawn import draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
     jackknife_sentence,
@@ -48,6 +51,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.outliers import outlier_sentences
 from mobilecal_cli.report.pages import environment
+from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.units import value_text
 from mobilecal_cli.report.verdict import Verdict
 from mobilecal_cli.report.wording import words
@@ -67,9 +71,11 @@ def report_html(
     verdict: Verdict,
     trial: Evaluation | None = None,
     change: Change | None = None,
-    figures: Callable[[], Figures] | None = None,
 ) -> str:
-    """The report as one HTML page: no scripts, no network, the same bytes for the same values.
+    """The report as one HTML page: no network, one script, the same bytes for the same values.
+
+    Without scripts and on paper all texts, tables and plots are there; the script links them by station and draws the
+    view in space from the report's JSON, which is in the page.
 
     Args:
         solution: the answer.
@@ -79,15 +85,15 @@ def report_html(
         verdict: result of `judge`.
         trial: evaluation on the held-out stations, if any.
         change: difference from the last calibration or from the nominal values, if there is either.
-        figures: returns what `draw_figures` draws, if another process draws it; called last.
     """
-    from markupsafe import Markup  # SVG made here; matplotlib has escaped every text in it
+    from markupsafe import Markup  # SVG made here, with every text escaped
 
     rig, rotation = extraction.rig, rotation_of(solution)
     template = _template()
     page: dict[str, Any] = {
         "verdict": verdict,
         "checks": [(check, words(check)) for check in verdict.checks],
+        "passed": sum(check.outcome == "good" for check in verdict.checks),
         "numbers": _table_one(solution, extraction, rotation),
         "refined": solution.refinement is not None,
         "method": solution.method,
@@ -146,14 +152,31 @@ def report_html(
         "outcomes": OUTCOME_LABELS,
         "terms": TERMS,
     }
-    drawn = figures() if figures is not None else draw_figures(solution, extraction)
-    return link_terms(
+    drawn, script, style = draw_figures(solution, extraction), _asset("page.js"), _asset("page.css") + STYLE
+    text = link_terms(
         template.render(
             page,
             figures={name: Markup(text) for name, text in drawn.named.items()},
             paths=[(path, Markup(above), Markup(time)) for path, above, time in drawn.paths],
+            policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
+            style=Markup(style),
         )
     )
+    data = report_json(solution, extraction, provenance, verdict, trial, change)
+    for character in "<>&":  # nothing in the data can end its element
+        data = data.replace(character, f"\\u{ord(character):04x}")
+    json_block = f'<script type="application/json" id="data">{data}</script>'
+    return text.replace("<!--scripts-->", f"{json_block}\n<script>{script}</script>")
+
+
+def _hash(text: str) -> str:
+    """What a Content-Security-Policy allows: exactly this script or style."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
+
+
+@functools.cache
+def _asset(name: str) -> str:
+    return files("mobilecal_cli.report").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 @functools.cache

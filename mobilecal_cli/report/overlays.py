@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,8 @@ import numpy as np
 from mobilecal_cli.model import Corners, Extraction, FloatArray, Side, Snapshot, Solution
 from mobilecal_cli.report.numbers import station_names
 
-_WIDTH_PX = 800  # wider regions are scaled down to keep the page small; the marks are vectors and stay sharp
+_MOST_OTHERS = 40  # keeps the page under 5 MB
+_WIDTH_PX = 640  # wider regions are scaled down to keep the page small; the marks are vectors and stay sharp
 _MARGIN = 0.3  # around the board, as a share of its size in the image
 _QUALITY = 72
 
@@ -41,13 +43,15 @@ class LegView:
     """Both images of a leg's first station.
 
     Attributes:
-        rank: "worst", "median", "best" or "only".
+        observation: index of the first station.
+        rank: "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
         from_station, to_station: names of the leg's ends; the corners of `to_station` are predicted in the
             images of `from_station`.
         error_mm, error_px: point error and reprojection error of this leg.
         pictures: left and right image.
     """
 
+    observation: int
     rank: str
     from_station: str
     to_station: str
@@ -57,7 +61,7 @@ class LegView:
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
-    """The worst, the median and the best leg among those whose first station has images."""
+    """The worst, the median and the best leg among those whose first station has images, and up to 40 others."""
     residuals, seen = solution.residuals, extraction.observations
     pictures = {(s.log, s.station): s for s in snapshots}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
@@ -65,14 +69,18 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     if not order:
         return []
     chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
+    ranks = dict(zip(chosen, _ranks(len(chosen)), strict=True))
+    others = [leg for leg in shown if leg not in ranks]
+    others = others[:: max(1, math.ceil(len(others) / _MOST_OTHERS))]
     names = station_names(extraction)
     views = []
-    for rank, leg in zip(_ranks(len(chosen)), chosen, strict=True):
+    for leg in (*ranks, *others):
         i, j = residuals.legs[leg]
         snapshot = pictures[seen[i].log, seen[i].station]
         views.append(
             LegView(
-                rank=rank,
+                observation=int(i),
+                rank=ranks.get(leg, ""),
                 from_station=names[i],
                 to_station=names[j],
                 error_mm=float(residuals.leg_point_rms_m[leg] * 1e3),

@@ -1,70 +1,64 @@
-"""The plots of the report, each an <svg> element."""
+"""The plots of the recording and of the motion, each an <svg> element, "" where there is nothing to show."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
+import cv2
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, polygons, style, svg
-from mobilecal_cli.report.numbers import nine_numbers, predicted_point_rms_m, station_names
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from mobilecal_cli.report.numbers import nine_numbers, station_names
+from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Limits, Scale
 
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
-_LABEL_CHARACTERS = 100  # that fit side by side under a wide plot
 _TRAIL_POINTS = 400
 _LEAST_SPAN_DEG = 20.0
 
 
-def wheel_convergence(solution: Solution, extraction: Extraction) -> str:
+def wheel_convergence(solution: Solution) -> str:
     """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
-    rounds = np.arange(1, solution.linear.rounds + 1)
-    numbers = _history(solution, extraction)
-    with style():
-        drawing, (radius, separation) = figure(7.2, 2.7, 1, 2)
-        for axes, column, name in (
-            (radius, 6, "right wheel radius [mm]"),
-            (separation, 8, "wheel separation [mm]"),
-        ):
-            axes.plot(rounds, numbers[:, column], "o-", color=BLUE)
-            axes.set_title(name)
-            axes.margins(y=0.25)
-            _round_axis(axes, solution)
-        return svg(drawing, "wheels", "wheel radius and separation over the iterations")
+    numbers, rounds = _history(solution), np.arange(1, solution.linear.rounds + 1)
+    canvas = Canvas(WIDE, 210.0, "wheel radius and separation over the iterations")
+    for k, (column, title) in enumerate(((6, "right wheel radius [mm]"), (8, "wheel separation [mm]"))):
+        values = numbers[:, column]
+        box = (k * WIDE / 2, 0.0, (k + 1) * WIDE / 2, 210.0)
+        axes = Axes.of(canvas, _rounds(solution), Limits.of(values, margin=0.25), title, box)
+        axes.grid("iteration", whole=True)
+        _tolerance(axes, solution)
+        _line_with_dots(axes, np.column_stack([rounds, values]), "blue")
+    return canvas.svg
 
 
-def all_convergence(solution: Solution, extraction: Extraction) -> str:
+def all_convergence(solution: Solution) -> str:
     """Difference of each of the nine parameters from its final value, over the iterations."""
-    numbers = _history(solution, extraction)
+    numbers = _history(solution)
     apart = np.abs(numbers - numbers[-1])
     R = np.stack([parameters.T_h_c[:3, :3] for parameters in solution.linear.history])
     apart[:, :3] = np.abs(np.degrees([se3.log_so3(each @ R[-1].T) for each in R]))
-    labels = ("x", "y", "z", "x", "y", "z", "right radius", "left radius", "separation")
+    names = ("x", "y", "z", "x", "y", "z", "right radius", "left radius", "separation")
     rounds = np.arange(1, len(numbers) + 1)
-    with style():
-        drawing, panels = figure(7.2, 2.7, 1, 3)
-        colors = (BLUE, ORANGE, GREEN)
-        for axes, first, name in zip(
-            panels, (0, 3, 6), ("rotation [deg]", "translation [mm]", "wheels [mm]"), strict=True
-        ):
-            for k in range(3):
-                distance = np.where(apart[:, first + k] > 1e-9, apart[:, first + k], np.nan)
-                axes.plot(rounds, distance, "o-", color=colors[k], label=labels[first + k])
-            if np.any(apart[:, first : first + 3] > 1e-9):
-                axes.set_yscale("log")
-                axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-                axes.minorticks_off()
-            axes.set_title(name)
-            axes.legend(loc="upper right")
-            _round_axis(axes, solution)
-        return svg(drawing, "nine", "difference of each parameter from its final value, over the iterations")
+    canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
+    for k, title in enumerate(("rotation [deg]", "translation [mm]", "wheels [mm]")):
+        part = apart[:, 3 * k : 3 * k + 3]
+        part = np.where(part > 1e-7, part, np.nan)
+        if not np.isfinite(part).any():
+            continue
+        y = Limits(10 ** np.floor(np.log10(np.nanmin(part))), 10 ** np.ceil(np.log10(np.nanmax(part))), True)
+        left = k * WIDE / 3
+        axes = Axes.of(canvas, _rounds(solution), y, title, (left, 18.0, left + WIDE / 3, 250.0))
+        axes.grid("iteration", whole=True)
+        _tolerance(axes, solution)
+        styles = list(zip(("blue", "orange", "green"), names[3 * k : 3 * k + 3], strict=True))
+        for column, (color, _) in enumerate(styles):
+            _line_with_dots(axes, np.column_stack([rounds, part[:, column]]), color)
+        shown = [(f"line {color}", name.removesuffix(" radius")) for color, name in styles]
+        wide = Canvas(left + WIDE / 3, 1.0, "")
+        wide.legend(shown, left + 8, 16.0)
+        canvas.parts += wide.parts
+    return canvas.svg
 
 
 def refinement_convergence(solution: Solution) -> str:
@@ -72,24 +66,33 @@ def refinement_convergence(solution: Solution) -> str:
     if solution.refinement is None:
         return ""
     error_mm = solution.refinement.point_rms_history_m * 1e3
-    with style():
-        drawing, (axes,) = figure(7.2, 2.2)
-        axes.plot(np.arange(len(error_mm)), error_mm, "o-", color=BLUE, markersize=4)
-        axes.set_title("point error [mm]")
-        axes.set_xlabel("iteration of the refinement (0: linear solution)")
-        axes.set_ylim(0, 1.15 * float(np.max(error_mm)) or 1.0)
-        axes.locator_params(axis="x", integer=True)
-        return svg(drawing, "refine", "point error over the iterations of the refinement")
+    canvas = Canvas(WIDE, 190.0, "point error over the iterations of the refinement")
+    axes = Axes.of(
+        canvas, Limits(0, max(len(error_mm) - 1, 1)), Limits.of(error_mm, zero=True), "point error [mm]"
+    )
+    axes.grid("iteration of the refinement (0: linear solution)", whole=True)
+    _line_with_dots(axes, np.column_stack([np.arange(len(error_mm)), error_mm]), "blue")
+    return canvas.svg
 
 
-def _history(solution: Solution, extraction: Extraction) -> FloatArray:
+def _history(solution: Solution) -> FloatArray:
     return np.stack([nine_numbers(parameters, solution.cameras) for parameters in solution.linear.history])
 
 
-def _round_axis(axes: Axes, solution: Solution) -> None:
-    axes.set_xlabel("iteration")
-    axes.locator_params(axis="x", integer=True)
-    axes.axvline(solution.linear.rounds_to_tolerance, color=FAINT, linestyle="--", linewidth=1)
+def _rounds(solution: Solution) -> Limits:
+    return Limits(1, max(solution.linear.rounds, 2))
+
+
+def _tolerance(axes: Axes, solution: Solution) -> None:
+    at = solution.linear.rounds_to_tolerance
+    axes.line(np.array([[at, axes.y.low], [at, axes.y.high]]), "faint thin dash")
+
+
+def _line_with_dots(axes: Axes, points: FloatArray, color: str) -> None:
+    axes.line(points, color)
+    for x, y in points.tolist():
+        if np.isfinite(y):
+            axes.dot(x, y, color, tip=f"{x:g}: {y:.4g}", r=2.5)
 
 
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str:
@@ -100,33 +103,34 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in seen]))
     board, square_m = extraction.board, float(np.median([o.square_m for o in seen]))
     ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
-    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(seen), 2, 3)))
+    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
     times = np.array([o.time_ns for o in seen])
     path = trail(extraction.wheels[log], times, solution.parameters.wheels)
-    with style():
-        drawing, (axes,) = figure(7.2, 4.4, header_in=0.35)
-        axes.plot(path[:, 0], path[:, 1], color=FAINT, linewidth=1.5, label="path of the base")
-        nominal = extraction.rig.nominal.wheels
-        if nominal is not None:
-            before = trail(extraction.wheels[log], times, nominal)
-            axes.plot(*before.T, color=RED, linewidth=1, linestyle=":", label="path with nominal wheels")
-        size = 0.05 * float(max(np.ptp(np.concatenate([boards[..., :2].reshape(-1, 2), path]), axis=0)))
-        for k, (a, b) in enumerate(boards[..., :2]):
-            axes.plot(*np.stack([a, b]).T, color=GREEN, linewidth=1.5, alpha=0.6, label="_" if k else "board")
-        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
-        x_axis = T_w_v[:, :2, 0] * size
-        axes.quiver(*T_w_v[:, :2, 3].T, *x_axis.T, color=BLUE, label="base heading", **arrows)
-        z_axis = T_w_c[:, :2, 2] / np.linalg.norm(T_w_c[:, :2, 2], axis=-1, keepdims=True) * size
-        axes.quiver(*T_w_c[:, :2, 3].T, *z_axis.T, color=ORANGE, label="camera direction", **arrows)
-        names = station_names(extraction)
+    everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
+    axes = Axes.equal(canvas, Limits.of(everything[:, 0]), Limits.of(everything[:, 1]), "y [m]", top=18.0)
+    axes.grid("x at the first station [m]")
+    entries = [("line faint", "path of the base")]
+    axes.line(path, "faint")
+    nominal = extraction.rig.nominal.wheels
+    if nominal is not None:
+        axes.line(trail(extraction.wheels[log], times, nominal), "red thin dots")
+        entries.append(("line red dots", "with nominal wheels"))
+    names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
+    for k, i in enumerate(picked):
+        tip = f"station {names[i]}"
+        axes.line(boards[k], "green", stations=[i], tip=f"board from {tip}")
+        x_axis, z_axis = T_w_v[k, :2, 0], T_w_c[k, :2, 2]
+        at, eye = T_w_v[k, :2, 3], T_w_c[k, :2, 3]
+        axes.arrow(at, at + size * x_axis, "blue", [i], tip)
+        axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
+        axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
         if len(picked) <= _MOST_LABELS:
-            for i, at in zip(picked, T_w_v[:, :2, 3], strict=True):
-                axes.annotate(names[i], at, (0, -11), textcoords="offset points", ha="center", fontsize=8)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("x at the first station [m]")
-        axes.set_ylabel("y [m]")
-        drawing.legend(loc="upper left", ncols=5, fontsize=8)
-        return svg(drawing, f"above{log}", "top view of the base path with cameras and board")
+            x, y = axes.at(at[None])[0]
+            canvas.text(float(x), float(y) + 16, names[i], anchor="middle")
+    entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
+    canvas.legend(entries, 8.0, 16.0)
+    return canvas.svg
 
 
 def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> FloatArray:
@@ -143,60 +147,6 @@ def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> Flo
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def leg_residuals(solution: Solution, extraction: Extraction) -> str:
-    """Point error and reprojection error of each leg."""
-    residuals, names = solution.residuals, station_names(extraction)
-    at = np.arange(len(residuals.legs))
-    labels = [f"{names[i]}–{names[j]}" for i, j in residuals.legs]
-    with style():
-        drawing, (points, pixels) = figure(7.2, 4.4, 2, 1, sharex=True)
-        points.bar(at, residuals.leg_point_rms_m * 1e3, color=BLUE)
-        points.axhline(solution.point_rms_m * 1e3, color=INK, linewidth=1, label="all legs")
-        points.axhline(
-            predicted_point_rms_m(extraction, solution) * 1e3,
-            color=ORANGE, linewidth=1.2, linestyle="--", label="expected from depth noise alone",
-        )  # fmt: skip
-        points.set_title("point error [mm]")
-        points.legend(loc="upper right", ncols=2)
-        points.margins(y=0.25)
-        pixels.bar(at, residuals.leg_reprojection_px, color=BLUE)
-        pixels.axhline(solution.reprojection_rms_px, color=INK, linewidth=1)
-        pixels.set_title("reprojection error [px]")
-        for axes in (points, pixels):
-            axes.grid(visible=False, axis="x")
-        _bar_labels(pixels, labels, "leg (from station–to station)")
-        return svg(drawing, "legs", "point error and reprojection error of each leg")
-
-
-def station_residuals(extraction: Extraction) -> str:
-    """Residual of the flat board in the stereo pair, and the measured square size, at each station."""
-    seen = extraction.observations
-    at = np.arange(len(seen))
-    square_mm = np.array([o.square_m for o in seen]) * 1e3
-    with style():
-        drawing, (stereo, square) = figure(7.2, 4.2, 2, 1, sharex=True)
-        stereo.bar(at, [o.reprojection_px for o in seen], color=GREEN)
-        stereo.set_title("stereo residual of the flat board [px]")
-        square.plot(at, square_mm, "o", color=GREEN)
-        if extraction.board.square_m is not None:
-            stated_mm = extraction.board.square_m * 1e3
-            square.axhline(stated_mm, color=INK, linewidth=1, label="stated")
-            square.legend(loc="upper right")
-        square.set_title("measured square size [mm]")
-        square.margins(y=0.3)
-        stereo.grid(visible=False, axis="x")
-        _bar_labels(square, station_names(extraction), "station")
-        return svg(drawing, "stations", "stereo residual and square size at each station")
-
-
-def _bar_labels(axes: Axes, labels: list[str], name: str) -> None:
-    longest = max(map(len, labels), default=0)
-    every = max(1, -(-len(labels) * (longest + 2) // _LABEL_CHARACTERS))
-    axes.set_xticks(np.arange(len(labels))[::every], labels[::every])
-    axes.tick_params(axis="x", labelsize=8)
-    axes.set_xlabel(name)
-
-
 def head_angles(extraction: Extraction) -> str:
     """Pan and tilt angle at each station; "" if the chain names neither joint."""
     chain, seen = extraction.rig.chain, extraction.observations
@@ -206,26 +156,24 @@ def head_angles(extraction: Extraction) -> str:
     joints_deg = np.degrees(np.stack([o.joints for o in seen]))
     pan = joints_deg[:, columns[0]]
     other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(seen))
-    with style():
-        drawing, (axes,) = figure(3.5, 3.0)
-        axes.plot(pan, other, "o", color=BLUE, alpha=0.8)
+    canvas = Canvas(HALF, 290.0, "head angles at each station")
+    labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
+    title = labels[1] if len(columns) == 2 else ""
+    axes = Axes.of(canvas, _at_least(pan), _at_least(other), title)
+    axes.grid(labels[0])
+    for i, (name, x, y) in enumerate(zip(station_names(extraction), pan, other, strict=True)):
+        axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
         if len(seen) <= _MOST_LABELS:
-            for name, x, y in zip(station_names(extraction), pan, other, strict=True):
-                axes.annotate(name, (x, y), (4, 4), textcoords="offset points", fontsize=8)
-        labels = [_short(chain.joints[column]) + " [deg]" for column in columns]
-        axes.set_xlabel(labels[0])
-        axes.set_ylabel(labels[1] if len(columns) == 2 else "")
-        axes.margins(0.15)
-        axes.set_xlim(*_at_least(axes.get_xlim(), _LEAST_SPAN_DEG))
-        axes.set_ylim(*_at_least(axes.get_ylim(), _LEAST_SPAN_DEG))
-        return svg(drawing, "head", "head angles at each station")
+            at = axes.at(np.array([[x, y]]))[0]
+            canvas.text(float(at[0]) + 6, float(at[1]) - 5, name)
+    return canvas.svg
 
 
-def _at_least(limits: tuple[float, float], span: float) -> tuple[float, float]:
+def _at_least(values: FloatArray) -> Limits:
     """Limits at least a span apart, so that the noise of a fixed head does not look like motion."""
-    low, high = limits
-    more = max(0.0, span - (high - low)) / 2
-    return low - more, high + more
+    found = Limits.of(values, margin=0.15)
+    more = max(0.0, _LEAST_SPAN_DEG - (found.high - found.low)) / 2
+    return Limits(found.low - more, found.high + more)
 
 
 def _short(name: str) -> str:
@@ -233,33 +181,31 @@ def _short(name: str) -> str:
     return shown if len(shown) <= 30 else f"{shown[:29]}…"
 
 
+def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, Axes]:
+    """Axes over the image of one camera, with its frame: u to the right, v down, px."""
+    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
+    left, top, wide = 8.0, 26.0, HALF - 16.0
+    canvas = Canvas(HALF, top + 6.0 + wide * camera.height / camera.width, title)
+    canvas.text(left, 16.0, f"{side} camera", "title")
+    axes = Axes(
+        canvas,
+        Scale(-0.5, camera.width - 0.5, left, left + wide),
+        Scale(-0.5, camera.height - 0.5, top, canvas.height - 6.0),
+    )
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.width, camera.height] - 0.5
+    axes.line(corners, "faint thin", closed=True)
+    return canvas, axes
+
+
 def picture_coverage(extraction: Extraction, side: Side) -> str:
     """Outlines of the board in the images of one camera."""
-    import cv2
-
-    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
-    seen = extraction.observations
-    chosen = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int))
-    with style():
-        drawing, (axes,) = figure(3.5, 3.0)
-        outlines = []
-        for i in chosen:
-            corners = getattr(seen[i], side)
-            measured = corners.pixels[corners.seen]
-            hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
-            outlines.append(measured[hull.ravel()])
-        polygons(axes, outlines, [(BLUE, 0.10)] * len(outlines))
-        gap = np.full((1, 2), np.nan)  # one line with gaps between the outlines
-        axes.plot(
-            *np.concatenate([np.concatenate([o, o[:1], gap]) for o in outlines]).T,
-            color=BLUE, linewidth=0.9, alpha=0.8,
-        )  # fmt: skip
-        frame = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) * [camera.width, camera.height] - 0.5
-        axes.plot(*frame.T, color=INK)
-        axes.set_aspect("equal")
-        axes.invert_yaxis()
-        axes.set_title(f"{side} camera")
-        axes.set_xlabel("u [px]")
-        axes.set_ylabel("v [px]")
-        axes.grid(visible=False)
-        return svg(drawing, f"view-{side}", f"outlines of the board in the images of the {side} camera")
+    canvas, axes = image_axes(extraction, side, f"outlines of the board in the images of the {side} camera")
+    seen, names = extraction.observations, station_names(extraction)
+    for i in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int)).tolist():
+        corners = getattr(seen[i], side)
+        measured = corners.pixels[corners.seen]
+        hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
+        axes.line(
+            measured[hull.ravel()], "blue thin outline", closed=True, stations=[i], tip=f"station {names[i]}"
+        )
+    return canvas.svg

@@ -1,36 +1,32 @@
-"""Plots of residuals, correlations and the error budget. Each is an <svg> element."""
+"""Plots of residuals, correlations and the error budget, each an <svg> element, "" where there is nothing to show."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import NINE, Extraction, FloatArray, IntArray, Side, Solution
+from mobilecal_cli.model import NINE, Extraction, FloatArray, Side, Solution
 from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.budget import families
-from mobilecal_cli.report.figures import BLUE, FAINT, GREEN, INK, ORANGE, RED, figure, polygons, style, svg
+from mobilecal_cli.report.numbers import predicted_point_rms_m, station_names
+from mobilecal_cli.report.plots import image_axes
+from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits, number
 
-if TYPE_CHECKING:
-    from matplotlib.patches import Patch
-
-_CELLS = (12, 9)
-_LEAST_IN_CELL = 3  # cells with fewer corners show no mean
+_MOST_DOTS = 4000  # corners in one scatter
 # Error budget: dark shades for measurements, light ones for what the robot description states.
-_FAMILY_COLORS = {
-    "corners": (BLUE, 0.75),
-    "joint readings": (ORANGE, 0.75),
-    "floor": (GREEN, 0.75),
-    "wheels": (RED, 0.75),
-    "encoder steps": (INK, 0.55),
-    "time stamps": (INK, 0.3),
-    "camera_info": (BLUE, 0.35),
-    "head geometry": (ORANGE, 0.35),
-    "board": (GREEN, 0.35),
-    "nominal values": (RED, 0.3),
-    "other": (FAINT, 0.6),
+_FAMILY_CLASSES = {
+    "corners": "blue dark",
+    "joint readings": "orange dark",
+    "floor": "green dark",
+    "wheels": "red dark",
+    "encoder steps": "ink half",
+    "time stamps": "ink light",
+    "camera_info": "blue light",
+    "head geometry": "orange light",
+    "board": "green light",
+    "nominal values": "red light",
+    "other": "faint half",
 }
 _BUDGET_LABELS = {
     "camera_m": "camera position",
@@ -40,73 +36,108 @@ _BUDGET_LABELS = {
     "heading_rad_per_turn": "heading per turn",
 }
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
-_KINDS = {
-    "corners": "corners",
-    "station": "station",
-    "slip": "leg (slip)",
-    "joint": "joint reading",
-}
+_OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "joint": "joint reading"}
+
+
+def leg_residuals(solution: Solution, extraction: Extraction) -> str:
+    """Point error and reprojection error of each leg."""
+    residuals, names = solution.residuals, station_names(extraction)
+    if not len(residuals.legs):
+        return ""
+    point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, predicted_point_rms_m(extraction, solution) * 1e3
+    legs = [(f"{names[i]}–{names[j]}", (i, j)) for i, j in residuals.legs.tolist()]
+    canvas = Canvas(WIDE, 440.0, "point error and reprojection error of each leg")
+    for top, title, values, unit, whole in (
+        (14.0, "point error [mm]", point_mm, "mm", solution.point_rms_m * 1e3),
+        (230.0, "reprojection error [px]", residuals.leg_reprojection_px, "px", solution.reprojection_rms_px),
+    ):
+        y = Limits.of([*values, whole, depth_mm if unit == "mm" else 0.0], zero=True)
+        axes = Axes.of(canvas, Limits(-0.6, len(legs) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
+        axes.grid(x=False)
+        for k, ((name, ends), value) in enumerate(zip(legs, values.tolist(), strict=True)):
+            axes.bar(k, value, "blue", ends, f"{name}: {value:.2f} {unit}")
+        axes.level(whole, "ink thin")
+        if unit == "mm":
+            axes.level(depth_mm, "orange dash")
+        axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
+    canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
+    return canvas.svg
+
+
+def station_residuals(extraction: Extraction) -> str:
+    """Residual of the flat board in the stereo pair, and the measured square size, at each station."""
+    seen, names = extraction.observations, station_names(extraction)
+    square_mm = [o.square_m * 1e3 for o in seen]
+    stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
+    x = Limits(-0.6, len(seen) - 0.4)
+    canvas = Canvas(WIDE, 420.0, "stereo residual and square size at each station")
+    stereo = Limits.of([o.reprojection_px for o in seen], zero=True)
+    axes = Axes.of(canvas, x, stereo, "stereo residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
+    axes.grid(x=False)
+    for i, o in enumerate(seen):
+        axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
+    axes.names(names, "")
+    size = Limits.of([*square_mm, *stated], margin=0.3)
+    axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
+    axes.grid(x=False)
+    for value in stated:
+        axes.level(value, "ink thin")
+        canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
+    for i, value in enumerate(square_mm):
+        axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
+    axes.names(names, "station")
+    return canvas.svg
 
 
 def picture_residuals(extraction: Extraction, side: Side) -> str:
-    """Residuals of the corners from the fitted flat board across the image: a heat map with mean arrows.
+    """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
 
     The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
     """
-    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
-    pixels, residual = _board_residuals(extraction, side)
-    size = np.array([camera.width, camera.height])
-    cell, mean, spread = _cells(pixels, residual, size)
-    with style():
-        drawing, (axes,) = figure(3.5, 3.2)
-        axes.set_title(f"{side} camera")
-        if len(cell):
-            edge = size / _CELLS
-            middle = (cell + 0.5) * edge
-            most = float(spread.max())
-            square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-            levels = spread / most if most else spread
-            polygons(
-                axes, [(c + square) * edge for c in cell], [(ORANGE, 0.6 * float(level)) for level in levels]
-            )
-            longest = float(np.linalg.norm(mean, axis=1).max())
-            scale = 0.9 * edge.min() / longest if longest else 1.0
-            arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.006}
-            axes.quiver(*middle.T, *(mean * scale).T, color=BLUE, **arrows)
-            axes.set_xlabel(f"darkest: {most:.2g} px rms; longest arrow: {longest:.2g} px", fontsize=8)
-        axes.set_xlim(-0.5, size[0] - 0.5)
-        axes.set_ylim(size[1] - 0.5, -0.5)
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-        return svg(drawing, f"residual-{side}", f"corner residuals across the image of the {side} camera")
+    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
+    found = [_board_residuals(extraction, side, i) for i in range(len(extraction.observations))]
+    longest = float(np.percentile(np.concatenate([np.linalg.norm(r, axis=1) for _, r in found]), 95))
+    scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
+    every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
+    names = station_names(extraction)
+    for i, (pixels, residual) in enumerate(found):
+        lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
+        axes.line(lines.reshape(-1, 2), "blue thin", stations=[i], tip=f"station {names[i]}")
+    canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
+    return canvas.svg
 
 
-def _board_residuals(extraction: Extraction, side: Side) -> tuple[FloatArray, FloatArray]:
-    """Detected corners of all stations, (n, 2), and their residuals from the fitted board, (n, 2), px."""
-    cameras, seen = extraction.rig.cameras, extraction.observations
-    camera, T_camera_c = (
-        (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
+def residual_histogram(extraction: Extraction) -> str:
+    """How often the corners are off by how much from the fitted flat board, u and v of both cameras."""
+    sides: tuple[Side, Side] = ("left", "right")
+    values = np.concatenate(
+        [
+            _board_residuals(extraction, side, i)[1].ravel()
+            for side in sides
+            for i in range(len(extraction.observations))
+        ]
     )
-    pixels, residual = [], []
-    for o in seen:
-        corners = o.left if side == "left" else o.right
-        points = se3.act(T_camera_c @ o.T_c_k, extraction.board.grid() * o.square_m)
-        pixels.append(corners.pixels[corners.seen])
-        residual.append((corners.pixels - project(camera, points))[corners.seen])
-    return np.concatenate(pixels), np.concatenate(residual)
+    most = float(np.percentile(np.abs(values), 99.5)) or 1.0
+    counts, edges = np.histogram(values, bins=41, range=(-most, most))
+    share = 100 * counts / len(values)
+    canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
+    axes = Axes.of(
+        canvas, Limits(-most, most), Limits.of(share, zero=True), "corner residuals, share of all [%]"
+    )
+    axes.grid("residual of a coordinate [px]")
+    left, right = edges[:-1], edges[1:]
+    steps = np.stack([left, share, right, share], axis=1).reshape(-1, 2)
+    axes.line(np.concatenate([[[left[0], 0.0]], steps, [[right[-1], 0.0]]]), "blue")
+    return canvas.svg
 
 
-def _cells(
-    pixels: FloatArray, residual: FloatArray, size: IntArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Cells with enough corners, (k, 2), with their mean residual, (k, 2), and root mean square, (k,), px."""
-    at = np.floor((pixels + 0.5) / size * _CELLS).astype(np.int64).clip(0, np.array(_CELLS) - 1)
-    cells, number, count = np.unique(at, axis=0, return_inverse=True, return_counts=True)
-    number = number.ravel()
-    mean = np.stack([np.bincount(number, residual[:, k], len(cells)) / count for k in (0, 1)], axis=1)
-    spread = np.sqrt(np.bincount(number, np.sum(residual**2, axis=1), len(cells)) / count)
-    enough = count >= _LEAST_IN_CELL
-    return cells[enough], mean[enough], spread[enough]
+def _board_residuals(extraction: Extraction, side: Side, i: int) -> tuple[FloatArray, FloatArray]:
+    """Detected corners of a station, (n, 2), and their residuals from the fitted board, (n, 2), px."""
+    cameras, o = extraction.rig.cameras, extraction.observations[i]
+    camera, T = (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
+    corners = o.left if side == "left" else o.right
+    points = se3.act(T @ o.T_c_k, extraction.board.grid() * o.square_m)
+    return corners.pixels[corners.seen], (corners.pixels - project(camera, points))[corners.seen]
 
 
 def correlation_matrix(solution: Solution) -> str:
@@ -117,25 +148,20 @@ def correlation_matrix(solution: Solution) -> str:
     std = np.sqrt(np.diag(found.reference_covariance))
     std = np.where(std > 0, std, np.nan)
     correlation = found.reference_covariance / np.outer(std, std)
-    with style():
-        drawing, (axes,) = figure(5.2, 4.4, header_in=0.1)
-        square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
-        known = [
-            ((i, j), float(value)) for (i, j), value in np.ndenumerate(correlation) if np.isfinite(value)
-        ]
-        polygons(
-            axes,
-            [np.add(square, (j, i)) for (i, j), _ in known],
-            [(BLUE if value > 0 else ORANGE, 0.75 * min(1.0, abs(value))) for _, value in known],
-        )
-        for (i, j), value in known:
-            axes.text(j, i, f"{value:+.2f}" if i != j else "1", ha="center", va="center", fontsize=7)
-        axes.set_xticks(range(len(NINE)), NINE, fontsize=7, rotation=35, ha="right")
-        axes.set_yticks(range(len(NINE)), NINE, fontsize=7)
-        axes.set_xlim(-0.5, len(NINE) - 0.5)
-        axes.set_ylim(len(NINE) - 0.5, -0.5)
-        axes.grid(visible=False)
-        return svg(drawing, "correlation", "correlation matrix of the nine parameters")
+    canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
+    left, top, wide, high = 100.0, 6.0, 58.0, 32.0
+    for k, name in enumerate(NINE):
+        canvas.text(left - 8, top + (k + 0.6) * high, name, anchor="end")
+        x, y = left + (k + 0.5) * wide, top + 9 * high + 14
+        canvas.text(x, y, name, anchor="end", turn=-30)
+    for (i, j), value in np.ndenumerate(correlation):
+        if np.isfinite(value):
+            x, y = left + j * wide, top + i * high
+            at = f'x="{number(x)}" y="{number(y)}" width="{wide - 1:g}" height="{high - 1:g}"'
+            shade = f'fill-opacity="{min(1.0, abs(value)) * 0.6:.2f}"'
+            canvas.shape("rect", f"fill {'blue' if value > 0 else 'orange'}", f"{at} {shade}")
+            canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
+    return canvas.svg
 
 
 def error_budget(solution: Solution) -> str:
@@ -148,72 +174,65 @@ def error_budget(solution: Solution) -> str:
     fields = [*NINE, *found.budget.at_work]
     columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
     labels = [*NINE, *(_BUDGET_LABELS[figure.field] for figure in at_work)]
-    shares = shares[:, columns]
-    used = [k for k in range(len(names)) if shares[k].max() > _LEAST_SHARE]
-    left = np.zeros(len(columns))
-    square = np.array([(0, -0.36), (1, -0.36), (1, 0.36), (0, 0.36)])
-    with style():
-        drawing, (axes,) = figure(7.2, 4.6, header_in=0.75)
-        axes.set_position((0.18, 0.12, 0.76, 0.72))  # space for the labels
+    used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
+    canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
+    left, wide = 122.0, WIDE - 132.0
+    canvas.legend([(f"fill {_FAMILY_CLASSES[names[k]]}", names[k]) for k in used], 8.0, 14.0)
+    for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
+        y, x = 46.0 + 24.0 * row, left
+        canvas.text(left - 8, y + 13, label, anchor="end")
         for k in used:
-            boxes = [
-                square * (w, 1) + (x, -y)
-                for y, (x, w) in enumerate(zip(left, shares[k], strict=True))
-                if w > 0
-            ]
-            polygons(axes, boxes, [_FAMILY_COLORS[names[k]]] * len(boxes))
-            for y, (x, w) in enumerate(zip(left, shares[k], strict=True)):
-                if w > _LABELED_SHARE:
-                    axes.text(x + w / 2, -y, f"{100 * w:.0f} %", ha="center", va="center", fontsize=7)
-            left = left + shares[k]
-        axes.set_yticks([-y for y in range(len(labels))], labels, fontsize=8)
-        axes.set_xlim(0, 1)
-        axes.set_ylim(-len(labels) + 0.4, 0.6)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-        axes.set_xlabel("share of the variance")
-        axes.grid(visible=False)
-        patches = [_patch(*_FAMILY_COLORS[names[k]]) for k in used]
-        drawing.legend(patches, [names[k] for k in used], loc="upper right", ncols=5, fontsize=8)
-        return svg(drawing, "budget", "error budget: what each variance consists of")
-
-
-def _patch(color: str, opacity: float) -> Patch:
-    from matplotlib.patches import Patch as NewPatch
-
-    return NewPatch(facecolor=color, alpha=opacity)
+            width = wide * float(shares[k, column])
+            if width <= 0:
+                continue
+            at = f'x="{number(x)}" y="{number(y)}" width="{number(width)}" height="18"'
+            share = f"{100 * shares[k, column]:.0f} %"
+            canvas.shape("rect", f"fill {_FAMILY_CLASSES[names[k]]}", at, tip=f"{label}: {names[k]} {share}")
+            if shares[k, column] > _LABELED_SHARE:
+                canvas.text(x + width / 2, y + 13, share, anchor="middle")
+            x += width
+    return canvas.svg
 
 
 def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     """Leg and stereo residuals of one recording over time, with outliers and rejected stations."""
-    seen, residuals = extraction.observations, solution.residuals
+    seen, residuals, names = extraction.observations, solution.residuals, station_names(extraction)
     mine = [leg for leg, (i, _) in enumerate(residuals.legs) if seen[i].log == log]
-    stations = [o for o in seen if o.log == log]
+    stations = [(i, o) for i, o in enumerate(seen) if o.log == log]
     rejected = [r for r in extraction.rejections if r.log == log and r.time_ns]
     outliers = [o for o in solution.outliers if o.log == log]
-    start = min([o.time_ns for o in stations] + [r.time_ns for r in rejected])
-
-    def since(time_ns: int) -> float:
-        return (time_ns - start) * 1e-9
-
-    with style():
-        drawing, (axes,) = figure(7.2, 2.9, header_in=0.5)
-        middle = [(since(seen[i].time_ns) + since(seen[j].time_ns)) / 2 for i, j in residuals.legs[mine]]
-        axes.plot(middle, residuals.leg_reprojection_px[mine], "o", color=BLUE, label="legs")
-        own = [(since(o.time_ns), o.reprojection_px) for o in stations]
-        axes.plot(*np.array(own).reshape(-1, 2).T, ".", color=FAINT, label="stereo pair alone")
-        axes.set_yscale("symlog", linthresh=1.0)
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.set_ylim(bottom=0)
-        low = axes.get_ylim()[0]
-        for kind, mark in (("station", "x"), ("slip", "v"), ("joint", "+"), ("corners", "1")):
-            times = [since(o.time_ns) for o in outliers if o.kind == kind]
-            if times:
-                axes.plot(times, np.full(len(times), low), mark, color=RED, clip_on=False, markersize=8,
-                          label=f"outlier: {_KINDS[kind]}")  # fmt: skip
-        if rejected:
-            axes.plot([since(r.time_ns) for r in rejected], np.full(len(rejected), low), "|", color=INK,
-                      clip_on=False, markersize=10, label="rejected image or station")  # fmt: skip
-        axes.set_xlabel("time since the first station [s]")
-        drawing.text(0.01, 0.99, "residual [px]", va="top", fontweight="bold")
-        drawing.legend(loc="upper right", ncols=3, fontsize=8)
-        return svg(drawing, f"time{log}", "residuals over time, with outliers and rejected stations")
+    start = min([o.time_ns for _, o in stations] + [r.time_ns for r in rejected])
+    times = [o.time_ns for _, o in stations]
+    times += [r.time_ns for r in rejected] + [o.time_ns for o in outliers]
+    values = [*residuals.leg_reprojection_px[mine], *(o.reprojection_px for _, o in stations)]
+    entries = [("line blue", "legs"), ("line green", "stereo pair alone")]
+    entries += [("line red", f"outlier: {_OUTLIERS[kind]}") for kind in sorted({o.kind for o in outliers})]
+    if rejected:
+        entries.append(("line ink", "rejected image or station"))
+    canvas = Canvas(WIDE, 290.0, "residuals over time, with outliers and rejected stations")
+    top = canvas.legend(entries, 8.0, 16.0)
+    x = Limits.of([(t - start) * 1e-9 for t in times])
+    axes = Axes.of(canvas, x, Limits.of(values, zero=True), "residual [px]", (0.0, top + 8.0, WIDE, 290.0))
+    axes.grid("time since the first station [s]")
+    for leg in mine:
+        i, j = residuals.legs[leg].tolist()
+        ends = np.array(
+            [[(seen[k].time_ns - start) * 1e-9, residuals.leg_reprojection_px[leg]] for k in (i, j)]
+        )
+        axes.line(ends, "blue", stations=[i, j], tip=f"{names[i]}–{names[j]}: {ends[0, 1]:.2f} px")
+    for i, o in stations:
+        tip = f"station {names[i]}: {o.reprojection_px:.2f} px"
+        axes.dot((o.time_ns - start) * 1e-9, o.reprojection_px, "green", [i], tip, r=3)
+    bottom, room = axes.y.low, 0.05 * (axes.y.high - axes.y.low)
+    for r in rejected:
+        at = (r.time_ns - start) * 1e-9
+        axes.line(np.array([[at, bottom], [at, bottom + room]]), "ink", tip=r.reason)
+    for outlier in outliers:
+        at = (outlier.time_ns - start) * 1e-9
+        axes.line(
+            np.array([[at, bottom], [at, bottom + 2 * room]]),
+            "red",
+            stations=outlier.observations,
+            tip=outlier.text,
+        )
+    return canvas.svg

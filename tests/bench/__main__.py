@@ -62,7 +62,7 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
         ),
         "commands": (
             "## Complete commands\n\n"
-            + paragraph('Compared with `python -c "import numpy, scipy.optimize, cv2, matplotlib.pyplot"`.'),
+            + paragraph('Compared with `python -c "import numpy, scipy.optimize, cv2"`.'),
             lambda: commands.main(data.hidden("jpeg"), data.folder),
         ),
         "corners": ("## Corners\n\n", corners.main),

@@ -13,7 +13,7 @@ from statistics import median
 from tests.bench.tables import table
 
 REPEATS = 7
-_IMPORTS = "import numpy, scipy.optimize, cv2, matplotlib.pyplot"
+_IMPORTS = "import numpy, scipy.optimize, cv2"
 #: As on a user's machine, where byte code is kept.
 _ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"

@@ -12,7 +12,6 @@ HEAVY = (
     "numpy",
     "scipy",
     "cv2",
-    "matplotlib",
     "rosbags",
     "mcap",
     "jinja2",

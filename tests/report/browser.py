@@ -33,7 +33,8 @@ class Browser:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True)))
             process = subprocess.Popen(
-                [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
+                [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+                 "--disable-background-networking", "--disable-component-update", "--disable-sync", "--remote-debugging-port=0",
                  "--remote-allow-origins=*", f"--user-data-dir={folder}", "about:blank"],
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
@@ -105,6 +106,33 @@ class Browser:
             for e in self.events
             if e["method"] in ("Log.entryAdded", "Runtime.exceptionThrown")
         ]
+
+    def key(self, key: str) -> None:
+        """Press a key."""
+        codes = {"Enter": (13, "\r"), "Tab": (9, ""), "Escape": (27, "")}
+        code, text = codes.get(key, (0, key if len(key) == 1 else ""))
+        more = {"text": text} if text else {}
+        for kind in ("keyDown", "keyUp"):
+            sent = more if kind == "keyDown" else {}
+            self.call(
+                "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code, **sent
+            )
+
+    def scripts(self, on: bool) -> None:
+        """Let pages run scripts, or not, from the next `open` on."""
+        self.call("Emulation.setScriptExecutionDisabled", value=not on)
+
+    def text(self) -> str:
+        """The text that a page shows, also without scripts."""
+        root = self.call("DOM.getDocument", depth=0)["root"]["nodeId"]
+        body = self.call("DOM.querySelector", nodeId=root, selector="main")["nodeId"]
+        node = self.call("DOM.resolveNode", nodeId=body)["object"]["objectId"]
+        said = self.call(
+            "Runtime.callFunctionOn",
+            objectId=node,
+            functionDeclaration="function() { return this.innerText }",
+        )
+        return said["result"]["value"]
 
     def pdf(self) -> bytes:
         """The page as it is printed."""

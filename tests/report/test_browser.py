@@ -87,7 +87,13 @@ def test_the_report_fits_every_screen(browser, page, width, dark):
 def test_colours_have_contrast(browser, page, dark):
     """WCAG's contrast of text and ground, at least 4.5 to 1 for running text."""
     browser.open(page, dark=dark)
-    pairs = {"p.say": ".facts ~ section", "td": "section:not(.verdict)", ".verdict p": ".verdict"}
+    pairs = {
+        "p.say": ".facts ~ section",
+        "td": "section:not(.verdict)",
+        ".verdict p": ".verdict",
+        ".bar button": ".bar button",
+        "section:not(.verdict) a": "section:not(.verdict)",
+    }
     for text, ground in pairs.items():
         colours = browser.evaluate(
             f"[getComputedStyle(document.querySelector('{text}')).color, "
@@ -105,9 +111,75 @@ def contrast(first: str, second: str) -> float:
     return max(levels) / min(levels)
 
 
+def test_a_station_lights_up_everywhere(browser, page):
+    """By the keyboard, by a bar of a plot, and in the view; turning and zooming redraws it."""
+    browser.open(page, width=1200)
+    lit = "[...document.querySelectorAll('svg.plot')].filter(p => p.querySelector('.on')).length"
+    assert browser.evaluate(lit) == 0
+    browser.evaluate("document.getElementById('next').focus()")
+    browser.key("Enter")
+    assert browser.evaluate("document.getElementById('station').value") == "0"
+    assert browser.evaluate(lit) >= 6
+    assert browser.evaluate("document.querySelectorAll('#pictures image').length") == 2
+    assert "heading 0°" in browser.evaluate("document.getElementById('picked').textContent")
+    browser.evaluate(
+        "document.querySelector('rect[data-s=\"3 4\"]').dispatchEvent(new MouseEvent('click', {bubbles: true}))"
+    )
+    assert browser.evaluate("document.getElementById('station').value") == "3"
+    browser.evaluate("document.getElementById('view').focus()")
+    picture = "document.getElementById('view').toDataURL()"
+    seen = {browser.evaluate(picture)}
+    for key in ("ArrowLeft", "ArrowUp", "+", "n"):
+        browser.key(key)
+        seen.add(browser.evaluate(picture))
+    assert len(seen) == 5
+    assert browser.evaluate("document.getElementById('station').value") == "4"
+    browser.key("Escape")
+    assert browser.evaluate(lit) == 0
+    assert browser.complaints() == []
+
+
+def test_the_keyboard_reaches_every_control(browser, page):
+    browser.open(page)
+    wanted = browser.evaluate("[...document.querySelectorAll('button,select,summary,canvas')].length")
+    reached = set()
+    for _ in range(400):
+        browser.key("Tab")
+        at = "[document.activeElement.tagName, [...document.querySelectorAll('*')].indexOf(document.activeElement)].join()"
+        reached.add(browser.evaluate(at))
+    assert sum(each.split(",")[0] in {"BUTTON", "SELECT", "SUMMARY", "CANVAS"} for each in reached) == wanted
+
+
+def test_without_scripts_all_plots_are_there(browser, page):
+    browser.open(page)
+    plots = browser.evaluate("document.querySelectorAll('svg.plot').length")
+    browser.scripts(False)
+    try:
+        browser.open(page)
+        text = browser.text()
+    finally:
+        browser.scripts(True)
+    assert plots > 12
+    assert "Can it be trusted?" in text
+    assert "Previous" not in text  # nothing that needs the script is shown
+
+
+def test_no_label_lies_over_another(browser, page):
+    """Bounding boxes of the texts of each plot, at phone and desk width."""
+    overlap = """[...document.querySelectorAll('svg.plot')].flatMap(plot => {
+      const boxes = [...plot.querySelectorAll('text:not([transform])')].map(t => [t.textContent, t.getBoundingClientRect()]);
+      return boxes.flatMap(([a, p], i) => boxes.slice(i + 1).filter(([b, q]) =>
+        Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1 && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 3
+        && p.width && q.width && !/^[0-9:]+$/.test(a + b)).map(([b]) => `${plot.getAttribute('aria-label')}: ${a} | ${b}`));
+    })"""
+    for width in (390, 1200):
+        browser.open(page, width=width)
+        assert browser.evaluate(overlap) == []
+
+
 def test_nothing_of_the_log_becomes_markup(browser, page):
     browser.open(page)
-    assert browser.evaluate("document.scripts.length") == 0
+    assert browser.evaluate("document.scripts.length") == 2
     handlers = (
         "[...document.querySelectorAll('*')].some(e => [...e.attributes].some(a => a.name.startsWith('on')))"
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import dataclasses
+import hashlib
 import io
 import json
 import math
@@ -89,7 +91,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if not {"style", "title"} & set(self.open):
+        if not {"style", "script", "title"} & set(self.open):
             self.words.append(data)
 
     @property
@@ -139,12 +141,22 @@ def test_the_page_says_what_matters_first(page):
         assert words in text
 
 
-def test_the_page_needs_no_network_and_runs_nothing(html, page):
+def test_the_page_needs_no_network_and_runs_its_own_script_only(html, page):
     for tag, attributes in page.tags:
-        assert tag not in {"script", "iframe", "link", "object", "embed", "img", "form"}
+        assert tag not in {"iframe", "link", "object", "embed", "img", "form"}
         assert not [name for name in attributes if name.startswith("on")]
         for name in ("src", "href", "xlink:href"):
             assert re.match(r"#|data:image/jpeg;base64,", attributes.get(name) or "#")
+    assert [attributes for tag, attributes in page.tags if tag == "script"] == [
+        {"type": "application/json", "id": "data"},
+        {},
+    ]
+    (policy,) = (a["content"] for tag, a in page.tags if a.get("http-equiv") == "Content-Security-Policy")
+    assert "unsafe" not in policy
+    for tag, directive in (("script", "script-src"), ("style", "style-src")):
+        text = html.rpartition(f"<{tag}>")[2].partition(f"</{tag}>")[0]
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{directive} 'sha256-{digest}'" in policy
     assert "@import" not in html
     assert not re.search(r"url\((?!#)", html)
 
@@ -168,14 +180,18 @@ def test_the_page_is_small_and_repeats_byte_for_byte(extraction, html):
 
 
 def test_overlays_draw_both_marks_for_every_corner(extraction, page):
-    circles = [a for tag, a in page.tags if tag == "circle"]
-    assert len(circles) == 3 * 2 * 2 * extraction.board.corners
-    assert sum(tag == "image" for tag, _ in page.tags) == 6
+    circles = [a for tag, a in page.tags if tag == "circle" and "class" not in a]
+    legs = len(extraction.observations) - 1
+    assert len(circles) == legs * 2 * 2 * extraction.board.corners
+    assert sum(tag == "image" for tag, _ in page.tags) == legs * 2
 
 
 def test_overlays_pick_worst_median_and_best(extraction, solution):
     views = leg_views(solution, extraction, make_snapshots(extraction))
     px = solution.residuals.leg_reprojection_px
+    assert sorted(view.observation for view in views) == list(range(len(px)))
+    assert {view.rank for view in views[3:]} == {""}
+    views = views[:3]
     assert [view.error_px for view in views] == [max(px), sorted(px)[len(px) // 2], min(px)]
     assert [view.rank for view in views] == ["worst", "median", "best"]
     worst = int(np.argmax(px))
@@ -210,8 +226,10 @@ def test_hostile_strings_stay_text(extraction):
         version=HOSTILE,
     )
     page = Page(html)
-    assert "script" not in {tag for tag, _ in page.tags}
-    assert sum(tag == "title" for tag, _ in page.tags) == 1
+    assert sum(tag == "script" for tag, _ in page.tags) == 2
+    (data,) = re.findall(r'id="data">(.*?)</script>', html, re.DOTALL)
+    assert not set("<>&") & set(data)
+    assert json.loads(data)["parameters"]["child_frame"] == HOSTILE
     assert "{{7*7}}" in page.text
     assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e\ud800-\udfff]", html)
     html.encode("utf-8")
@@ -380,7 +398,7 @@ def test_no_links_inside_names_code_and_headings(text):
 
 def test_settings_read_as_yaml(extraction):
     config = {
-        "rectified": False, "board": {"square_m": None, "sizes": (1, 2.5)}, "tf": [], "file": Path("a/b"),
+        "rectified": False, "board": {"square_m": None, "sizes": (1, 2.5)}, "tf": [], "file": "a/b",
         "chain": [{"xyz_m": [0.04, 0.0]}, {"joint": "pan", "axis": [0.0, 1.0]}],
     }  # fmt: skip
     text = Page(page_of(extraction, config=config)).text

@@ -1,0 +1,319 @@
+"""Plots as SVG text: axes with linear, logarithmic or named scales, and marks that belong to stations.
+
+Colors are classes, so that the page's style sheet decides on light and dark. A mark with stations has them in
+`data-s`, by which the page's script links the plots.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+
+from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.text import visible
+
+WIDE, HALF = 640.0, 320.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0
+_CHARACTER = 6.2  # width of a character of a small label
+#: Style of a plot; the page's own variables are the colors.
+STYLE = """
+svg.plot text { fill: var(--ink); font: 12px system-ui, sans-serif; } svg.plot .small { font-size: 11px; }
+svg.plot .title { font-weight: 600; } svg.plot .grid { stroke: var(--line); } svg.plot .axis { stroke: var(--faint); }
+.blue { --c: var(--blue); } .orange { --c: var(--orange); } .green { --c: var(--green); } .red { --c: var(--red); }
+.ink { --c: var(--ink); } .faint { --c: var(--faint); }
+svg.plot .fill { fill: var(--c); } svg.plot .line { fill: none; stroke: var(--c); stroke-width: 1.7; }
+svg.plot .thin { stroke-width: 1; } svg.plot .dash { stroke-dasharray: 5 4; } svg.plot .dots { stroke-dasharray: 1 4; }
+svg.plot .dark { fill-opacity: .75; } svg.plot .half { fill-opacity: .55; } svg.plot .light { fill-opacity: .35; }
+svg.plot .outline { fill: var(--c); fill-opacity: .08; }
+svg.plot .line.on { stroke-width: 3; } svg.plot .fill.on { stroke: var(--ink); stroke-width: 2; }
+"""
+
+
+def number(value: float) -> str:
+    """A coordinate to 0.01, finer than any screen."""
+    return f"{value:.2f}".rstrip("0").rstrip(".")
+
+
+def ticks(low: float, high: float, most: int = 6) -> list[float]:
+    """Round values in an interval: steps of 1, 2, 2.5 or 5 times a power of ten."""
+    span = high - low
+    if not span > 0:
+        return [low]
+    power = 10.0 ** math.floor(math.log10(span / most))
+    step = next(power * k for k in (1, 2, 2.5, 5, 10, 20) if span / (power * k) <= most)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [k * step for k in range(first, last + 1)]
+
+
+def _label(value: float) -> str:
+    """A tick value without the rounding errors of its step."""
+    return f"{round(value, 12) + 0.0:.7g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Values to coordinates.
+
+    Attributes:
+        low, high: of the values.
+        start, end: their coordinates.
+        log: logarithmic; the values are positive.
+    """
+
+    low: float
+    high: float
+    start: float
+    end: float
+    log: bool = False
+
+    def __call__(self, value: float) -> float:
+        """Coordinate of a value."""
+        low, high = (math.log10(v) if self.log else v for v in (self.low, self.high))
+        at = math.log10(value) if self.log else value
+        return self.start + (at - low) / ((high - low) or 1.0) * (self.end - self.start)
+
+    @property
+    def ticks(self) -> list[float]:
+        """Values to label."""
+        if self.log:
+            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+            every = max(1, -(-(last - first + 1) // 6))
+            return [10.0**k for k in range(first, last + 1, every)]
+        return ticks(self.low, self.high, max(4, min(7, int(abs(self.end - self.start) / 55))))
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Interval of an axis.
+
+    Attributes:
+        low, high: the interval.
+        log: logarithmic.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    @classmethod
+    def of(cls, values: Iterable[float], zero: bool = False, margin: float = 0.06) -> Limits:
+        """Limits around finite values, from zero on request."""
+        finite = [float(v) for v in values if math.isfinite(v)] or [0.0, 1.0]
+        low, high = min(finite), max(finite)
+        room = margin * (high - low) or max(abs(high), 1.0) * 0.1
+        return cls(0.0 if zero else low - room, (high or 1.0) * (1 + margin) if zero else high + room)
+
+
+@dataclass(slots=True)
+class Canvas:
+    """An <svg> element under construction.
+
+    Attributes:
+        width, height: of its coordinates.
+        title: for screen readers.
+        parts: its content.
+    """
+
+    width: float
+    height: float
+    title: str
+    parts: list[str] = field(default_factory=list)
+
+    def text(
+        self, x: float, y: float, text: str, kind: str = "small", anchor: str = "start", turn: float = 0
+    ) -> None:
+        """One line of text; anchor "start", "middle" or "end"."""
+        turned = f' transform="rotate({number(turn)} {number(x)} {number(y)})"' if turn else ""
+        self.parts.append(
+            f'<text x="{number(x)}" y="{number(y)}" class="{kind}" text-anchor="{anchor}"{turned}>'
+            f"{escape(visible(text))}</text>"
+        )
+
+    def shape(
+        self, tag: str, kind: str, attributes: str, stations: Sequence[int] = (), tip: str = ""
+    ) -> None:
+        """An element with a class, the stations it belongs to, and a tooltip."""
+        linked = f' data-s="{" ".join(map(str, stations))}"' if len(stations) else ""
+        inside = f"<title>{escape(visible(tip))}</title>" if tip else ""
+        self.parts.append(f'<{tag} class="{kind}" {attributes}{linked}>{inside}</{tag}>')
+
+    def path(self, points: FloatArray, kind: str, closed: bool = False, **more: object) -> None:
+        """A line through points, (n, 2); gaps where they are not finite."""
+        steps, up = [], True
+        for x, y in points.tolist():
+            if not (math.isfinite(x) and math.isfinite(y)):
+                up = True
+                continue
+            steps.append(f"{'M' if up else 'L'}{number(x)} {number(y)}")
+            up = False
+        self.shape("path", kind, f'd="{"".join(steps)}{"Z" if closed else ""}"', **more)  # type: ignore[arg-type]
+
+    def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> float:
+        """Samples with labels in a row that wraps at the right edge: (class of the sample, label).
+
+        Returns:
+            The base line of the last row.
+        """
+        at = x
+        for kind, label in entries:
+            wide = 22 + _CHARACTER * len(label)
+            if at + wide > self.width and at > x:
+                at, y = x, y + 16
+            if "fill" in kind:
+                self.shape("rect", kind, f'x="{number(at)}" y="{number(y - 9)}" width="11" height="11"')
+            else:
+                self.path(np.array([[at, y - 4], [at + 13, y - 4]]), kind)
+            self.text(at + 17, y, label)
+            at += wide + 8
+        return y
+
+    @property
+    def svg(self) -> str:
+        """The element."""
+        return (
+            f'<svg class="plot" role="img" aria-label="{escape(self.title)}" '
+            f'viewBox="0 0 {number(self.width)} {number(self.height)}">{"".join(self.parts)}</svg>'
+        )
+
+
+@dataclass(slots=True)
+class Axes:
+    """One pair of axes on a canvas.
+
+    Attributes:
+        canvas: receives the marks.
+        x, y: the scales.
+    """
+
+    canvas: Canvas
+    x: Scale
+    y: Scale
+
+    @classmethod
+    def of(
+        cls,
+        canvas: Canvas,
+        x: Limits,
+        y: Limits,
+        title: str = "",
+        box: tuple[float, float, float, float] | None = None,
+    ) -> Axes:
+        """Axes in a box (left, top, right, bottom) of the canvas, by default all of it; labels are inside."""
+        left, top, right, bottom = box or (0.0, 0.0, canvas.width, canvas.height)
+        left, top, right, bottom = left + _LEFT, top + _TOP, right - _RIGHT, bottom - _BOTTOM
+        if title:
+            canvas.text(left - _LEFT + 8, top - 14, title, "title")
+        return cls(canvas, Scale(x.low, x.high, left, right, x.log), Scale(y.low, y.high, bottom, top, y.log))
+
+    @classmethod
+    def equal(cls, canvas: Canvas, x: Limits, y: Limits, title: str = "", top: float = 0.0) -> Axes:
+        """Axes with one unit on both, the data in the middle."""
+        axes = cls.of(canvas, x, y, title, (0.0, top, canvas.width, canvas.height))
+        unit = min(abs(s.end - s.start) / (s.high - s.low) for s in (axes.x, axes.y))
+        scales = []
+        for s in (axes.x, axes.y):
+            half, middle = abs(s.end - s.start) / unit / 2, (s.low + s.high) / 2
+            scales.append(Scale(middle - half, middle + half, s.start, s.end))
+        return cls(canvas, scales[0], scales[1])
+
+    def grid(self, x_label: str = "", x: bool = True, whole: bool = False) -> None:
+        """Grid lines, tick labels and the label of the x axis.
+
+        Args:
+            x_label: the label.
+            x: whether the x axis has ticks.
+            whole: whether it counts, so that its ticks are whole numbers.
+        """
+        for value in self.y.ticks:
+            at = self.y(value)
+            self._line(self.x.start, at, self.x.end, at, "grid")
+            self.canvas.text(self.x.start - 5, at + 4, _label(value), anchor="end")
+        if x:
+            for value in self.x.ticks:
+                if whole and value != round(value):
+                    continue
+                at = self.x(value)
+                self._line(at, self.y.start, at, self.y.end, "grid")
+                self.canvas.text(at, self.y.start + 14, _label(value), anchor="middle")
+        self._line(self.x.start, self.y.start, self.x.end, self.y.start, "axis")
+        if x_label:
+            self.canvas.text((self.x.start + self.x.end) / 2, self.y.start + 31, x_label, anchor="middle")
+
+    def names(self, labels: Sequence[str], x_label: str) -> None:
+        """Names under whole numbers 0, 1, ...; only every second, third, ... where they would touch."""
+        wide = _CHARACTER * (max(map(len, labels), default=0) + 2)
+        every = max(1, math.ceil(len(labels) * wide / max(self.x.end - self.x.start, 1.0)))
+        for k in range(0, len(labels), every):
+            self.canvas.text(self.x(k), self.y.start + 14, labels[k], anchor="middle")
+        self.canvas.text((self.x.start + self.x.end) / 2, self.y.start + 31, x_label, anchor="middle")
+
+    def _line(self, x1: float, y1: float, x2: float, y2: float, kind: str) -> None:
+        ends = zip(("x1", "y1", "x2", "y2"), (x1, y1, x2, y2), strict=True)
+        self.canvas.shape("line", kind, " ".join(f'{name}="{number(v)}"' for name, v in ends))
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Coordinates of points, (n, 2), on the canvas."""
+        found = [
+            [self.x(px), self.y(py)] if math.isfinite(px) and math.isfinite(py) else [math.nan] * 2
+            for px, py in points.tolist()
+        ]
+        return np.array(found).reshape(-1, 2)
+
+    def line(self, points: FloatArray, kind: str, **more: object) -> None:
+        """A line through points, (n, 2), in the units of the axes."""
+        self.canvas.path(self.at(points), f"line {kind}", **more)  # type: ignore[arg-type]
+
+    def level(self, value: float, kind: str) -> None:
+        """A horizontal line."""
+        self._line(self.x.start, self.y(value), self.x.end, self.y(value), f"line {kind}")
+
+    def dot(
+        self, x: float, y: float, kind: str, stations: Sequence[int] = (), tip: str = "", r: float = 3.5
+    ) -> None:
+        """A dot."""
+        at = f'cx="{number(self.x(x))}" cy="{number(self.y(y))}" r="{number(r)}"'
+        self.canvas.shape("circle", f"fill {kind}", at, stations, tip)
+
+    def bar(self, x: float, value: float, kind: str, stations: Sequence[int], tip: str) -> None:
+        """A bar from the axis to a value."""
+        wide = 0.76 * abs(self.x(1) - self.x(0))
+        top = self.y(value)
+        at = (self.x(x) - wide / 2, top, wide, max(self.y.start - top, 0.0))
+        box = zip(("x", "y", "width", "height"), at, strict=True)
+        self.canvas.shape(
+            "rect", f"fill {kind}", " ".join(f'{n}="{number(v)}"' for n, v in box), stations, tip
+        )
+
+    def arrow(
+        self, start: FloatArray, end: FloatArray, kind: str, stations: Sequence[int] = (), tip: str = ""
+    ) -> None:
+        """An arrow between two points, (2,) each, in the units of the axes."""
+        a, b = self.at(np.array([start, end]))
+        along = b - a
+        length = float(np.hypot(*along))
+        if length < 0.5:
+            return
+        u = along / length * min(6.0, 0.5 * length)
+        side = np.array([-u[1], u[0]]) * 0.5
+        self.canvas.path(
+            np.array([a, b, [math.nan] * 2, b - u + side, b, b - u - side]),
+            f"line {kind}",
+            stations=stations,
+            tip=tip,
+        )
+
+
+def standalone(element: str) -> str:
+    """An element as a separate file that follows the viewer's light or dark mode."""
+    colors = (
+        "svg{background:#fff;--ink:#1c2430;--line:#e1e5ea;--faint:#8a95a3;--blue:#1f6fd1;--orange:#d9730d;"
+        "--green:#14875a;--red:#c4312b}@media(prefers-color-scheme:dark){svg{background:#1b2129;--ink:#e6eaf0;"
+        "--line:#2c343f;--faint:#5b6675;--blue:#62a8f5;--orange:#f0a04b;--green:#43c98d;--red:#f0746c}}"
+    )
+    head = element.index(">") + 1
+    opening = element[: head - 1].replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+    return f"{opening}><style>{colors}{STYLE}</style>{element[head:]}\n"

@@ -1,0 +1,175 @@
+"use strict";
+// Links the plots by station and draws the view in space. All data is in the page; nothing is loaded.
+(() => {
+  const $ = (id) => document.getElementById(id);
+  const report = JSON.parse($("data").textContent);
+  const { stations, legs, paths, board } = report;
+  if (!stations.length) return;
+  const marks = [...document.querySelectorAll("[data-s]")].map((element) => ({
+    element,
+    own: element.dataset.s.split(" ").map(Number),
+  }));
+  const list = $("station"), view = $("view"), said = $("picked"), context = view.getContext("2d");
+  let picked = -1, log = stations[0].log, yaw = -0.9, pitch = 0.5, zoom = 1;
+
+  const several = new Set(stations.map((s) => s.log)).size > 1;
+  const name = (k) => (several ? `${stations[k].log}:${stations[k].station}` : `${stations[k].station}`);
+  stations.forEach((_, k) => list.append(new Option(`station ${name(k)}`, k)));
+
+  // -- selection ------------------------------------------------------------------------------------
+  function pick(k) {
+    picked = k;
+    if (k >= 0) log = stations[k].log;
+    list.value = k;
+    document.body.classList.toggle("picking", k >= 0);
+    for (const { element, own } of marks) element.classList.toggle("on", own.includes(k));
+    const pictures = [...document.querySelectorAll(`main > section .view[data-view="${k}"]`)].slice(0, 1);
+    $("pictures").replaceChildren(...pictures.map((found) => {
+      const copy = found.cloneNode(true);
+      copy.hidden = false;
+      return copy;
+    }));
+    said.textContent = k < 0 ? "Pick a station here, in a plot or in the view: it lights up everywhere." : describe(k);
+    draw();
+  }
+  function describe(k) {
+    const s = stations[k];
+    const joints = Object.entries(s.joints).map(([joint, value]) => `${joint} ${value.toFixed(3)}`).join(", ");
+    const own = legs.filter((leg) => leg.from_observation === k || leg.to_observation === k).map((leg) =>
+      `leg ${name(leg.from_observation)}–${name(leg.to_observation)}: ${leg.point_rms_mm.toFixed(1)} mm, ` +
+      `${leg.reprojection_px.toFixed(2)} px`);
+    return `Station ${name(k)}: base at x ${s.base_x_m.toFixed(2)} m, y ${s.base_y_m.toFixed(2)} m, heading ` +
+      `${s.base_heading_deg.toFixed(0)}°; ${joints}; board at ${s.board_distance_m.toFixed(2)} m, stereo residual ` +
+      `${s.stereo_reprojection_px.toPrecision(2)} px. ${own.join("; ")}`;
+  }
+  const step = (by) => pick(picked < 0 ? (by > 0 ? 0 : stations.length - 1) : (picked + by + stations.length) % stations.length);
+  list.addEventListener("change", () => pick(Number(list.value)));
+  $("previous").addEventListener("click", () => step(-1));
+  $("next").addEventListener("click", () => step(1));
+  $("clear").addEventListener("click", () => pick(-1));
+  document.addEventListener("click", (event) => {
+    const mark = event.target.closest && event.target.closest("[data-s]");
+    if (!mark) return;
+    const own = mark.dataset.s.split(" ").map(Number);
+    pick(own[(own.indexOf(picked) + 1) % own.length]);
+  });
+
+  // -- view in space --------------------------------------------------------------------------------
+  const at = (T, p) => T.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]);
+  const corners = [[-1, -1], [board.columns, -1], [board.columns, board.rows], [-1, board.rows]]
+    .map(([x, y]) => [x * board.square_mm / 1000, y * board.square_mm / 1000, 0]);
+  const mean = (points) => points.reduce((sum, p) => sum.map((v, k) => v + p[k] / points.length), [0, 0, 0]);
+  let project, ends = [];
+
+  function prepare() {
+    const own = stations.filter((s) => s.log === log);
+    const path = (paths.find((p) => p.log === log) || { points_m: [] }).points_m.map(([x, y]) => [x, y, 0]);
+    const boards = own.map((s) => corners.map((c) => at(s.T_world_board, c)));
+    const cameras = own.map((s) => at(s.T_world_camera, [0, 0, 0]));
+    const all = [...path, ...cameras, ...boards.flat(), ...own.map((s) => at(s.T_world_base, [0, 0, 0]))];
+    const low = [0, 1, 2].map((k) => Math.min(...all.map((p) => p[k])));
+    const high = [0, 1, 2].map((k) => Math.max(...all.map((p) => p[k])));
+    const size = Math.max(Math.hypot(...high.map((v, k) => v - low[k])), 0.1);
+    return { own, path, boards, middle: low.map((v, k) => (v + high[k]) / 2), low, high, size,
+      usual: corners.map((_, k) => mean(boards.map((b) => b[k]))) };
+  }
+  function draw() {
+    const { own, path, boards, middle, low, high, size, usual } = prepare();
+    const wide = view.clientWidth, tall = view.clientHeight, dense = window.devicePixelRatio || 1;
+    view.width = wide * dense;
+    view.height = tall * dense;
+    context.setTransform(dense, 0, 0, dense, 0, 0);
+    const style = getComputedStyle(document.documentElement);
+    const color = (key) => style.getPropertyValue(`--${key}`).trim();
+    const unit = zoom * Math.min(wide, tall) / size;
+    const [c, s, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
+    project = (p) => {
+      const [x, y, z] = p.map((v, k) => v - middle[k]);
+      const depth = -s * x + c * y;
+      return [wide / 2 + unit * (c * x + s * y), tall / 2 - unit * (cp * z + sp * depth)];
+    };
+    const line = (points, ink, width = 1, closed = false) => {
+      context.beginPath();
+      points.map(project).forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
+      if (closed) context.closePath();
+      context.strokeStyle = color(ink);
+      context.lineWidth = width;
+      context.stroke();
+    };
+    const grid = [Math.floor(low[0]), Math.ceil(high[0]), Math.floor(low[1]), Math.ceil(high[1])];
+    const every = Math.max(1, Math.round((grid[1] - grid[0] + grid[3] - grid[2]) / 30));
+    for (let x = grid[0]; x <= grid[1]; x += every) line([[x, grid[2], 0], [x, grid[3], 0]], "line");
+    for (let y = grid[2]; y <= grid[3]; y += every) line([[grid[0], y, 0], [grid[1], y, 0]], "line");
+    line(path, "soft", 1.5);
+    ends = [];
+    own.forEach((station, n) => {
+      const k = stations.indexOf(station), on = k === picked, faded = picked >= 0 && !on;
+      context.globalAlpha = faded ? 0.3 : 1;
+      const base = (p) => at(station.T_world_base, p), eye = (p) => at(station.T_world_camera, p);
+      line([[0.12, 0, 0], [-0.08, 0.08, 0], [-0.08, -0.08, 0]].map(base), "blue", on ? 3 : 1.5, true);
+      line([base([0, 0, 0]), eye([0, 0, 0])], "faint", 1);
+      const far = 0.16, rim = [[-1, -0.75], [1, -0.75], [1, 0.75], [-1, 0.75]].map(([x, y]) => eye([x * far / 2, y * far / 2, far]));
+      line(rim, "orange", on ? 2.5 : 1.2, true);
+      rim.forEach((p) => line([eye([0, 0, 0]), p], "orange", on ? 2 : 0.8));
+      line(boards[n], "green", on ? 3 : 1, true);
+      if (on) boards[n].forEach((p, i) => line([usual[i], usual[i].map((v, a) => v + 10 * (p[a] - v))], "red", 2));
+      context.globalAlpha = 1;
+      ends.push([k, project(base([0, 0, 0]))], [k, project(eye([0, 0, 0]))]);
+      const [x, y] = project(base([0, 0, 0]));
+      context.fillStyle = color("ink");
+      context.font = `${on ? "600 14px" : "12px"} system-ui, sans-serif`;
+      if (on || own.length <= 40) context.fillText(name(k), x + 6, y + 14);
+    });
+  }
+  let from = null, moved = false;
+  view.addEventListener("pointerdown", (event) => {
+    from = [event.clientX, event.clientY];
+    moved = false;
+    view.setPointerCapture(event.pointerId);
+  });
+  view.addEventListener("pointermove", (event) => {
+    if (!from) return;
+    const [x, y] = [event.clientX - from[0], event.clientY - from[1]];
+    if (!moved && Math.hypot(x, y) < 4) return;
+    moved = true;
+    from = [event.clientX, event.clientY];
+    turn(x * 0.01, y * 0.01);
+  });
+  view.addEventListener("pointercancel", () => (from = null));
+  view.addEventListener("pointerup", (event) => {
+    from = null;
+    if (moved) return;
+    const near = ends.map(([k, [x, y]]) => [Math.hypot(x - event.offsetX, y - event.offsetY), k]).sort((a, b) => a[0] - b[0])[0];
+    pick(near && near[0] < 24 ? near[1] : -1);
+  });
+  function turn(by, up) {
+    yaw -= by;
+    pitch = Math.min(Math.PI / 2, Math.max(-0.2, pitch + up));
+    draw();
+  }
+  function scale(by) {
+    zoom = Math.min(20, Math.max(0.3, zoom * by));
+    draw();
+  }
+  view.addEventListener("wheel", (event) => {
+    if (document.activeElement !== view) return; // scrolling over the view scrolls the page
+    event.preventDefault();
+    scale(Math.exp(-event.deltaY / 500));
+  }, { passive: false });
+  const keys = {
+    ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, -0.1), ArrowDown: () => turn(0, 0.1),
+    "+": () => scale(1.25), "-": () => scale(0.8), n: () => step(1), p: () => step(-1), Escape: () => pick(-1),
+  };
+  view.addEventListener("keydown", (event) => {
+    if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    keys[event.key]();
+  });
+  $("closer").addEventListener("click", () => scale(1.25));
+  $("farther").addEventListener("click", () => scale(0.8));
+  $("above").addEventListener("click", () => { [yaw, pitch, zoom] = [0, Math.PI / 2, 1]; draw(); });
+  window.addEventListener("resize", draw);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  for (const element of document.querySelectorAll(".scripted")) element.hidden = false;
+  pick(-1);
+})();
