@@ -12,6 +12,7 @@ from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude,
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 _LEAST_BASELINE_M = 1e-4
+_CALIBRATE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
 def _present(prelude: Prelude) -> str:
@@ -33,6 +34,11 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         RecordingError: no such pair; the hint lists the topics present.
     """
     present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
+    if not present:
+        raise RecordingError(
+            "no images were recorded: no topic has the type Image or CompressedImage",
+            f"record the images of both cameras; topics present: {_present(prelude)}",
+        )
     configured: dict[Side, str | None] = {
         "left": config.cameras.left.image,
         "right": config.cameras.right.image,
@@ -86,31 +92,39 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
     """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
     Raises:
-        RecordingError: no topic matches.
+        RecordingError: no topic matches, or its calibration cannot be used.
     """
+    topic = _info_topic(side, image, config, prelude)
+    if topic in prelude.unusable:
+        raise RecordingError(prelude.unusable[topic], _CALIBRATE)
+    return topic
+
+
+def _info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:
+    present = {*prelude.infos, *prelude.unusable}
     configured = (config.cameras.left if side == "left" else config.cameras.right).info
     if configured is not None:
-        if configured not in prelude.infos:
+        if configured not in present:
             raise RecordingError(
                 f"cameras.{side}.info: the topic {configured} contains no camera info in this recording",
-                f"camera-info topics present: {listed(sorted(prelude.infos))}",
+                f"camera-info topics present: {listed(sorted(present))}",
             )
         return configured
     namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
     beside = f"{namespace}/camera_info"
     both = config.cameras.both is not None
-    if beside in prelude.infos and not both:
+    if beside in present and not both:
         return beside
     frame = "" if both else prelude.image_frames.get(image, "")
     same_frame = sorted(name for name, info in prelude.infos.items() if frame and info.frame_id == frame)
-    same_side = sorted(name for name in prelude.infos if side_of(name) == side)
+    same_side = sorted(name for name in present if side_of(name) == side)
     for found in (same_frame, same_side):
         if len(found) == 1:
             return found[0]
     raise RecordingError(
         f"no camera info for the {side} images on {image}: expected "
         + (f"one topic named {side}" if both else beside),
-        f"set cameras.{side}.info; camera-info topics present: {listed(sorted(prelude.infos))}",
+        f"set cameras.{side}.info; camera-info topics present: {listed(sorted(present))}",
     )
 
 

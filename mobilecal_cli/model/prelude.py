@@ -40,6 +40,7 @@ class Prelude:
     Attributes:
         topics: all topics, sorted by name.
         infos: camera-info topic → its first calibration.
+        unusable: camera-info topic → why its calibration cannot be used.
         image_frames: image topic → frame_id of its first message.
         joint_names: joint-state topic → names in its first messages, each once.
         urdfs: topic → URDF text.
@@ -53,3 +54,4 @@ class Prelude:
     joint_names: Mapping[str, tuple[str, ...]]
     urdfs: Mapping[str, str]
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
+    unusable: Mapping[str, str] = field(default_factory=dict)

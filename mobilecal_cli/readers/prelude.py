@@ -39,8 +39,7 @@ def read_prelude(recording: Recording) -> Prelude:
     recording.
 
     Raises:
-        RecordingError: the recording is empty, or fewer than two cameras have a usable calibration because another is
-            zero, not finite or of an unknown model.
+        RecordingError: the recording is empty.
     """
     if not any(info.count is None or info.count for info in recording.topics):
         raise RecordingError(f"{recording.name}: the recording contains no messages", "record a new one")
@@ -55,9 +54,11 @@ def read_prelude(recording: Recording) -> Prelude:
         for text in _first(recording, topic, lambda message: str(message.data))
         if text.strip()
     }
+    infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
     return Prelude(
         topics=recording.topics,
-        infos=_infos(recording, names.get(CAMERA_INFO, [])),
+        infos=infos,
+        unusable=unusable,
         image_frames={
             topic: frame
             for topic in images
@@ -114,18 +115,14 @@ def _joint_names(recording: Recording, topic: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for names in messages for name in names))
 
 
-def _infos(recording: Recording, topics: list[str]) -> dict[str, CameraInfo]:
-    """Usable calibrations; the others are noted, or raised if no stereo pair is left without them."""
+def _infos(recording: Recording, topics: list[str]) -> tuple[dict[str, CameraInfo], dict[str, str]]:
+    """Usable calibrations by topic, and why the others are not: zero, not finite, or of an unknown model."""
     infos: dict[str, CameraInfo] = {}
-    problems: list[RecordingError] = []
+    unusable: dict[str, str] = {}
     for topic in topics:
         for message in _first(recording, topic, lambda message: message):
             try:
                 infos[topic] = camera_info(message, topic)
             except RecordingError as error:
-                problems.append(error)
-    if problems and len(infos) < 2:
-        raise RecordingError("; ".join(problem.message for problem in problems), problems[0].hint)
-    for problem in problems:
-        recording.note(f"{problem.message}; ignored")
-    return infos
+                unusable[topic] = error.message
+    return infos, unusable

@@ -238,6 +238,34 @@ def test_bad_calibrations(left, right, words_):
     assert words_ in caught.value.message
 
 
+def test_cameras_of_an_unknown_model_are_refused_and_drafted():
+    """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
+    why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"
+    poor = prelude(
+        infos={"/stereo/left/camera_info": info("left")}, unusable={"/stereo/right/camera_info": why}
+    )
+    with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
+        settle_rig(RigConfig(), poor)
+    assert "calibrate the camera" in told.value.hint
+    text = draft_rig(poor, "log")
+    assert f"# not determined: {why}" in text
+    assert '  left: {image: "/stereo/left/image_raw"' in text
+
+
+def test_a_recording_without_images():
+    with pytest.raises(RecordingError, match="no images were recorded") as told:
+        settle_rig(RigConfig(), prelude(images=()))
+    assert "/joint_states" in told.value.hint
+
+
+def test_hints_list_ten_topics_at_most():
+    many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
+    with pytest.raises(RecordingError) as told:
+        settle_rig(RigConfig(), prelude(images=("/one/image",), extra=many))
+    assert told.value.hint.count("/extra") <= 10
+    assert "more" in told.value.hint
+
+
 def test_names():
     assert words("/leftCamera/image_raw") == ["left", "camera", "image", "raw"]
     assert side_of("/stereo/left/image") == "left"
