@@ -34,11 +34,19 @@ from mobilecal_cli.pipeline.repeated import (
     refuse_same,
     same_signals,
 )
-from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size
+from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size, first_pairs
 from mobilecal_cli.readers import Recording, join_splits, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
-from mobilecal_cli.vision import Detection, Measured, settle_numbering, settle_square
+from mobilecal_cli.vision import (
+    Detection,
+    Measured,
+    agreeing,
+    check_arrangement,
+    check_square,
+    settle_numbering,
+    settle_square,
+)
 
 #: Relative difference of camera infos that is rounding.
 _SAME_INFO = 1e-6
@@ -102,12 +110,15 @@ def _see(
         _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
     notes = (*settled.notes, *planned.notes, *recording.damage)
-    return [
-        Seen(
-            name, rig, board, plan, looks, crew.measure_at(log, scene, plan.stations, looks), snapshots, notes
-        )
-        for log, (plan, (looks, snapshots)) in enumerate(zip(plans, looked, strict=True), len(earlier))
-    ]
+    seen = []
+    for log, (plan, (looks, snapshots)) in enumerate(zip(plans, looked, strict=True), len(earlier)):
+        measured = crew.measure_at(log, scene, plan.stations, looks)
+        check_arrangement(measured, first_pairs(plan.stations, looks), rig.cameras, board)
+        measured, misfit = agreeing(measured)
+        if board.square_m is not None:
+            check_square(measured, board.square_m)
+        seen.append(Seen(name, rig, board, plan, looks, measured, snapshots, (*notes, *misfit)))
+    return seen
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:

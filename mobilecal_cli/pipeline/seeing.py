@@ -191,6 +191,17 @@ def measure_at(
     return [_measured(log, scene, station, seen) for station, seen in zip(stations, looks, strict=True)]
 
 
+def first_pairs(stations: Sequence[Station], looks: Sequence[Looks]) -> list[tuple[Detection, Detection]]:
+    """The board in the first stereo pair of each station that shows it in both images."""
+    found = []
+    for station, seen in zip(stations, looks, strict=True):
+        for left, right in zip(*seen.pairs(station.shots), strict=True):
+            if isinstance(left, Detection) and isinstance(right, Detection):
+                found.append((left, right))
+                break
+    return found
+
+
 def _measured(log: int, scene: Scene, station: Station, looks: Looks) -> Measured | Rejection:
     left, right = looks.pairs(station.shots)
     if not left:

@@ -3,6 +3,7 @@
 Other packages use only the names exported here.
 """
 
+from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square
 from mobilecal_cli.vision.board_size import SizeVote, identify_size
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
@@ -23,7 +24,10 @@ __all__ = [
     "SizeVote",
     "StereoPoints",
     "absolute_orientation",
+    "agreeing",
     "board_pose",
+    "check_arrangement",
+    "check_square",
     "detect",
     "find_board",
     "identify_size",

@@ -21,16 +21,15 @@ from mobilecal_cli.model import (
 from mobilecal_cli.vision.averaging import Shots, turned_board, turns_of
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
 from mobilecal_cli.vision.stereo import reproject, triangulate
-from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, StereoPoints
+from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
-_MAX_EPIPOLAR_RMS_PX = (
-    1.5  # rows of the two images about 4 px apart: the stereo calibration is not this rig's
-)
-_MAX_REPROJECTION_PX = 3.0
-_SQUARE_TOLERANCE = 0.1
+#: Largest acceptable difference of a square's measured side from the stated one, as a share.
+SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
+#: Reason of stations whose two images contradict each other.
+INCONSISTENT: Reason = "left and right images inconsistent"
 _LEAST_IN_BOTH = 8  # for boards with markers, which may be partly visible
 
 
@@ -59,7 +58,7 @@ def _best_fit(
 ) -> tuple[StereoPoints | Miss, Corners]:
     """Triangulate the corners that both cameras see, after renumbering the right image to match the left.
 
-    The first numbering that fits is used. No other can fit, because its rows would be several squares apart.
+    The numbering that fits best is used. The rows of any other are several squares apart.
     """
     both = left.seen & right.seen
     fits = []
@@ -72,8 +71,6 @@ def _best_fit(
         fit = triangulate(
             rig, left.pixels[both], option.pixels[both], left.cov_px2[both], option.cov_px2[both]
         )
-        if isinstance(fit, StereoPoints) and fit.rms_px <= _MAX_EPIPOLAR_RMS_PX:
-            return fit, option
         fits.append((fit, option))
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
 
@@ -146,12 +143,6 @@ def _seen_by_both(left: Corners, right: Corners) -> tuple[FloatArray, FloatArray
     return left.pixels[both], right.pixels[both], left.cov_px2[both], right.cov_px2[both]
 
 
-def _bent(pose: BoardPose) -> str:
-    return (
-        f"a flat board fits the corners with an rms of {pose.rms_px:.2f} px, limit {_MAX_REPROJECTION_PX} px"
-    )
-
-
 def measure(
     log: int,
     station: Station,
@@ -205,18 +196,11 @@ def measure(
     points, corners_right = _best_fit(rig, corners_left, corners_right, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
-    if points.rms_px > _MAX_EPIPOLAR_RMS_PX:
-        return rejected(
-            "left and right images inconsistent",
-            f"distance from the epipolar lines {points.rms_px:.2f} px rms, limit {_MAX_EPIPOLAR_RMS_PX} px",
-        )
     grid = board.grid()[both]
     rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)
     pictures = _seen_by_both(corners_left, corners_right)
     pose = board_pose(rig, rough_m * grid, *pictures, start, free_scale=True)
-    if pose.rms_px > _MAX_REPROJECTION_PX:
-        return rejected("left and right images inconsistent", _bent(pose))
     return Measured(log, station, rig, board, corners_left, corners_right, points, pose, rough_m)
 
 
@@ -232,7 +216,7 @@ def settle_square(measured: Measured, square_m: float | None) -> Observation | R
     """
     m, pose, left, right = measured, measured.pose, measured.left, measured.right
     if square_m is not None:
-        tolerance_m = max(_SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
+        tolerance_m = max(SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
         if abs(m.square_m - square_m) > tolerance_m:
             return m.rejected(
                 "unexpected square size",
@@ -243,8 +227,6 @@ def settle_square(measured: Measured, square_m: float | None) -> Observation | R
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         pose = board_pose(m.rig, square_m * grid, *_seen_by_both(left, right), start)
-    if pose.rms_px > _MAX_REPROJECTION_PX:
-        return m.rejected("left and right images inconsistent", _bent(pose))
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
         left, right = (
             replace(corners, sigma_px=max(min(corners.sigma_px, pose.rms_px), FLOOR_PX))

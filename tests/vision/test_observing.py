@@ -10,7 +10,16 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera, Observation, Rejection, Shot, Station, StereoRig
-from mobilecal_cli.vision import Detection, Measured, Miss, detect, measure, settle_square, snapshot_jpeg
+from mobilecal_cli.vision import (
+    Detection,
+    Measured,
+    Miss,
+    agreeing,
+    detect,
+    measure,
+    settle_square,
+    snapshot_jpeg,
+)
 from mobilecal_cli.vision.grid import turned
 from tests.vision.scenes import pose, render, seen, stereo_rig
 
@@ -39,7 +48,7 @@ def shots(
 def observe(*seen: object) -> Observation | Rejection:
     """Observation or rejection from the arguments of `measure` and a square's side, m."""
     *pictures, square_m = seen
-    result = measure(*pictures)
+    (result,), _ = agreeing([measure(*pictures)])
     return settle_square(result, square_m) if isinstance(result, Measured) else result
 
 

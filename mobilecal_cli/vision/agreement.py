@@ -1,0 +1,174 @@
+"""Whether the stations of a recording agree with camera_info and the board.
+
+A station that disagrees more than the others is a bad image. A disagreement of all stations is a property of the
+description: they are kept, and the estimate finds what is wrong with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from mobilecal_cli.errors import ObservationError
+from mobilecal_cli.model import Board, FloatArray, Rejection, StereoRig
+from mobilecal_cli.vision.averaging import turned_board, turns_of
+from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
+from mobilecal_cli.vision.stereo import triangulate
+from mobilecal_cli.vision.values import Detection, StereoPoints
+
+Pair = tuple[Detection, Detection]
+Pixels = tuple[FloatArray, FloatArray]
+_EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart
+_FLAT_PX = 3.0
+_TIMES_THE_MEDIAN = 3.0
+_UNIT_TOLERANCE = 0.3  # a wrong unit is off by far more
+_FEWEST = 5  # stations that make a median
+#: A misfit of this size is beyond the priors of camera_info: the estimate does not find its cause.
+_GROSS_PX = 5.0
+_RECALIBRATE = (
+    "check that each camera_info belongs to its images (left and right, resolution, crop), or calibrate the stereo "
+    "pair again"
+)
+
+
+def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | Rejection], tuple[str, ...]]:
+    """Reject stations whose images disagree more than those of the others.
+
+    Args:
+        measured: stations of one recording.
+
+    Returns:
+        The stations, and a note if all of them disagree with camera_info.
+    """
+    found = [one for one in measured if isinstance(one, Measured)]
+    epipolar_px, common_px = _limit([one.points.rms_px for one in found], _EPIPOLAR_PX)
+    flat_px, _ = _limit([one.pose.rms_px for one in found], _FLAT_PX)
+    notes: tuple[str, ...] = ()
+    if common_px > _EPIPOLAR_PX:
+        notes = (
+            f"camera_info does not fit the images: corners are {common_px:.1f} px from their epipolar lines at the "
+            f"median station (limit {_EPIPOLAR_PX} px). Stations that share this misfit are kept, and the estimate "
+            "corrects camera_info as far as its priors allow.",
+        )
+    return [
+        _judged(one, epipolar_px, flat_px) if isinstance(one, Measured) else one for one in measured
+    ], notes
+
+
+def _limit(rms_px: Sequence[float], usual_px: float) -> tuple[float, float]:
+    """Largest acceptable misfit, px, and the median over the stations, px: 0 for a few of them."""
+    common_px = float(np.median(rms_px)) if len(rms_px) >= _FEWEST else 0.0
+    return max(usual_px, _TIMES_THE_MEDIAN * common_px), common_px
+
+
+def _judged(one: Measured, epipolar_px: float, flat_px: float) -> Measured | Rejection:
+    if one.points.rms_px > epipolar_px:
+        detail = (
+            f"distance from the epipolar lines {one.points.rms_px:.2f} px rms, limit {epipolar_px:.1f} px"
+        )
+    elif one.pose.rms_px > flat_px:
+        detail = (
+            f"a flat board fits the corners with an rms of {one.pose.rms_px:.2f} px, limit {flat_px:.1f} px"
+        )
+    else:
+        return one
+    return one.rejected(INCONSISTENT, detail)
+
+
+def _mirrored(rig: StereoRig, left: FloatArray, right: FloatArray) -> Pixels:
+    return [rig.left.width - 1, 0] + left * [-1, 1], [rig.right.width - 1, 0] + right * [-1, 1]
+
+
+def _upside_down(rig: StereoRig, left: FloatArray, right: FloatArray) -> Pixels:
+    ends = [[camera.width - 1, camera.height - 1] for camera in (rig.left, rig.right)]
+    return ends[0] - left, ends[1] - right
+
+
+#: What may have happened to the images, what undoes it on the corners, and the cure.
+_MISTAKES: Mapping[str, tuple[Callable[[StereoRig, FloatArray, FloatArray], Pixels], str]] = {
+    "the left and the right images are exchanged": (
+        lambda _, left, right: (right, left),
+        "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
+    ),
+    "the images of both cameras are mirrored": (
+        _mirrored,
+        "switch the mirroring of the camera driver off, and record again",
+    ),
+    "the images of both cameras are upside down": (
+        _upside_down,
+        "calibrate the stereo pair with images as recorded, or switch the rotation of the camera driver off",
+    ),
+}
+
+
+def _misfit_px(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray, seen: Pair) -> float:
+    """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
+    both = seen[0].seen & seen[1].seen
+    best = np.inf
+    for turns in turns_of(board):
+        points = triangulate(rig, left[both], turned_board(right, board, turns)[both], 1.0, 1.0)
+        if isinstance(points, StereoPoints):
+            best = min(best, points.rms_px)
+    return best
+
+
+def check_arrangement(
+    measured: Sequence[Measured | Rejection], pairs: Sequence[Pair], rig: StereoRig, board: Board
+) -> None:
+    """Name the mistake if the images of most stations cannot belong to camera_info.
+
+    Args:
+        measured: the stations of a recording.
+        pairs: the board in the first stereo pair of stations that show it in both images.
+        rig, board: as described.
+
+    Raises:
+        ObservationError: the images are exchanged, mirrored or upside down, or camera_info is grossly wrong.
+    """
+    gross = [
+        one.points.rms_px > _GROSS_PX if isinstance(one, Measured) else one.reason == INCONSISTENT
+        for one in measured
+        if isinstance(one, Measured) or one.reason == INCONSISTENT
+    ]
+    if sum(gross) < _FEWEST or 2 * sum(gross) < len(gross):
+        return
+    misfits_px = {
+        mistake: float(
+            np.median([_misfit_px(rig, board, *undo(rig, a.pixels, b.pixels), (a, b)) for a, b in pairs])
+        )
+        for mistake, (undo, _) in _MISTAKES.items()
+    }
+    likely = min(misfits_px, key=lambda mistake: misfits_px[mistake])
+    facts = (
+        f"at {sum(gross)} of {len(gross)} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
+        "their epipolar lines"
+    )
+    if misfits_px[likely] <= _EPIPOLAR_PX:
+        raise ObservationError(
+            f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away",
+            _MISTAKES[likely][1],
+        )
+    raise ObservationError(f"camera_info does not fit the images: {facts}", _RECALIBRATE)
+
+
+def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> None:
+    """Compare the stated side of a square with the stereo pair's.
+
+    Raises:
+        ObservationError: they differ at the median of enough stations; names millimeters given as meters.
+    """
+    sides_m = [one.square_m for one in measured if isinstance(one, Measured)]
+    if len(sides_m) < _FEWEST:
+        return
+    side_m = float(np.median(sides_m))
+    if abs(side_m - square_m) <= SQUARE_TOLERANCE * square_m:
+        return
+    cure = "correct board.square_m, or calibrate the stereo pair again (camera_info)"
+    if abs(square_m / 1000 - side_m) <= _UNIT_TOLERANCE * side_m:
+        cure = f"{square_m:g} looks like millimeters: set board.square_m to {square_m / 1000:g} (meters)"
+    raise ObservationError(
+        f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} stations, but board.square_m is "
+        f"{square_m:g} m (limit {100 * SQUARE_TOLERANCE:g} %)",
+        cure,
+    )

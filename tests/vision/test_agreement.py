@@ -1,0 +1,123 @@
+"""Images that contradict camera_info: one bad station, a wrong description, exchanged and mirrored images."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.errors import ObservationError
+from mobilecal_cli.model import Board, Rejection, Station, StereoRig
+from mobilecal_cli.vision import Detection, Measured, agreeing, check_arrangement, check_square, measure
+from tests.vision.scenes import random_pose, seen, stereo_rig
+
+RIG = stereo_rig("raw")
+BOARD = Board(9, 6)
+SQUARE_M = 0.06
+Pair = tuple[Detection, Detection]
+
+
+def pairs(count: int = 8, rig: StereoRig = RIG) -> list[Pair]:
+    """The board at random poses, 0.05 px of noise, as the cameras of `rig` see it."""
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(count):
+        _, left, right = seen(rig, random_pose(rng, BOARD, SQUARE_M), BOARD, SQUARE_M)
+        a, b = (Detection(pixels + rng.normal(0, 0.05, pixels.shape), 0.05) for pixels in (left, right))
+        found.append((a, b))
+    return found
+
+
+def moved(pair: Pair, by: tuple[float, float]) -> Pair:
+    return pair[0], Detection(pair[1].pixels + by, 0.05)
+
+
+def measured(found: list[Pair], rig: StereoRig = RIG) -> list[Measured | Rejection]:
+    stations = [Station(i, True, (), 10**9 * i, np.zeros(2), np.zeros(2)) for i in range(len(found))]
+    return [
+        measure(0, station, [left], [right], rig, BOARD)
+        for station, (left, right) in zip(stations, found, strict=True)
+    ]
+
+
+def shifted(pixels: float) -> StereoRig:
+    """The pair with a camera_info whose right principal point is off, along the rows of a column."""
+    return replace(
+        RIG, right=replace(RIG.right, K=RIG.right.K + pixels * np.eye(3)[1][:, None] * np.eye(3)[2])
+    )
+
+
+def test_a_single_bad_station_is_rejected() -> None:
+    found = pairs()
+    found[3] = moved(found[3], (0.0, 8.0))
+    judged, notes = agreeing(measured(found))
+    assert notes == ()
+    assert [isinstance(one, Measured) for one in judged] == [i != 3 for i in range(8)]
+    rejection = judged[3]
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason == "left and right images inconsistent"
+    assert "limit 1.5 px" in rejection.detail
+
+
+def test_a_misfit_of_all_stations_is_kept_and_noted() -> None:
+    found = measured(pairs(), shifted(12.0))
+    assert all(one.points.rms_px > 1.5 for one in found if isinstance(one, Measured))
+    judged, (note,) = agreeing(found)
+    assert all(isinstance(one, Measured) for one in judged)
+    assert note.startswith("camera_info does not fit the images: corners are 4.")
+    check_arrangement(found, pairs(), shifted(12.0), BOARD)  # the estimate can find the cause
+
+
+def test_a_bad_station_among_those_that_share_a_misfit() -> None:
+    found = pairs()
+    found[3] = moved(found[3], (0.0, -50.0))
+    judged, _ = agreeing(measured(found, shifted(12.0)))
+    assert [isinstance(one, Measured) for one in judged] == [i != 3 for i in range(8)]
+
+
+def test_few_stations_have_no_common_misfit() -> None:
+    judged, notes = agreeing(measured(pairs(3), shifted(12.0)))
+    assert not any(isinstance(one, Measured) for one in judged)
+    assert notes == ()
+
+
+def test_a_healthy_pair_passes() -> None:
+    check_arrangement(measured(pairs()), pairs(), RIG, BOARD)
+    check_square(measured(pairs()), SQUARE_M)
+
+
+@pytest.mark.parametrize("mistake", ["exchanged", "mirrored", "upside down"])
+def test_the_arrangement_of_the_images_is_named(mistake: str) -> None:
+    width, height = RIG.left.width - 1, RIG.left.height - 1
+    wrong = []
+    for left, right in pairs():
+        if mistake == "exchanged":
+            wrong.append((right, left))
+            continue
+        ends, signs = ([width, 0], [-1, 1]) if mistake == "mirrored" else ([width, height], [-1, -1])
+        a, b = (Detection(ends + d.pixels * signs, 0.05) for d in (left, right))
+        wrong.append((a, b))
+    with pytest.raises(ObservationError, match=f"images.* are {mistake}: at 8 of 8 stations") as told:
+        check_arrangement(measured(wrong), wrong, RIG, BOARD)
+    assert told.value.hint
+
+
+def test_a_gross_misfit_is_named() -> None:
+    rig = shifted(40.0)
+    with pytest.raises(ObservationError, match="camera_info does not fit the images: at 8 of 8") as told:
+        check_arrangement(measured(pairs(), rig), pairs(), rig, BOARD)
+    assert "calibrate the stereo pair again" in told.value.hint
+
+
+@pytest.mark.parametrize(
+    ("square_m", "cure"),
+    [
+        (60.0, "60 looks like millimeters: set board.square_m to 0.06 (meters)"),
+        (0.08, "correct board.square_m, or calibrate the stereo pair again (camera_info)"),
+    ],
+)
+def test_a_wrong_square_is_named(square_m: float, cure: str) -> None:
+    with pytest.raises(ObservationError, match=r"the squares are 0\.06 m wide at the median of 8") as told:
+        check_square(measured(pairs()), square_m)
+    assert told.value.hint == cure
