@@ -34,11 +34,6 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         RecordingError: no such pair; the hint lists the topics present.
     """
     present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
-    if not present:
-        raise RecordingError(
-            "no images were recorded: no topic has the type Image or CompressedImage",
-            f"record the images of both cameras; topics present: {_present(prelude)}",
-        )
     configured: dict[Side, str | None] = {
         "left": config.cameras.left.image,
         "right": config.cameras.right.image,

@@ -252,12 +252,6 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     assert '  left: {image: "/stereo/left/image_raw"' in text
 
 
-def test_a_recording_without_images():
-    with pytest.raises(RecordingError, match="no images were recorded") as told:
-        settle_rig(RigConfig(), prelude(images=()))
-    assert "/joint_states" in told.value.hint
-
-
 def test_hints_list_ten_topics_at_most():
     many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
     with pytest.raises(RecordingError) as told:
