@@ -90,7 +90,7 @@ class JointStateDecoder:
         seconds, nanoseconds = _STAMP.unpack_from(payload, 4)
         position, at = self._list(payload, at)
         velocity, at = self._list(payload, at)
-        self._list(payload, at)  # the efforts, which must be there as well
+        _COUNT.unpack_from(payload, self._align(at, 4))  # of the efforts, whose numbers are not used
         return JointReading(seconds * 10**9 + nanoseconds, names, position, velocity)
 
     def _list(self, payload: Payload, at: int) -> tuple[tuple[float, ...], int]:
