@@ -216,13 +216,17 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
 
 def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
     if f"{name}.time_ns" in arrays:  # schema version 5
-        return WheelTrack.at_same_times(
-            *(arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
+        parts = (arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
+        wheels = WheelTrack.at_same_times(*parts)
+    else:
+        right, left = (
+            Track(arrays[f"{name}.{side}.time_ns"], arrays[f"{name}.{side}.rad"])
+            for side in ("right", "left")
         )
-    right, left = (
-        Track(arrays[f"{name}.{side}.time_ns"], arrays[f"{name}.{side}.rad"]) for side in ("right", "left")
-    )
-    return WheelTrack(right, left)
+        wheels = WheelTrack(right, left)
+    if not len(wheels.time_ns):
+        raise ValueError(f"{name}: no readings of both wheels")
+    return wheels
 
 
 def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:

@@ -275,6 +275,18 @@ def test_foreign_files(tmp_path):
         extraction_from_npz(tmp_path / "missing.npz")
 
 
+def test_a_wheel_without_readings_is_refused():
+    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
+        content = dict(stored)
+    for name in [name for name in content if ".right." in name and content[name].ndim == 1]:
+        if name.endswith(("time_ns", "rad")):
+            content[name] = content[name][:0]
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    with pytest.raises(RecordingError, match="no readings of both wheels"):
+        extraction_from_npz(stream.getvalue())
+
+
 def test_pickled_objects_are_refused():
     stream = io.BytesIO()
     np.savez(stream, header=np.array([{"a": 1}], dtype=object))
