@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import NINE, Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
+from mobilecal_cli.model import Evaluation, Extraction, Provenance, Setting, Snapshot, Solution
 from mobilecal_cli.report import overlays
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_rows
@@ -26,9 +26,6 @@ from mobilecal_cli.report.drawn import draw_figures
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_rows
 from mobilecal_cli.report.findings import (
     jackknife_sentence,
-    log_rows,
-    noise_rows,
-    predicted_rows,
     scale_sentence,
     suggestion_sentences,
 )
@@ -52,6 +49,7 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.outliers import outlier_sentences
 from mobilecal_cli.report.pages import environment
 from mobilecal_cli.report.svg import STYLE
+from mobilecal_cli.report.tables import tables
 from mobilecal_cli.report.units import value_text
 from mobilecal_cli.report.verdict import Verdict
 from mobilecal_cli.report.wording import words
@@ -105,17 +103,14 @@ def report_html(
         "euler": _euler(rotation),
         "linear": solution.linear,
         "sigmas": [(s.name, s.meaning, written(s), s.unit) for s in sigmas(solution)],
-        "noise": noise_rows(solution, extraction),
         "outliers": tuple(outlier_sentences(solution.outliers, extraction)),
-        "predicted": predicted_rows(solution),
         "jackknife": jackknife_sentence(solution),
         "constant_groups": constant_groups(solution, extraction),
         "contradictions": [contradiction_sentences(found, solution) for found in solution.contradictions],
         "limiting": recommendation(solution),
         "reprojection_parts": reprojection_sentence(solution, extraction),
         "scale": scale_sentence(solution.scale) if solution.scale is not None else "",
-        "logs_apart": log_rows(solution, extraction),
-        "nine": NINE,
+        "tables": tables(solution, extraction),
         "change": change,
         "changes": change_rows(change, [s.value for s in sigmas(solution)]),
         "change_in_sigma": change is not None and bool(np.isfinite(change.sigmas).any()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from mobilecal_cli import se3
@@ -199,6 +198,8 @@ def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, 
 
 def picture_coverage(extraction: Extraction, side: Side) -> str:
     """Outlines of the board in the images of one camera."""
+    import cv2  # slow to import, and other plots do not need it
+
     canvas, axes = image_axes(extraction, side, f"outlines of the board in the images of the {side} camera")
     seen, names = extraction.observations, station_names(extraction)
     for i in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int)).tolist():
