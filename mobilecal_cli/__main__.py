@@ -40,8 +40,9 @@ def main() -> None:
 
 
 def _complain(line: str) -> None:
+    shown = "".join(c if c.isprintable() else "?" for c in line)  # a path must not control the terminal
     with suppress(OSError):
-        print(line, file=sys.stderr)
+        print(shown, file=sys.stderr)
 
 
 def _open_standard_streams() -> None:

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.errors import MobilecalError, QualityError, ResourceError
+from mobilecal_cli.errors import MobilecalError, QualityError, RecordingError, ResourceError
 from mobilecal_cli.source_date import source_date
 
 __all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
@@ -27,6 +27,9 @@ def main() -> None:
         sys.exit(error.exit_code)
     except MobilecalError as error:
         _fail(error)
+    except PermissionError as error:  # of a directory on the way to a file
+        hint = "check the permissions of the file and of its directories"
+        _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
     except MemoryError:
         _fail(
             ResourceError("out of memory", "use --jobs 1, a shorter recording, or a machine with more memory")

@@ -168,7 +168,7 @@ def calibrate(
         verdict.level,
         verdict.reason,
         verdict.next_step,
-        written=f"{result.directory / 'params.yaml'}, {result.directory / 'report.html'}",
+        written=(result.directory / "params.yaml", result.directory / "report.html"),
         quiet=as_json or quiet,
     )
 

@@ -68,6 +68,6 @@ def batch(
         if failed
         else f"{len(robots)} of {len(robots)} robots passed.",
         f"See {output / 'summary.html'}.",
-        written=f"{output / 'summary.csv'}, {output / 'summary.html'}",
+        written=(output / "summary.csv", output / "summary.html"),
         quiet=quiet,
     )

@@ -9,6 +9,7 @@ import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Config, Force, Logs, NoBar, Settings, flags_of
+from mobilecal_cli.cli.verdict import written_line
 
 
 @app.command()
@@ -55,4 +56,4 @@ def init(
         typer.echo(pipeline.draft(log), nl=False)
         return
     pipeline.write_draft(log, output, force)
-    typer.echo(f"Written: {output}")
+    typer.echo(written_line(output))

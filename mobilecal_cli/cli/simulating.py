@@ -10,6 +10,7 @@ import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import Force, Quiet
+from mobilecal_cli.cli.verdict import written_line
 
 
 class RobotName(StrEnum):
@@ -123,4 +124,4 @@ def simulate(
     with progress_bar(quiet) as progress:
         truth = record(scenario, out, force, progress)
     if not quiet:
-        typer.echo(f"Written: {out}, {truth}")
+        typer.echo(written_line(out, truth))

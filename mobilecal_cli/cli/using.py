@@ -9,7 +9,7 @@ import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Force
-from mobilecal_cli.cli.verdict import conclude
+from mobilecal_cli.cli.verdict import conclude, written_line
 from mobilecal_cli.targets import Target
 
 
@@ -105,4 +105,4 @@ def export(
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if output is not None:
-        typer.echo(f"Written: {output}")
+        typer.echo(written_line(output))

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import typer
 
 from mobilecal_cli.errors import QualityError
+from mobilecal_cli.model.text import visible
 
 
-def conclude(level: str, reason: str, next_step: str, *, written: str = "", quiet: bool = False) -> None:
+def conclude(
+    level: str, reason: str, next_step: str, *, written: Sequence[Path] = (), quiet: bool = False
+) -> None:
     """Print the verdict on standard output.
 
     Args:
         level: "PASS", "FAIL" or "NOT ENOUGH".
         reason: one or two sentences.
         next_step: what to do now.
-        written: the files written, "" for none.
+        written: the files written.
         quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
 
     Raises:
@@ -26,6 +32,11 @@ def conclude(level: str, reason: str, next_step: str, *, written: str = "", quie
     if not quiet or not passed:
         typer.echo(verdict_text(level, reason, next_step, to_stderr=quiet), err=quiet)
     if written and (not quiet or not passed):
-        typer.echo(f"Written: {written}", err=quiet)
+        typer.echo(written_line(*written), err=quiet)
     if not passed:
         raise QualityError(f"{level}: {reason}", next_step)
+
+
+def written_line(*paths: Path) -> str:
+    """The line that says which files were written; their names must not control the terminal."""
+    return f"Written: {visible(', '.join(map(str, paths)))}"

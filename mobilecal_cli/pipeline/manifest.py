@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import FleetJob, FleetRow
 from mobilecal_cli.readers import recognised, sha256_of
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
@@ -49,7 +49,10 @@ def fleet_jobs(
         ConfigError: no recording, an invalid manifest or configuration, a name that is invalid or not unique, or a
             recording of two robots.
     """
-    robots = _of_directory(source) if source.is_dir() else _of_manifest(source)
+    try:
+        robots = _of_directory(source) if source.is_dir() else _of_manifest(source)
+    except OSError as error:
+        raise ConfigError(f"{source}: cannot be read: {error.strerror}", "check its permissions") from error
     _check_names(source, [robot.name for robot in robots])
     _refuse_shared(source, robots)
     for robot in robots:
@@ -101,7 +104,10 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
     for alike in of_size.values():
         user: dict[str, str] = {}
         for name, log in alike if len(alike) > 1 else ():
-            other = user.setdefault(sha256_of(log), name)
+            try:
+                other = user.setdefault(sha256_of(log), name)
+            except RecordingError:  # the other robots can still be calibrated
+                continue
             if other != name:
                 raise ConfigError(
                     f"{source}: {other} and {name} have the same recording: {log.name}",
