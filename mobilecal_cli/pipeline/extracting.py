@@ -25,7 +25,8 @@ from mobilecal_cli.model import (
     Snapshot,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.looking import Crew, look
+from mobilecal_cli.pipeline.detecting import Scene, StationDetections, board_size, first_pairs
+from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
 from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_recording
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.repeated import (
@@ -34,7 +35,6 @@ from mobilecal_cli.pipeline.repeated import (
     refuse_same,
     same_signals,
 )
-from mobilecal_cli.pipeline.seeing import Looks, Scene, board_size, first_pairs
 from mobilecal_cli.readers import Recording, join_splits, open_recording, read_prelude, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
@@ -60,7 +60,7 @@ class Seen:
     rig: Rig
     board: Board
     plan: Plan
-    looks: Sequence[Looks]
+    detections: Sequence[StationDetections]
     measured: Sequence[Measured | Rejection]
     snapshots: Sequence[Snapshot]
     notes: tuple[str, ...]
@@ -69,7 +69,7 @@ class Seen:
 def _see(
     earlier: Sequence[Seen],
     recording: Recording,
-    crew: Crew,
+    workers: DetectionWorkers,
     config: RigConfig,
     flags: frozenset[str],
     progress: Progress,
@@ -82,7 +82,7 @@ def _see(
     settled = settle_rig(config, prelude, urdf, flags)
     everything = config.stations == "all"
     if everything and recording.bytes_of(settled.rig.sources.image.values()) >= WORTH_BYTES:
-        crew.call()
+        workers.call()
     planned = plan_recording(recording, settled.rig, settled.rig.chain.prismatic, everything)
     if planned.infos:
         settled = settle_rig(config, replace(prelude, infos={**prelude.infos, **planned.infos}), urdf, flags)
@@ -102,22 +102,25 @@ def _see(
             )
         board = Board(*size, config.board.square_m)
     scene = Scene(rig.sources, rig.cameras, board)
-    looked = look(crew, scene, plans, not everything, progress)
+    detected = detect_all(workers, scene, plans, not everything, progress)
     found = any(
-        isinstance(d, Detection) for looks, _ in looked for s in looks for d in s.found["left"].values()
+        isinstance(d, Detection)
+        for detections, _ in detected
+        for s in detections
+        for d in s.found["left"].values()
     )
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
     notes = (*settled.notes, *planned.notes, *recording.damage)
     seen = []
-    for log, (plan, (looks, snapshots)) in enumerate(zip(plans, looked, strict=True), len(earlier)):
-        measured = crew.measure_at(log, scene, plan.stations, looks)
-        check_arrangement(measured, first_pairs(plan.stations, looks), rig.cameras, board)
+    for log, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
+        measured = workers.measure_stations(log, scene, plan.stations, detections)
+        check_arrangement(measured, first_pairs(plan.stations, detections), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
-        seen.append(Seen(name, rig, board, plan, looks, measured, snapshots, (*notes, *misfit)))
+        seen.append(Seen(name, rig, board, plan, detections, measured, snapshots, (*notes, *misfit)))
     return seen
 
 
@@ -182,8 +185,8 @@ def extract(
     sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
     refuse_equal_files(sources)
     for parts in recordings:
-        with open_recording(parts) as recording, Crew(recording, jobs) as crew:
-            pieces = _see(seen, recording, crew, config, flags, progress)
+        with open_recording(parts) as recording, DetectionWorkers(recording, jobs) as workers:
+            pieces = _see(seen, recording, workers, config, flags, progress)
         one = pieces[0]
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(
@@ -227,7 +230,7 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     for log, one in enumerate(seen):
         settled = [settle_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
         observations += [item for item in settled if isinstance(item, Observation)]
-        lost = (rejection for looks in one.looks for rejection in looks.rejections)
+        lost = (rejection for detections in one.detections for rejection in detections.rejections)
         missed = (item for item in settled if isinstance(item, Rejection))
         rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
     if observations:
@@ -238,7 +241,9 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     counts: dict[str, Any] = {
         "stations": sum(len(one.plan.stations) for one in seen),
         "stations_at_rest": sum(s.at_rest for one in seen for s in one.plan.stations),
-        "pictures": sum(len(found) for one in seen for looks in one.looks for found in looks.found.values()),
+        "pictures": sum(
+            len(found) for one in seen for detections in one.detections for found in detections.found.values()
+        ),
         "observations": len(observations),
     }
     extraction = Extraction(

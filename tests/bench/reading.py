@@ -54,26 +54,26 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.config import load_rig
     from mobilecal_cli.discovery import settle_rig
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.looking import Crew, look
+    from mobilecal_cli.pipeline.detecting import Scene, measure_stations
+    from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
     from mobilecal_cli.pipeline.planning import plan_recording
-    from mobilecal_cli.pipeline.seeing import Scene, measure_at
     from mobilecal_cli.readers import open_recording, read_prelude
     from mobilecal_cli.vision import Detection, Measured, settle_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
-    with open_recording([path]) as recording, Crew(recording, jobs) as crew:
-        crew.call()
+    with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
+        workers.call()
         rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
         (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
-        ((looks, _),) = look(crew, scene, [plan], False, lambda *_: None)
+        ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)
     seconds = time.perf_counter() - start
     found = sum(
-        isinstance(d, Detection) for one in looks for side in one.found.values() for d in side.values()
+        isinstance(d, Detection) for one in detections for side in one.found.values() for d in side.values()
     )
     start = time.perf_counter()
-    for item in measure_at(0, scene, plan.stations[:_MEASURED], looks[:_MEASURED]):
+    for item in measure_stations(0, scene, plan.stations[:_MEASURED], detections[:_MEASURED]):
         if isinstance(item, Measured):
             settle_square(item, board.square_m)
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found

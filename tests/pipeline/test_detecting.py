@@ -13,7 +13,7 @@ import pytest
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
-from mobilecal_cli.pipeline import looking, processes, seeing
+from mobilecal_cli.pipeline import detecting, detection_workers, processes
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
@@ -36,18 +36,18 @@ def plan(stations: list[Station]) -> Plan:
 
 def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
-    segments = seeing.segments_of(plan(stations), True)
+    segments = detecting.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
-    assert max(pairs) <= seeing.SEGMENT_PAIRS
+    assert max(pairs) <= detecting.SEGMENT_PAIRS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
-    many = seeing.segments_of(plan([station(i, 1) for i in range(1000)]), True)
-    assert sum(len(segment.shown) for segment in many) <= seeing.SNAPSHOTS
+    many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
+    assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
 
 
 def test_a_station_of_more_shots_than_a_segment_stands_alone():
-    segments = seeing.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
+    segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
 
@@ -77,8 +77,8 @@ def same(a, b) -> bool:
 @pytest.fixture(params=[True, False], ids=["called early", "called when needed"])
 def segmented(request, monkeypatch) -> None:
     """A short log is split into several segments; the workers start before or after the planning."""
-    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
-    monkeypatch.setattr(looking, "_MEASURED_AT_ONCE", 7)
+    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(detection_workers, "_MEASURED_AT_ONCE", 7)
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
@@ -113,7 +113,7 @@ def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkey
 
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
-    monkeypatch.setattr(seeing, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
     settle = EXTRACTING.settle_rig
 
     def other_size(*args):

@@ -40,7 +40,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(slots=True)
-class Looks:
+class StationDetections:
     """Detections at one station, filled in while its images are read.
 
     Attributes:
@@ -146,23 +146,25 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
     ]
 
 
-def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[int | list[Looks]]:
+def detect_segment(
+    recording: Recording, scene: Scene, segment: Segment
+) -> Iterator[int | list[StationDetections]]:
     """Detect the board in all images of a segment, in one pass over its part of the recording.
 
     Yields:
-        1 for every image processed; at the end, a list with one `Looks` per station.
+        1 for every image processed; at the end, a list with one `StationDetections` per station.
     """
     stations = segment.stations
     where: Mapping[Side, dict[int, int]] = {
         "left": {shot.left_ns: i for i, station in enumerate(stations) for shot in station.shots},
         "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
     }
-    looks = [Looks() for _ in stations]
+    detections = [StationDetections() for _ in stations]
     followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
     sources = scene.sources
     for side, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
         station = where[side][stamp]
-        place = looks[station]
+        place = detections[station]
         if isinstance(picture, Rejection):
             place.rejections.append(picture)
             continue
@@ -171,11 +173,11 @@ def look_at(recording: Recording, scene: Scene, segment: Segment) -> Iterator[in
             place.pictures[side] = snapshot_jpeg(picture)
         place.found[side][stamp] = followers[side].find(picture, stamp)
         yield 1
-    yield looks
+    yield detections
 
 
-def measure_at(
-    log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
+def measure_stations(
+    log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
 ) -> list[Measured | Rejection]:
     """Measure the board at some stations of a recording.
 
@@ -183,18 +185,20 @@ def measure_at(
         log: index of the recording.
         scene: cameras and board.
         stations: stations to measure.
-        looks: detections at each of them.
+        detections: detections at each of them.
 
     Returns:
         The board at each station, or a rejection.
     """
-    return [_measured(log, scene, station, seen) for station, seen in zip(stations, looks, strict=True)]
+    return [_measured(log, scene, station, seen) for station, seen in zip(stations, detections, strict=True)]
 
 
-def first_pairs(stations: Sequence[Station], looks: Sequence[Looks]) -> list[tuple[Detection, Detection]]:
+def first_pairs(
+    stations: Sequence[Station], detections: Sequence[StationDetections]
+) -> list[tuple[Detection, Detection]]:
     """The board in the first stereo pair of each station that shows it in both images."""
     found = []
-    for station, seen in zip(stations, looks, strict=True):
+    for station, seen in zip(stations, detections, strict=True):
         for left, right in zip(*seen.pairs(station.shots), strict=True):
             if isinstance(left, Detection) and isinstance(right, Detection):
                 found.append((left, right))
@@ -202,11 +206,15 @@ def first_pairs(stations: Sequence[Station], looks: Sequence[Looks]) -> list[tup
     return found
 
 
-def _measured(log: int, scene: Scene, station: Station, looks: Looks) -> Measured | Rejection:
-    left, right = looks.pairs(station.shots)
+def _measured(
+    log: int, scene: Scene, station: Station, detections: StationDetections
+) -> Measured | Rejection:
+    left, right = detections.pairs(station.shots)
     if not left:
         detail = (
-            looks.rejections[0].detail if looks.rejections else "the recording does not contain the images"
+            detections.rejections[0].detail
+            if detections.rejections
+            else "the recording does not contain the images"
         )
         return Rejection("readers", "images cannot be decoded", detail, station.time_ns, station.index, log)
     return measure(log, station, left, right, scene.cameras, scene.board)

@@ -11,9 +11,17 @@ from pathlib import Path
 import cv2
 
 from mobilecal_cli.model import Rejection, Snapshot, Station
+from mobilecal_cli.pipeline.detecting import (
+    SIDES,
+    Scene,
+    Segment,
+    StationDetections,
+    detect_segment,
+    measure_stations,
+    segments_of,
+)
 from mobilecal_cli.pipeline.processes import FAILED, Processes, Task, resources
 from mobilecal_cli.pipeline.progress import Progress
-from mobilecal_cli.pipeline.seeing import SIDES, Looks, Scene, Segment, look_at, measure_at, segments_of
 from mobilecal_cli.readers import Recording, open_recording
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.vision import Measured
@@ -34,10 +42,10 @@ def _begin(files: Sequence[Path]) -> None:
     _Here.recording = resources.enter_context(open_recording(files))
 
 
-def _look(scene: Scene, segment: Segment) -> tuple[list[Looks], tuple[str, ...]]:
-    *_, looks = look_at(_Here.recording, scene, segment)
-    assert isinstance(looks, list)
-    return looks, _Here.recording.damage
+def _detect(scene: Scene, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
+    *_, detections = detect_segment(_Here.recording, scene, segment)
+    assert isinstance(detections, list)
+    return detections, _Here.recording.damage
 
 
 @contextmanager
@@ -51,7 +59,7 @@ def _one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-class Crew(Processes):
+class DetectionWorkers(Processes):
     """Worker processes that detect the board in the images of a long recording.
 
     If they cannot be started, or one dies, this process does the remaining segments.
@@ -75,8 +83,10 @@ class Crew(Processes):
         if not self.started and processes > 1:
             self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
-    def look_at(self, scene: Scene, segments: Sequence[Segment]) -> Iterator[int | list[Looks]]:
-        """`seeing.look_at` for all segments, in order.
+    def detect_segment(
+        self, scene: Scene, segments: Sequence[Segment]
+    ) -> Iterator[int | list[StationDetections]]:
+        """`detecting.detect_segment` for all segments, in order.
 
         Yields:
             The number of images processed since the last value; after each segment, its list of results.
@@ -85,72 +95,77 @@ class Crew(Processes):
         self.call(len(segments) // 2)
         if self.started and len(segments) > 1:
             with suppress(*FAILED):
-                for looks, damage in self._together(scene, segments):
+                for detections, damage in self._together(scene, segments):
                     for note in damage:
                         self._recording.note(note)
-                    yield sum(len(found) for one in looks for found in one.found.values())
-                    yield looks
+                    yield sum(len(found) for one in detections for found in one.found.values())
+                    yield detections
                     done += 1
         for segment in segments[done:]:
-            yield from look_at(self._recording, scene, segment)
+            yield from detect_segment(self._recording, scene, segment)
 
-    def measure_at(
-        self, log: int, scene: Scene, stations: Sequence[Station], looks: Sequence[Looks]
+    def measure_stations(
+        self, log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
     ) -> list[Measured | Rejection]:
-        """`seeing.measure_at` for all stations, in the worker processes if there are many."""
+        """`detecting.measure_stations` for all stations, in the worker processes if there are many."""
         if self.started and len(stations) > _MEASURED_AT_ONCE:
             starts = range(0, len(stations), _MEASURED_AT_ONCE)
             some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
             with suppress(*FAILED):
-                tasks = [self.submit(measure_at, log, scene, stations[part], looks[part]) for part in some]
+                tasks = [
+                    self.submit(measure_stations, log, scene, stations[part], detections[part])
+                    for part in some
+                ]
                 return [one for task in tasks for one in task.result()]
-        return measure_at(log, scene, stations, looks)
+        return measure_stations(log, scene, stations, detections)
 
     def _together(
         self, scene: Scene, segments: Sequence[Segment]
-    ) -> Iterator[tuple[list[Looks], tuple[str, ...]]]:
-        waiting: deque[Task[tuple[list[Looks], tuple[str, ...]]]] = deque()
+    ) -> Iterator[tuple[list[StationDetections], tuple[str, ...]]]:
+        waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
         for segment in segments:
-            waiting.append(self.submit(_look, scene, segment))
+            waiting.append(self.submit(_detect, scene, segment))
             if len(waiting) >= _AHEAD * self._jobs:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
 
 
-def look(
-    crew: Crew, scene: Scene, plans: Sequence[Plan], thorough: bool, progress: Progress
-) -> list[tuple[list[Looks], list[Snapshot]]]:
+def detect_all(
+    workers: DetectionWorkers, scene: Scene, plans: Sequence[Plan], thorough: bool, progress: Progress
+) -> list[tuple[list[StationDetections], list[Snapshot]]]:
     """Detect the board in the images of all stations of a recording.
 
     Args:
-        `crew`: the worker processes; a few segments are processed without them.
+        workers: the worker processes; a few segments are processed without them.
         scene: cameras and board.
         plans: stations of each of its logs.
         thorough: see `vision.detect`.
         progress: called after every image.
 
     Returns:
-        For each log: one `Looks` per station, and JPEGs of the first images of some stations.
+        For each log: one `StationDetections` per station, and JPEGs of the first images of some stations.
     """
     segments = [segments_of(plan, thorough) for plan in plans]
     total = 2 * sum(len(station.shots) for plan in plans for station in plan.stations)
     done = 0
-    looks: list[Looks] = []
+    detections: list[StationDetections] = []
     with _one_thread():
-        for step in crew.look_at(scene, [segment for some in segments for segment in some]):
+        for step in workers.detect_segment(scene, [segment for some in segments for segment in some]):
             if isinstance(step, int):
                 done += step
                 progress("detecting the board", done, total)
             else:
-                looks += step
-    found = iter(looks)
+                detections += step
+    found = iter(detections)
     return [_with_snapshots(plan, list(islice(found, len(plan.stations)))) for plan in plans]
 
 
-def _with_snapshots(plan: Plan, looks: list[Looks]) -> tuple[list[Looks], list[Snapshot]]:
-    return looks, [
+def _with_snapshots(
+    plan: Plan, detections: list[StationDetections]
+) -> tuple[list[StationDetections], list[Snapshot]]:
+    return detections, [
         Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
-        for station, seen in zip(plan.stations, looks, strict=True)
+        for station, seen in zip(plan.stations, detections, strict=True)
         if all(side in seen.pictures for side in SIDES)
     ]
