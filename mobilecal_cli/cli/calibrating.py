@@ -88,7 +88,7 @@ def calibrate(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Worker processes for images and figures. [default: one per core]"),
+        typer.Option(min=1, help="Worker processes for images. [default: one per core]"),
     ] = None,
     setting: Settings = None,
     fix: Annotated[

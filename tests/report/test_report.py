@@ -49,6 +49,9 @@ from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.report.overlays import leg_views
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.units import value_text
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.report.example import (
     HOSTILE,
@@ -317,6 +320,15 @@ def test_coverage_counts_cells():
 
 def test_visible_escapes_what_steers():
     assert visible("a\x1b[31mé\u202e\udcff\n") == "a\\x1b[31mé\\u202e\\udcff\\n"
+
+
+def test_the_table_of_the_default_method_against_its_golden_copy():
+    """With standard deviations, from a recording solved by maximum likelihood; digits are masked."""
+    robot = ROBOTS["tick"]()
+    noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
+    extraction = ideal_extraction(robot, plan_route(robot), noise, seed=7)
+    table = re.sub(r" *-?[0-9]+(\.[0-9]+)?", " #", summary_table(solve(extraction), extraction))
+    assert table == (GOLDEN / "summary_ml.txt").read_text(encoding="utf-8")
 
 
 def test_the_table_against_its_golden_copy(extraction, solution):
