@@ -2,6 +2,6 @@
 
 from mobilecal_cli.discovery.draft import draft_rig
 from mobilecal_cli.discovery.priors import prior_sigmas, shown_priors
-from mobilecal_cli.discovery.settle import Settled, lacking, settle_rig
+from mobilecal_cli.discovery.resolve import ResolvedRig, lacking, resolve_rig
 
-__all__ = ["Settled", "draft_rig", "lacking", "prior_sigmas", "settle_rig", "shown_priors"]
+__all__ = ["ResolvedRig", "draft_rig", "lacking", "prior_sigmas", "resolve_rig", "shown_priors"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, read_urdf
-from mobilecal_cli.discovery import settle_rig
+from mobilecal_cli.discovery import resolve_rig
 from mobilecal_cli.errors import ConfigError, ObservationError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
@@ -44,8 +44,8 @@ from mobilecal_cli.vision import (
     agreeing,
     check_arrangement,
     check_square,
-    settle_numbering,
-    settle_square,
+    resolve_numbering,
+    resolve_square,
 )
 
 #: Relative difference of camera infos that is rounding.
@@ -79,13 +79,13 @@ def _see(
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
     prelude, urdf = read_prelude(recording), read_urdf(config)
-    settled = settle_rig(config, prelude, urdf, flags)
+    settled = resolve_rig(config, prelude, urdf, flags)
     everything = config.stations == "all"
     if everything and recording.bytes_of(settled.rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()
     planned = plan_recording(recording, settled.rig, settled.rig.chain.prismatic, everything)
     if planned.infos:
-        settled = settle_rig(config, replace(prelude, infos={**prelude.infos, **planned.infos}), urdf, flags)
+        settled = resolve_rig(config, replace(prelude, infos={**prelude.infos, **planned.infos}), urdf, flags)
     rig, plans = settled.rig, planned.plans
     for one in earlier:
         for plan in plans:
@@ -228,14 +228,14 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     observations: list[Observation] = []
     rejections: list[Rejection] = []
     for log, one in enumerate(seen):
-        settled = [settle_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
+        settled = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
         observations += [item for item in settled if isinstance(item, Observation)]
         lost = (rejection for detections in one.detections for rejection in detections.rejections)
         missed = (item for item in settled if isinstance(item, Rejection))
         rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
-        numbered, unsettled = settle_numbering(observations, R_v_h, board)
+        numbered, unsettled = resolve_numbering(observations, R_v_h, board)
         observations, rejections = list(numbered), [*rejections, *unsettled]
     wheels: tuple[WheelTrack, ...] = tuple(one.plan.wheels for one in seen)
     counts: dict[str, Any] = {

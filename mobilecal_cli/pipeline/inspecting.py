@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
-from mobilecal_cli.discovery import lacking, settle_rig
+from mobilecal_cli.discovery import lacking, resolve_rig
 from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
@@ -124,7 +124,7 @@ def _settled(
     missing = lacking(config, prelude, urdf)
     if missing:
         return None, [_lack(error) for error in missing], []
-    settled = settle_rig(config, prelude, urdf, flags)
+    settled = resolve_rig(config, prelude, urdf, flags)
     return settled.rig, [], list(settled.notes)
 
 

@@ -8,8 +8,8 @@ from mobilecal_cli.vision.board_size import SizeVote, identify_size
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
 from mobilecal_cli.vision.following import BoardFollower
-from mobilecal_cli.vision.numbering import settle_numbering
-from mobilecal_cli.vision.observing import Measured, measure, settle_square
+from mobilecal_cli.vision.numbering import resolve_numbering
+from mobilecal_cli.vision.observing import Measured, measure, resolve_square
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
 from mobilecal_cli.vision.snapshot import snapshot_jpeg
 from mobilecal_cli.vision.stereo import triangulate
@@ -32,8 +32,8 @@ __all__ = [
     "find_board",
     "identify_size",
     "measure",
-    "settle_numbering",
-    "settle_square",
+    "resolve_numbering",
+    "resolve_square",
     "snapshot_jpeg",
     "square_from_points",
     "triangulate",

@@ -8,7 +8,7 @@ from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
-from mobilecal_cli.vision.values import Look, Miss
+from mobilecal_cli.vision.values import Appearance, Miss
 
 MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 # A corner may be off the grid of the others by a share of a square, but not by many times the usual distance.
@@ -35,23 +35,23 @@ def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
 
 
 def fit_board(
-    image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | None = None
+    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None = None
 ) -> tuple[FittedCorners, GridMap]:
     """Fit all corners of a board; bad ones twice, from where the others predict them.
 
     Args:
-        image, grid, outer_whole, look: see `fit_corners`.
+        image, grid, outer_whole, appearance: see `fit_corners`.
 
     Returns:
         The corners, and the smooth map through them.
     """
-    fit = fit_corners(image, grid, outer_whole, look)
+    fit = fit_corners(image, grid, outer_whole, appearance)
     corners = fit.pixels.reshape(grid.shape)
     grid_map = fit_grid(corners, image.shape)
     bad = off_grid(grid_map, smallest_edge_px(corners)) | ~fit.fitted.reshape(grid.shape[:2])
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
-    again = fit_corners(image, grid_map.predicted(corners, bad), outer_whole, look)
+    again = fit_corners(image, grid_map.predicted(corners, bad), outer_whole, appearance)
     return again, fit_grid(again.pixels.reshape(grid.shape), image.shape)
 
 

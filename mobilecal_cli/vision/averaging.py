@@ -25,7 +25,7 @@ def turned_board(values: FloatArray, board: Board, quarter_turns: int) -> FloatA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shots:
+class StationCorners:
     """One camera's corners in all images of a station.
 
     Attributes:
@@ -39,7 +39,7 @@ class Shots:
     cov: FloatArray
 
     @classmethod
-    def of(cls, found: Sequence[Detection], board: Board) -> Shots:
+    def of(cls, found: Sequence[Detection], board: Board) -> StationCorners:
         """Bring every image to the numbering nearest to that of the first."""
         pixels, cov = [], []
         for d in found:
@@ -49,9 +49,9 @@ class Shots:
             cov.append(turned_board(d.cov, board, turn))
         return cls(np.stack(pixels), np.stack([d.seen for d in found]), np.stack(cov))
 
-    def select(self, kept: BoolArray) -> Shots:
+    def select(self, kept: BoolArray) -> StationCorners:
         """A subset of the images."""
-        return Shots(self.pixels[kept], self.seen[kept], self.cov[kept])
+        return StationCorners(self.pixels[kept], self.seen[kept], self.cov[kept])
 
     @property
     def drift_px(self) -> FloatArray:

@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
-from mobilecal_cli.vision.values import Look, Single
+from mobilecal_cli.vision.values import Appearance, Single
 
 # Half width of a corner's window in units of the edge: up to the middle of a square, outside the next edge's
 # blur. It is smaller toward the outside of the board, because printed boards often have narrow outer squares.
@@ -35,7 +35,7 @@ _UNKNOWNS = 7
 _STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur in one iteration
 # One iteration leaves about 1/50 of the step (measured: 0.06 sigma of 3). After a step no longer than this,
 # in units of sigma, another iteration would reduce the variance by less than 1 %.
-_SETTLED = 6.0
+_CONVERGED = 6.0
 _FAR_PX = 0.5  # a corner that still moves this far is on its way, whatever the others do
 # Approximation of erf(z / sqrt(2)) within 4e-4 by tanh, which is fast in single precision.
 _TANH_1 = np.float32(np.sqrt(2 / np.pi))
@@ -163,7 +163,7 @@ class _Fit:
     linear in contrast, mean and gradient, so they need no initial estimate.
     """
 
-    def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look) -> None:
+    def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance) -> None:
         self.shape = (grid.shape[0], grid.shape[1])
         self.pixels = grid.reshape(-1, 2)
         along, down = _steps(grid)
@@ -174,8 +174,8 @@ class _Fit:
         self._middle = np.rint(self.pixels).astype(np.int64)
         self._grey, self._inside = _windows(image, self._middle, half)
         self._offsets = _offsets(half)
-        self.blur = np.full(len(along), look.blur_px)
-        self.noise_grey = look.noise_grey
+        self.blur = np.full(len(along), appearance.blur_px)
+        self.noise_grey = appearance.noise_grey
         # Columns: shifts of edges 1 and 2, blur, contrast, mean, gradient in x and y; and the image itself.
         self._columns = np.empty((len(along), _UNKNOWNS + 1, self._offsets.shape[1]), dtype=np.float32)
         self.used = np.zeros(len(along))
@@ -275,7 +275,7 @@ def _inverse_2x2(matrices: FloatArray) -> FloatArray:
 
 
 def fit_corners(
-    image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | None = None
+    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None = None
 ) -> FittedCorners:
     """Fit the corner model to every corner of a board.
 
@@ -283,24 +283,26 @@ def fit_corners(
         image: (height, width) gray.
         grid: (rows, columns, 2) initial corners with sub-pixel accuracy, px.
         outer_whole: the outer squares are about as wide as the others.
-        look: of an earlier image; it saves one iteration.
+        appearance: of an earlier image; it saves one iteration.
 
     Returns:
         Corner index = row * columns + column. A corner keeps its initial position and is marked as not fitted
         if its fit does not converge, moves too far or has too few pixels.
     """
     with np.errstate(all="ignore"):  # a wrong grid gives arbitrary values, and `fitted` marks them
-        return _fitted(image, grid, outer_whole, look)
+        return _fitted(image, grid, outer_whole, appearance)
 
 
-def _fitted(image: GrayImage, grid: FloatArray, outer_whole: bool, look: Look | None) -> FittedCorners:
-    fit = _Fit(image, grid, outer_whole, look or Look())
+def _fitted(
+    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None
+) -> FittedCorners:
+    fit = _Fit(image, grid, outer_whole, appearance or Appearance())
     for done in range(1, _MOST_ROUNDS + 1):
         last = fit.round()
         variance = (last.cov[:, 0, 0] + last.cov[:, 1, 1]) / 2
         moved = (last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
-        settled = _median(moved) < _SETTLED**2 * _median(variance) and moved.max() < _FAR_PX**2
-        if (look is not None or done > 1) and settled:
+        converged = _median(moved) < _CONVERGED**2 * _median(variance) and moved.max() < _FAR_PX**2
+        if (appearance is not None or done > 1) and converged:
             break
     start = grid.reshape(-1, 2)
     off = fit.pixels - start

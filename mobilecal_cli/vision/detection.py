@@ -12,8 +12,8 @@ from mobilecal_cli.vision.grid import canonical, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import grow_any
 from mobilecal_cli.vision.refinement import refine, refine_widely
-from mobilecal_cli.vision.spots import spot_strength
-from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
+from mobilecal_cli.vision.saddles import saddle_response
+from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
 
 _LARGE = 1280  # image width from which half size is tried first, which is three times as fast, px
 _SMALLEST_PICTURE = 64
@@ -82,8 +82,12 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         return rough
     order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), polarity.dark_at_origin)
     contrast = fit.half_contrast_grey
-    look = Look(fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole)
-    return Detection(fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], look=look)
+    appearance = Appearance(
+        fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole
+    )
+    return Detection(
+        fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], appearance=appearance
+    )
 
 
 def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
@@ -139,7 +143,7 @@ def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> Floa
     """Corners of a second board of the same size, (M, 2) px; None if there is none."""
     painted = _without(image, found.pixels, columns, rows)
     corners = columns * rows
-    if spot_strength(painted, corners) < FAINTEST * spot_strength(image, corners):
+    if saddle_response(painted, corners) < FAINTEST * saddle_response(image, corners):
         return None
     other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
     if other is None or not isinstance(_judge(painted, other), Detection):

@@ -17,8 +17,8 @@ from mobilecal_cli.vision.detection import FAINTEST
 from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.refinement import refine_once
-from mobilecal_cli.vision.spots import has_spots, spot_strength
-from mobilecal_cli.vision.values import FLOOR_PX, Detection, Look, Miss
+from mobilecal_cli.vision.saddles import has_saddle_points, saddle_response
+from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated
 # A search costs as much as tracking in ten images. After a failed search the next one waits for the first of
@@ -32,7 +32,9 @@ _WEAKEST = 0.35  # least contrast of a corner, as a share of the board's in the 
 _FEWEST = 0.8  # least share of valid corners, over the board and along each of its sides
 
 
-def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, rows: int) -> Detection | Miss:
+def follow(
+    image: GrayImage, expected: FloatArray, appearance: Appearance, columns: int, rows: int
+) -> Detection | Miss:
     """Detect the board near its predicted position, with the same numbering.
 
     Corners are refined and fitted. They are accepted if nearly all of them have the expected square colors,
@@ -41,7 +43,7 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
     Args:
         image: (height, width) gray.
         expected: (M, 2) predicted corners, px.
-        look: of the last image that showed the board.
+        appearance: of the last image that showed the board.
         columns, rows: inner corners.
     """
     height, width = image.shape
@@ -54,25 +56,25 @@ def follow(image: GrayImage, expected: FloatArray, look: Look, columns: int, row
     if (small := check_size(grid)) is not None:
         return small
     edge = smallest_edge_px(grid)
-    grid = refine_once(image, expected, edge, look.outer_whole).reshape(grid.shape)
+    grid = refine_once(image, expected, edge, appearance.outer_whole).reshape(grid.shape)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
-    fit, grid_map = fit_board(image, grid, look.outer_whole, look)
+    fit, grid_map = fit_board(image, grid, appearance.outer_whole, appearance)
     width_squares = 2.563 * fit.blur_px / edge
     if width_squares > MAX_EDGE_WIDTH:
         return Miss(
             "blurred", f"borders are {width_squares:.2f} squares wide (10 to 90 %), limit {MAX_EDGE_WIDTH}"
         )
-    if not _is_board(fit, look.contrast_grey, rows, columns):
+    if not _is_board(fit, appearance.contrast_grey, rows, columns):
         return Miss(
             "square colors do not alternate",
             "corners at the predicted position are occluded or have the wrong square colors",
         )
     if (rough := check_grid(fit, grid_map)) is not None:
         return rough
-    contrast = np.copysign(fit.half_contrast_grey, look.contrast_grey)
-    seen = Look(fit.blur_px, fit.noise_grey, float(contrast), look.outer_whole)
-    return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, look=seen)
+    contrast = np.copysign(fit.half_contrast_grey, appearance.contrast_grey)
+    seen = Appearance(fit.blur_px, fit.noise_grey, float(contrast), appearance.outer_whole)
+    return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, appearance=seen)
 
 
 @lru_cache(maxsize=16)
@@ -123,7 +125,7 @@ class BoardFollower:
         self._board, self._thorough = board, thorough
         self._seen: deque[tuple[int, Detection]] = deque(maxlen=2)
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
-        self._spots: float | None = None
+        self._response: float | None = None
         self._lost = False
         self._vain: _Vain | None = None  # None after a detection
 
@@ -136,7 +138,7 @@ class BoardFollower:
         """
         if self._board.markers is not None:
             return find_board(image, self._board)
-        if self._lost and not self._spotted(image):
+        if self._lost and not self._enough_saddle_points(image):
             return self._nothing()
         found = self._followed(image, time_ns)
         if not isinstance(found, Detection):
@@ -149,14 +151,14 @@ class BoardFollower:
 
     def _followed(self, image: GrayImage, time_ns: int) -> Detection | Miss | None:
         """Detect the board at its predicted position; None before the first detection."""
-        look = self._seen[-1][1].look if self._seen else None
-        if look is None:
+        appearance = self._seen[-1][1].appearance if self._seen else None
+        if appearance is None:
             return None
         columns, rows = self._board.columns, self._board.rows
-        found = follow(image, self._expected(time_ns), look, columns, rows)
+        found = follow(image, self._expected(time_ns), appearance, columns, rows)
         soon = 0 <= time_ns - self._seen[-1][0] <= _LONGEST_GAP_NS
         if not isinstance(found, Detection) and soon and self._last_image.shape == image.shape:
-            found = follow(image, self._carried(image), look, columns, rows)
+            found = follow(image, self._carried(image), appearance, columns, rows)
         return found
 
     def _expected(self, time_ns: int) -> FloatArray:
@@ -182,9 +184,11 @@ class BoardFollower:
         )[0]
         return np.asarray(moved.reshape(-1, 2) + first, dtype=np.float64)
 
-    def _spotted(self, image: GrayImage) -> bool:
+    def _enough_saddle_points(self, image: GrayImage) -> bool:
         """Whether enough saddle points have the least response known from the board's corners."""
-        return self._spots is None or has_spots(image, self._board.corners, FAINTEST * self._spots)
+        return self._response is None or has_saddle_points(
+            image, self._board.corners, FAINTEST * self._response
+        )
 
     def _nothing(self) -> Miss:
         return Miss("no board found", f"fewer than {self._board.corners} possible corners in the image")
@@ -192,11 +196,11 @@ class BoardFollower:
     def _too_soon(self, image: GrayImage, time_ns: int, vain: _Vain) -> bool:
         """Whether the waiting time after a failed search still runs."""
         waiting = 0 <= time_ns - vain.time_ns < vain.wait_ns
-        return waiting and not has_spots(image, self._board.corners, _MORE * vain.strength)
+        return waiting and not has_saddle_points(image, self._board.corners, _MORE * vain.strength)
 
     def _searched(self, image: GrayImage, time_ns: int, lost: Miss | None) -> Detection | Miss:
         """Search the whole image, after tracking failed."""
-        if not self._lost and not self._spotted(image):
+        if not self._lost and not self._enough_saddle_points(image):
             return lost or self._nothing()
         vain = self._vain
         if vain is not None and not self._thorough and self._too_soon(image, time_ns, vain):
@@ -205,12 +209,12 @@ class BoardFollower:
                 f"the last search, {(time_ns - vain.time_ns) / 1e9:.2f} s earlier, found none",
             )
         found = find_board(
-            image, self._board, self._thorough, alone=not self._thorough and self._spots is not None
+            image, self._board, self._thorough, alone=not self._thorough and self._response is not None
         )
-        strength = spot_strength(image, self._board.corners)
+        strength = saddle_response(image, self._board.corners)
         if not isinstance(found, Detection):
             wait_ns = _AGAIN_NS if vain is None else min(2 * vain.wait_ns, _AGAIN_AT_LAST_NS)
             self._vain = _Vain(time_ns, wait_ns, strength)
             return found
-        self._spots = strength if self._spots is None else min(self._spots, strength)
+        self._response = strength if self._response is None else min(self._response, strength)
         return found

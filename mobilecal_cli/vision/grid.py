@@ -45,7 +45,7 @@ def canonical(grid: FloatArray, dark_at_origin: bool) -> tuple[IntArray, bool]:
 
     The outer square diagonally next to corner 0 is dark, if a rotation of the board can achieve that. Any
     remaining ambiguity (see `turns`) is resolved for now by pointing x as far to the right of the image as
-    possible; `settle_numbering` resolves it finally.
+    possible; `resolve_numbering` resolves it finally.
 
     Args:
         grid: (rows, columns, 2) right-handed, px.
@@ -58,13 +58,13 @@ def canonical(grid: FloatArray, dark_at_origin: bool) -> tuple[IntArray, bool]:
     rows, columns = grid.shape[:2]
     order = np.arange(rows * columns).reshape(rows, columns)
     odd_square = columns == rows and columns % 2 == 1
-    settled = (columns + rows) % 2 == 1 or odd_square
-    if not dark_at_origin and settled:
+    unambiguous = (columns + rows) % 2 == 1 or odd_square
+    if not dark_at_origin and unambiguous:
         order = np.rot90(order, 1 if odd_square else 2)
     corners = grid.reshape(-1, 2)
     candidates = [np.rot90(order, k) for k in turns(columns, rows)]
     best = max(candidates, key=lambda numbers: _x_direction(corners[numbers]))
-    return np.ascontiguousarray(best, dtype=np.int64).ravel(), dark_at_origin or settled
+    return np.ascontiguousarray(best, dtype=np.int64).ravel(), dark_at_origin or unambiguous
 
 
 def _x_direction(grid: FloatArray) -> float:

@@ -22,7 +22,7 @@ from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
 _ROUNDS = 100
-_SETTLED = 20  # least number of iterations, so that A and n can follow the turns
+_LEAST_ROUNDS = 20  # least number of iterations, so that A and n can follow the turns
 _CLEAR_RAD = 0.15  # least difference in misfit between the best and the second-best numbering
 _CLEAR_FACTOR = 3.0  # the same, in units of the rms misfit
 _RIVAL_RAD = 0.02
@@ -90,13 +90,13 @@ def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k
         cosine = np.einsum("tnij,j,ni->nt", R_c_k, vertical_k, vertical_c)
         misfit = np.arccos(np.clip(cosine, -1, 1))
         best = np.argmin(misfit, axis=1)
-        if np.array_equal(best, choice) and round_ > _SETTLED:
+        if np.array_equal(best, choice) and round_ > _LEAST_ROUNDS:
             break
         choice = best
     return _Fit(choice, misfit)
 
 
-def settle_numbering(
+def resolve_numbering(
     observations: Sequence[Observation], R_v_h: FloatArray, board: Board
 ) -> tuple[tuple[Observation, ...], tuple[Rejection, ...]]:
     """Bring all stations to a common numbering of the board.
@@ -143,7 +143,7 @@ def settle_numbering(
             # ambiguous.
             rival_order = np.sort(rival.misfit_rad, axis=1)
             told &= rival_order[:, 1] - rival_order[:, 0] > _RIVAL_RAD
-    settled = tuple(
+    numbered = tuple(
         _turn(o, board, possible[k]) for o, k, good in zip(observations, chosen, told, strict=True) if good
     )
     rejections = tuple(
@@ -160,4 +160,4 @@ def settle_numbering(
         for o, g, good in zip(observations, gap, told, strict=True)
         if not good
     )
-    return settled, rejections
+    return numbered, rejections

@@ -18,7 +18,7 @@ from mobilecal_cli.model import (
     Station,
     StereoRig,
 )
-from mobilecal_cli.vision.averaging import Shots, turned_board, turns_of
+from mobilecal_cli.vision.averaging import StationCorners, turned_board, turns_of
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
 from mobilecal_cli.vision.stereo import reproject, triangulate
 from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints
@@ -174,8 +174,8 @@ def measure(
     ]
     if not pairs:
         return rejected(*_no_pair(left, right))
-    shots_left = Shots.of([a for a, _ in pairs], board)
-    shots_right = Shots.of([b for _, b in pairs], board)
+    shots_left = StationCorners.of([a for a, _ in pairs], board)
+    shots_right = StationCorners.of([b for _, b in pairs], board)
     drift_px = np.maximum(shots_left.drift_px, shots_right.drift_px)
     claimed_px = float(np.median([max(a.sigma_px, b.sigma_px) for a, b in pairs]))
     limit_px = max(_MAX_DRIFT_PX, _DRIFT_SIGMAS * claimed_px)
@@ -204,7 +204,7 @@ def measure(
     return Measured(log, station, rig, board, corners_left, corners_right, points, pose, rough_m)
 
 
-def settle_square(measured: Measured, square_m: float | None) -> Observation | Rejection:
+def resolve_square(measured: Measured, square_m: float | None) -> Observation | Rejection:
     """Observation of a station, with a known square size.
 
     Args:

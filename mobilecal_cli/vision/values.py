@@ -29,7 +29,7 @@ FLOOR_PX = 0.003  # error of the corner model on images without noise
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Appearance:
     """Properties of one camera's recent images, to start the next fit.
 
     Attributes:
@@ -57,14 +57,14 @@ class Detection:
         sigma_px: noise of one coordinate, px, from the scatter of the corners about a smooth grid.
         seen: (M,) whether each corner was detected, by default all; pixels of the others are 0.
         cov: (M, 2, 2) covariance from the fit of each corner, px^2; by default from `sigma_px`.
-        look: start values for the fit in the next image; None if no corner model was fitted.
+        appearance: start values for the fit in the next image; None if no corner model was fitted.
     """
 
     pixels: FloatArray
     sigma_px: float
     seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
     cov: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    look: Look | None = None
+    appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
         freeze_corners(self, self.seen)

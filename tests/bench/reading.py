@@ -52,19 +52,19 @@ def decode_alone(path: Path, workers: int) -> float:
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
     from mobilecal_cli.config import load_rig
-    from mobilecal_cli.discovery import settle_rig
+    from mobilecal_cli.discovery import resolve_rig
     from mobilecal_cli.model import Board
     from mobilecal_cli.pipeline.detecting import Scene, measure_stations
     from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
     from mobilecal_cli.pipeline.planning import plan_recording
     from mobilecal_cli.readers import open_recording, read_prelude
-    from mobilecal_cli.vision import Detection, Measured, settle_square
+    from mobilecal_cli.vision import Detection, Measured, resolve_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig = settle_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
+        rig = resolve_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
         (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
         ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)
@@ -75,7 +75,7 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     start = time.perf_counter()
     for item in measure_stations(0, scene, plan.stations[:_MEASURED], detections[:_MEASURED]):
         if isinstance(item, Measured):
-            settle_square(item, board.square_m)
+            resolve_square(item, board.square_m)
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found
 
 

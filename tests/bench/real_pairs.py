@@ -44,11 +44,11 @@ from mobilecal_cli.vision import (
     board_pose,
     detect,
     measure,
-    settle_square,
+    resolve_square,
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.averaging import Shots
+from mobilecal_cli.vision.averaging import StationCorners
 from tests.bench import tables
 from tests.bench.simulated import conditions
 
@@ -208,7 +208,7 @@ def cases(width: int) -> dict[str, Case]:
 
 def _corners(rig: StereoRig, pair: Pair) -> tuple[Corners, Corners]:
     """Corners of both pictures, with their noise as the stated cameras show it."""
-    left, right = (Shots.of([d], _BOARD) for d in pair)
+    left, right = (StationCorners.of([d], _BOARD) for d in pair)
     return left.average(_BOARD, rig.left), right.average(_BOARD, rig.right)
 
 
@@ -249,7 +249,7 @@ def refusal(rig: StereoRig, pair: Pair) -> str | None:
         rig,
         _BOARD,
     )
-    settled = found if isinstance(found, Rejection) else settle_square(found, _SQUARE_M)
+    settled = found if isinstance(found, Rejection) else resolve_square(found, _SQUARE_M)
     return settled.detail if isinstance(settled, Rejection) else None
 
 

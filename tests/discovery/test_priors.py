@@ -7,13 +7,13 @@ import pytest
 import yaml
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import draft_rig, prior_sigmas, settle_rig, shown_priors
-from mobilecal_cli.discovery.settle import lacking
+from mobilecal_cli.discovery import draft_rig, prior_sigmas, resolve_rig, shown_priors
+from mobilecal_cli.discovery.resolve import lacking
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.simulate.robot import ROBOTS
-from tests.discovery.test_settle import AT_BASE, config, prelude
+from tests.discovery.test_resolve import AT_BASE, config, prelude
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
 CHAIN = HeadChain(
@@ -91,14 +91,14 @@ def test_unknown_names(name, hint):
 
 
 def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
-    rig = settle_rig(config(priors={"pan_zero": "free"}), prelude()).rig
+    rig = resolve_rig(config(priors={"pan_zero": "free"}), prelude()).rig
     assert rig.prior_sigmas == {"pan_zero": math.inf}
     wrong = config(priors={"neck_zero": 1})
     assert [lack.message for lack in lacking(wrong, prelude(urdf=AT_BASE))] == [
         "priors.neck_zero: this robot has no such constant"
     ]
     with pytest.raises(ConfigError):
-        settle_rig(wrong, prelude())
+        resolve_rig(wrong, prelude())
 
 
 def test_the_draft_lists_every_kind_with_its_default():

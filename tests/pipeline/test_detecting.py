@@ -114,7 +114,7 @@ def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkey
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
-    settle = EXTRACTING.settle_rig
+    settle = EXTRACTING.resolve_rig
 
     def other_size(*args):
         settled = settle(*args)
@@ -122,7 +122,7 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
         left = replace(rig.cameras.left, width=641)
         return replace(settled, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
 
-    monkeypatch.setattr(EXTRACTING, "settle_rig", other_size)
+    monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:
         everything(log, 2)
     assert raised.value.hint

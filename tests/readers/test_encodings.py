@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import settle_rig
+from mobilecal_cli.discovery import resolve_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_prelude
@@ -103,7 +103,7 @@ def other(request, original, tmp_path_factory):
 
 def test_it_says_the_same_as_the_ros_recording(original, other):
     urdf = next(iter(read_prelude(original).urdfs.values()))
-    rigs = [settle_rig(RigConfig(), read_prelude(recording), urdf).rig for recording in (original, other)]
+    rigs = [resolve_rig(RigConfig(), read_prelude(recording), urdf).rig for recording in (original, other)]
     for side in ("left", "right"):
         ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)

@@ -7,7 +7,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss, board_pose, triangulate
-from mobilecal_cli.vision.averaging import Shots
+from mobilecal_cli.vision.averaging import StationCorners
 from mobilecal_cli.vision.corner_model import fit_corners
 from tests.vision.scenes import pose, seen, stereo_rig
 
@@ -56,7 +56,7 @@ def test_an_average_keeps_the_claims_apart():
     found = [
         Detection(left + (root @ random.normal(size=(54, 2, 1)))[..., 0], 0.03, cov=cov) for _ in range(400)
     ]
-    average = Shots.of(found, BOARD).average(BOARD, rig.left)
+    average = StationCorners.of(found, BOARD).average(BOARD, rig.left)
     usual = np.median(np.trace(cov, axis1=1, axis2=2)) / 2
     own = average.cov_px2 - cov / 400
     # What the average is noisier than claimed, if it is, is the same for all corners and both directions.

@@ -10,7 +10,7 @@ from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.following import follow
-from mobilecal_cli.vision.spots import spot_strength
+from mobilecal_cli.vision.saddles import saddle_response
 from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
@@ -85,11 +85,11 @@ def test_a_grid_some_squares_beside_is_let_go(film, shift):
     image, truth = film[0]
     seen = detect(image, 9, 6)
     assert isinstance(seen, Detection)
-    assert seen.look is not None
+    assert seen.appearance is not None
     grid = truth.reshape(6, 9, 2)
     right, down = grid[2, 5] - grid[2, 4], grid[3, 4] - grid[2, 4]
-    assert isinstance(follow(image, truth + 0.5, seen.look, 9, 6), Detection)
-    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, seen.look, 9, 6), Miss)
+    assert isinstance(follow(image, truth + 0.5, seen.appearance, 9, 6), Detection)
+    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, seen.appearance, 9, 6), Miss)
 
 
 def test_a_hidden_board_is_lost_and_found_again(film):
@@ -124,7 +124,7 @@ def test_half_a_board_is_no_board(film):
     assert isinstance(follower.find(covered, STEP_NS), Miss)
 
 
-def test_pictures_without_spots_are_not_searched(film, monkeypatch):
+def test_images_without_saddle_points_are_not_searched(film, monkeypatch):
     follower = BoardFollower(BOARD, thorough=True)
     follower.find(film[0][0], 0)
     monkeypatch.setattr("mobilecal_cli.vision.following.find_board", lambda *_: pytest.fail("searched"))
@@ -133,20 +133,20 @@ def test_pictures_without_spots_are_not_searched(film, monkeypatch):
     assert isinstance(missed, Miss)
 
 
-def test_spots_of_a_board_are_stronger_than_those_of_noise(film):
+def test_saddle_points_of_a_board_are_stronger_than_those_of_noise(film):
     noise = np.random.default_rng(4).normal(110, 4, (480, 640))
-    with_board = [spot_strength(image, 54) for image, _ in film]
-    without = spot_strength(np.clip(noise, 0, 255).astype(np.uint8), 54)
+    with_board = [saddle_response(image, 54) for image, _ in film]
+    without = saddle_response(np.clip(noise, 0, 255).astype(np.uint8), 54)
     assert min(with_board) > 10 * without
-    assert spot_strength(np.full((480, 640), 90, np.uint8), 54) == 0.0
+    assert saddle_response(np.full((480, 640), 90, np.uint8), 54) == 0.0
 
 
 def test_a_board_that_leaves_the_picture_is_said_to(film):
     image, truth = film[0]
     seen = detect(image, 9, 6)
     assert isinstance(seen, Detection)
-    assert seen.look is not None
-    gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.look, 9, 6)
+    assert seen.appearance is not None
+    gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.appearance, 9, 6)
     assert isinstance(gone, Miss)
     assert gone.reason == "board partly occluded or outside the image"
 
@@ -157,11 +157,11 @@ def test_a_corner_predicted_wrongly_is_found_by_the_others(film, corner):
     image, truth = film[0]
     seen = detect(image, 9, 6)
     assert isinstance(seen, Detection)
-    assert seen.look is not None
+    assert seen.appearance is not None
     for off in ([7.0, 0.0], [-6.0, 4.0], [0.0, -8.0], [10.0, 10.0]):
         expected = truth.copy()
         expected[corner] += off
-        found = follow(image, expected, seen.look, 9, 6)
+        found = follow(image, expected, seen.appearance, 9, 6)
         assert isinstance(found, Detection), (off, found)
         assert np.abs(found.pixels - truth).max() < 0.1, off
 
@@ -170,10 +170,10 @@ def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(film):
     image, truth = film[0]
     seen = detect(image, 9, 6)
     assert isinstance(seen, Detection)
-    assert seen.look is not None
+    assert seen.appearance is not None
     for corner in (0, 45, 22):
         hidden = image.copy()
         u, v = np.rint(truth[corner]).astype(int)
         hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
         assert isinstance(detect(hidden, 9, 6), Miss), corner
-        assert isinstance(follow(hidden, truth, seen.look, 9, 6), Miss), corner
+        assert isinstance(follow(hidden, truth, seen.appearance, 9, 6), Miss), corner

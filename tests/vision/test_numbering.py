@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Corners, Observation
-from mobilecal_cli.vision import settle_numbering
+from mobilecal_cli.vision import resolve_numbering
 from mobilecal_cli.vision.grid import turned
 from tests.vision.scenes import K
 
@@ -114,7 +114,7 @@ def test_upright_board(seed: int, columns: int, rows: int, square_known: bool) -
     truth, heads = world(board, UPRIGHT, 10, rng)
     choices = [0, 1, 2, 3] if (columns, rows) == (8, 8) else [0, 2]
     mixed = [renumbered(o, board, int(rng.choice(choices))) for o in truth]
-    settled, rejections = settle_numbering(mixed, heads, board)
+    settled, rejections = resolve_numbering(mixed, heads, board)
     assert rejections == ()
     assert len(settled) == 10
     assert same_numbering(settled, truth, board)
@@ -123,7 +123,7 @@ def test_upright_board(seed: int, columns: int, rows: int, square_known: bool) -
 def test_odd_board_comes_back_as_it_was() -> None:
     board = Board(9, 6)
     truth, heads = world(board, UPRIGHT, 4, np.random.default_rng(0))
-    settled, rejections = settle_numbering(truth, heads, board)
+    settled, rejections = resolve_numbering(truth, heads, board)
     assert all(a is b for a, b in zip(settled, truth, strict=True))
     assert rejections == ()
 
@@ -131,7 +131,7 @@ def test_odd_board_comes_back_as_it_was() -> None:
 def test_board_lying_on_the_floor_cannot_be_told() -> None:
     board = Board(8, 6)
     truth, heads = world(board, LYING, 10, np.random.default_rng(1))
-    settled, rejections = settle_numbering(truth, heads, board)
+    settled, rejections = resolve_numbering(truth, heads, board)
     assert settled == ()
     assert len(rejections) == 10
     assert rejections[4].reason == "board orientation ambiguous"
@@ -169,6 +169,6 @@ def test_head_that_never_moves() -> None:
             )
         )
     mixed = [renumbered(o, board, int(rng.choice([0, 2]))) for o in still]
-    settled, rejections = settle_numbering(mixed, heads, board)
+    settled, rejections = resolve_numbering(mixed, heads, board)
     assert rejections == ()
     assert same_numbering(settled, still, board)

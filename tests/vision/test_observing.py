@@ -17,7 +17,7 @@ from mobilecal_cli.vision import (
     agreeing,
     detect,
     measure,
-    settle_square,
+    resolve_square,
     snapshot_jpeg,
 )
 from mobilecal_cli.vision.grid import turned
@@ -49,7 +49,7 @@ def observe(*seen: object) -> Observation | Rejection:
     """Observation or rejection from the arguments of `measure` and a square's side, m."""
     *pictures, square_m = seen
     (result,), _ = agreeing([measure(*pictures)])
-    return settle_square(result, square_m) if isinstance(result, Measured) else result
+    return resolve_square(result, square_m) if isinstance(result, Measured) else result
 
 
 def observed(result: Observation | Rejection) -> Observation:

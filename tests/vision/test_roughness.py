@@ -11,7 +11,7 @@ import pytest
 
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.vision import Detection, detect
-from mobilecal_cli.vision.averaging import Shots
+from mobilecal_cli.vision.averaging import StationCorners
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.roughness import roughness_px
 from tests.vision.scenes import random_pose, render, seen, stereo_rig
@@ -75,7 +75,7 @@ def test_rendered_boards_claim_their_errors() -> None:
         image = render(rig.left, T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
         found = detect(image, 6, 4)
         assert isinstance(found, Detection)
-        corners = Shots.of([found], board).average(board, rig.left)
+        corners = StationCorners.of([found], board).average(board, rig.left)
         truth = seen(rig, T, board, 0.08)[1]
         errors.append(min(np.mean((found.pixels - t) ** 2) for t in (truth, truth[::-1])))
         claims.append(corners.sigma_px**2)

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import draft_rig, settle_rig
+from mobilecal_cli.discovery import draft_rig, resolve_rig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.discovery.transforms import urdf_of_transforms
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
@@ -63,7 +63,7 @@ def config(**sections):
 
 
 def test_a_log_tells_everything():
-    settled = settle_rig(RigConfig(), prelude())
+    settled = resolve_rig(RigConfig(), prelude())
     rig = settled.rig
     assert rig.sources.image == {"left": "/stereo/left/image_raw", "right": "/stereo/right/image_raw"}
     assert rig.sources.info["right"] == "/stereo/right/camera_info"
@@ -78,7 +78,7 @@ def test_a_log_tells_everything():
 
 
 def test_raw_stereo_geometry_is_what_rectification_says():
-    cameras = settle_rig(RigConfig(), prelude()).rig.cameras
+    cameras = resolve_rig(RigConfig(), prelude()).rig.cameras
     # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
     point_r = np.array([0.3, -0.2, 2.0])
     point_c = se3.act(cameras.T_c_r, point_r[None])[0]
@@ -88,7 +88,7 @@ def test_raw_stereo_geometry_is_what_rectification_says():
 
 def test_rectified_images_use_the_projection_matrices():
     topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
-    cameras = settle_rig(RigConfig(), prelude(topics)).rig.cameras
+    cameras = resolve_rig(RigConfig(), prelude(topics)).rig.cameras
     assert cameras.rectified
     assert cameras.left.K[0, 0] == 540
     assert cameras.left.D.size == 0
@@ -102,18 +102,18 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
         for side in ("left", "right")
     ]
     assert (
-        settle_rig(RigConfig(), prelude(names, compressed)).rig.sources.image["left"]
+        resolve_rig(RigConfig(), prelude(names, compressed)).rig.sources.image["left"]
         == "/stereo/left/image_raw"
     )
-    rectified = settle_rig(config(cameras={"rectified": True}), prelude(names, compressed)).rig
+    rectified = resolve_rig(config(cameras={"rectified": True}), prelude(names, compressed)).rig
     assert rectified.sources.image["left"] == "/stereo/left/image_rect"
-    only = settle_rig(RigConfig(), prelude((), compressed)).rig
+    only = resolve_rig(RigConfig(), prelude((), compressed)).rig
     assert only.sources.image["right"] == "/stereo/right/image_raw/compressed"
     assert only.sources.info["right"] == "/stereo/right/camera_info"
 
 
 def test_base_link_off_the_axle_is_taken_out():
-    settled = settle_rig(RigConfig(), prelude(urdf=URDF.format(x=-0.2)))
+    settled = resolve_rig(RigConfig(), prelude(urdf=URDF.format(x=-0.2)))
     T_v_h = head_pose(settled.rig.chain, np.zeros(2))
     assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
     assert "not midway between the wheels" in settled.notes[0]
@@ -131,7 +131,7 @@ CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child li
 )
 def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind=kind, parent=parent))
-    rig = settle_rig(config(head={"head_frame": "tilt"}), prelude(urdf=urdf)).rig
+    rig = resolve_rig(config(head={"head_frame": "tilt"}), prelude(urdf=urdf)).rig
     assert rig.settled_by["nominal head_eye"] == ("URDF" if drawn else "none")
     if drawn:
         expected = se3.transform(se3.rotation_z(1.0), np.array([0.03, 0.06, 0.05]))
@@ -141,12 +141,12 @@ def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
 
 
 def test_known_noise_is_settled():
-    rig = settle_rig(config(noise={"joint_rad": 0.001}), prelude()).rig
+    rig = resolve_rig(config(noise={"joint_rad": 0.001}), prelude()).rig
     assert rig.noise.given == {"joint_rad": 0.001}
 
 
 def test_flag_file_and_log_are_told_apart():
-    rig = settle_rig(
+    rig = resolve_rig(
         config(joints={"pan": "head_pan_joint", "tilt": "head_tilt_joint"}),
         prelude(),
         flags=frozenset({"joints.tilt"}),
@@ -161,7 +161,7 @@ def test_tick_counters():
     ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
     head_only = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
     wheel = {"field": "data", "ticks_per_revolution": 4096, "bits": 16}
-    rig = settle_rig(
+    rig = resolve_rig(
         config(
             wheels={
                 "left": {"topic": "/ticks/left", **wheel},
@@ -173,13 +173,13 @@ def test_tick_counters():
     assert rig.sources.wheels["right"].sign == -1
     assert rig.sources.wheels["left"].ticks_per_revolution == 4096
     with pytest.raises(RecordingError, match="look like tick counters") as caught:
-        settle_rig(RigConfig(), prelude(extra=ticks, joint_names=head_only))
+        resolve_rig(RigConfig(), prelude(extra=ticks, joint_names=head_only))
     assert "/ticks/left" in caught.value.message
 
 
 def test_explicit_chain_needs_no_urdf():
     chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
-    rig = settle_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), prelude(urdf=None)).rig
+    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), prelude(urdf=None)).rig
     assert rig.chain.joints == ("head_pan_joint",)
     assert rig.chain.head_frame == "cam_mount"
     assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
@@ -218,7 +218,7 @@ def test_explicit_chain_needs_no_urdf():
 )
 def test_what_is_missing_is_named(sections, changes, error, words_):
     with pytest.raises(error) as caught:
-        settle_rig(config(**sections), prelude(**changes))
+        resolve_rig(config(**sections), prelude(**changes))
     assert words_ in caught.value.message
     assert caught.value.hint
 
@@ -234,7 +234,7 @@ def test_what_is_missing_is_named(sections, changes, error, words_):
 def test_bad_calibrations(left, right, words_):
     infos = {"/stereo/left/camera_info": left, "/stereo/right/camera_info": right}
     with pytest.raises(MobilecalError) as caught:
-        settle_rig(RigConfig(), prelude(infos=infos))
+        resolve_rig(RigConfig(), prelude(infos=infos))
     assert words_ in caught.value.message
 
 
@@ -245,7 +245,7 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
         infos={"/stereo/left/camera_info": info("left")}, unusable={"/stereo/right/camera_info": why}
     )
     with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
-        settle_rig(RigConfig(), poor)
+        resolve_rig(RigConfig(), poor)
     assert "calibrate the camera" in told.value.hint
     text = draft_rig(poor, "log")
     assert f"# not determined: {why}" in text
@@ -255,7 +255,7 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
 def test_hints_list_ten_topics_at_most():
     many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
     with pytest.raises(RecordingError) as told:
-        settle_rig(RigConfig(), prelude(images=("/one/image",), extra=many))
+        resolve_rig(RigConfig(), prelude(images=("/one/image",), extra=many))
     assert told.value.hint.count("/extra") <= 10
     assert "more" in told.value.hint
 
@@ -274,7 +274,7 @@ def test_a_draft_loads_and_settles_the_same_rig():
 
     text = draft_rig(prelude(), "some log.mcap")
     loaded = RigConfig.model_validate(YAML(typ="safe").load(text))
-    again, first = settle_rig(loaded, prelude()).rig, settle_rig(RigConfig(), prelude()).rig
+    again, first = resolve_rig(loaded, prelude()).rig, resolve_rig(RigConfig(), prelude()).rig
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
     assert "# image topics in the recording" in text
@@ -294,39 +294,39 @@ def test_joints_in_other_messages_than_joint_states():
     topic = TopicInfo("/servo", "std_msgs/msg/Float64", 100)
     names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
     fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
-    rig = settle_rig(config(joints={"fields": fields}), prelude(extra=[topic], joint_names=names)).rig
+    rig = resolve_rig(config(joints={"fields": fields}), prelude(extra=[topic], joint_names=names)).rig
     assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
     assert rig.sources.joints == ("/joint_states",)
     with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
-        settle_rig(config(joints={"fields": fields}), prelude(joint_names=names))
+        resolve_rig(config(joints={"fields": fields}), prelude(joint_names=names))
     with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
-        settle_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))
+        resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))
 
 
 def test_odometry_needs_the_wheels_that_it_was_made_with():
     topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
     bare = prelude(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
     with pytest.raises(RecordingError, match="odometry is present on /odom") as told:
-        settle_rig(RigConfig(), bare)
+        resolve_rig(RigConfig(), bare)
     assert "wheels.odometry to /odom" in told.value.hint
     with pytest.raises(ConfigError, match="wheel radii and separation, which are not given"):
-        settle_rig(config(wheels={"odometry": "/odom"}), bare)
+        resolve_rig(config(wheels={"odometry": "/odom"}), bare)
     nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
-    rig = settle_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
+    rig = resolve_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
     with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
-        settle_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
+        resolve_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
     assert told.value.hint == "topics with odometry: /odom"
 
 
 def test_both_cameras_in_one_topic():
     both = {"image": "/stereo/image_raw", "layout": "stacked"}
-    rig = settle_rig(config(cameras={"both": both}), prelude(("/stereo/image_raw",))).rig
+    rig = resolve_rig(config(cameras={"both": both}), prelude(("/stereo/image_raw",))).rig
     assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
     assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
     assert rig.sources.layout == "stacked"
     with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
-        settle_rig(config(cameras={"both": {"image": "/other"}}), prelude())
+        resolve_rig(config(cameras={"both": {"image": "/other"}}), prelude())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
         config(cameras={"both": both, "left": {"image": "/l"}})
 
@@ -334,14 +334,14 @@ def test_both_cameras_in_one_topic():
 def test_joints_that_only_tf_tells():
     tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
-    rig = settle_rig(RigConfig(), prelude(extra=[tf], joint_names=states)).rig
+    rig = resolve_rig(RigConfig(), prelude(extra=[tf], joint_names=states)).rig
     assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
-    assert settle_rig(RigConfig(), prelude(extra=[tf])).rig.sources.elsewhere == {}
+    assert resolve_rig(RigConfig(), prelude(extra=[tf])).rig.sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
-        settle_rig(RigConfig(), prelude(joint_names=states))
+        resolve_rig(RigConfig(), prelude(joint_names=states))
 
 
 def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
@@ -382,7 +382,7 @@ def test_joints_out_of_transforms():
     np.testing.assert_allclose(urdf.joints["skull"].axis, [0, 1, 0], atol=1e-9)
     np.testing.assert_array_equal(urdf.joints["neck"].T_parent_child, transforms["torso", "neck"][0])
 
-    found = settle_rig(RigConfig(), replace(prelude(urdf=None, extra=(TF,)), transforms=transforms)).rig
+    found = resolve_rig(RigConfig(), replace(prelude(urdf=None, extra=(TF,)), transforms=transforms)).rig
     assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
     assert found.chain.joints == ("torso", "neck", "skull")
     assert found.chain.head_frame == "skull"
@@ -391,4 +391,4 @@ def test_joints_out_of_transforms():
 def test_transforms_that_do_not_lead_to_the_camera_are_said():
     transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
     with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
-        settle_rig(RigConfig(), replace(prelude(urdf=None), transforms=transforms))
+        resolve_rig(RigConfig(), replace(prelude(urdf=None), transforms=transforms))

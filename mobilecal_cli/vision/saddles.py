@@ -20,7 +20,7 @@ _WORTH = 0.02  # share of the strongest response; usually 1 % of the peaks excee
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
-def spot_strength(image: GrayImage, count: int) -> float:
+def saddle_response(image: GrayImage, count: int) -> float:
     """Response of the count-th strongest saddle point, 0 if there are fewer.
 
     Args:
@@ -40,8 +40,8 @@ def spot_strength(image: GrayImage, count: int) -> float:
     return float(np.partition(peaks, len(peaks) - count)[len(peaks) - count])
 
 
-def has_spots(image: GrayImage, count: int, least: float) -> bool:
-    """Whether `spot_strength` exceeds a limit; faster than computing it."""
+def has_saddle_points(image: GrayImage, count: int, least: float) -> bool:
+    """Whether `saddle_response` exceeds a limit; faster than computing it."""
     saddle = _saddle(image)
     return bool(np.count_nonzero(saddle > least) >= count) and len(_peaks(saddle, least)) >= count
 

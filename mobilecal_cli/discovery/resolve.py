@@ -45,7 +45,7 @@ _Lack = RecordingError | ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class ResolvedRig:
     """A resolved rig, and notes on it.
 
     Attributes:
@@ -197,12 +197,12 @@ class _Parts:
     joints: tuple[str, ...]
 
 
-def settle_rig(
+def resolve_rig(
     config: RigConfig,
     prelude: Prelude,
     urdf_text: str | None = None,
     flags: frozenset[str] = frozenset(),
-) -> Settled:
+) -> ResolvedRig:
     """Complete a configuration with the contents of the recording.
 
     Args:
@@ -228,36 +228,38 @@ def settle_rig(
         else drawn.wheels,
     )
 
-    def settled(key: str, otherwise: str = "log") -> str:
+    def source_of(key: str, otherwise: str = "log") -> str:
         return _given(config, flags, key) or otherwise
 
-    settled_by = {
-        "board size": settled("board.columns", "images"),
-        "board square_m": settled("board.square_m", "stereo"),
-        f"left images {images['left']}": settled("cameras.left.image"),
-        f"right images {images['right']}": settled("cameras.right.image"),
-        f"left camera info {infos['left']}": settled("cameras.left.info"),
-        f"right camera info {infos['right']}": settled("cameras.right.info"),
-        f"images are {'rectified' if parts.rectified else 'raw'}": settled("cameras.rectified", "topic name"),
-        f"reference camera {config.cameras.reference}": settled("cameras.reference", "default"),
-        f"joint states {', '.join(parts.joints)}": settled("joints.topic"),
-        f"pan joint {chain.pan or 'none'}": settled("joints.pan", "joint name"),
-        f"tilt joint {chain.tilt or 'none'}": settled("joints.tilt", "joint name"),
+    setting_sources = {
+        "board size": source_of("board.columns", "images"),
+        "board square_m": source_of("board.square_m", "stereo"),
+        f"left images {images['left']}": source_of("cameras.left.image"),
+        f"right images {images['right']}": source_of("cameras.right.image"),
+        f"left camera info {infos['left']}": source_of("cameras.left.info"),
+        f"right camera info {infos['right']}": source_of("cameras.right.info"),
+        f"images are {'rectified' if parts.rectified else 'raw'}": source_of(
+            "cameras.rectified", "topic name"
+        ),
+        f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
+        f"joint states {', '.join(parts.joints)}": source_of("joints.topic"),
+        f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
+        f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
         f"head chain {chain.base_frame} to {chain.head_frame}": parts.head.origin,
         **{
-            f"{side} wheel {source.topic} {source.joint or source.field}": settled(f"wheels.{side}")
+            f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
             for side, source in parts.wheels.items()
         },
-        "nominal wheels": settled("nominal.wheels", "URDF" if drawn.wheels else "none"),
-        "nominal head_eye": settled("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
+        "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
+        "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
-    return Settled(
+    return ResolvedRig(
         Rig(
             parts.cameras,
             chain,
             nominal,
             Sources(images, infos, parts.joints, parts.wheels, parts.elsewhere, layout),
-            settled_by,
+            setting_sources,
             KnownNoise(**config.noise.model_dump()),
             prior_sigmas(config.priors, parts.cameras, chain),
         ),
