@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
 
 _LEAST_CHANCE = 1e-300
-_SHOWN = 0.9995  # posterior variance over the prior's, below which the data show a direction
+_SHOWN = 0.997  # posterior variance over the prior's, below which the data show a direction
 
 
 def equivalent_sigmas(chi2: float, dof: int) -> float:

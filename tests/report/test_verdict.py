@@ -257,4 +257,4 @@ class TestWithTheSolver:
         )
         verdict = solved(extraction, observations=loose)
         assert verdict.level == "FAIL"
-        assert "joint" in verdict.next_step
+        assert "joints" in verdict.next_step
