@@ -8,7 +8,6 @@ from pathlib import Path
 import typer
 
 from mobilecal_cli.errors import QualityError
-from mobilecal_cli.model.text import visible
 
 
 def conclude(
@@ -39,4 +38,6 @@ def conclude(
 
 def written_line(*paths: Path) -> str:
     """The line that says which files were written; their names must not control the terminal."""
+    from mobilecal_cli.model.text import visible
+
     return f"Written: {visible(', '.join(map(str, paths)))}"

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.model import NINE, LogSource
+from mobilecal_cli.model import NINE, LogSource, NoiseLevels
 from tests.cli.edited import edited, run
 
 OUTPUTS = ["extraction.npz", "params.yaml", "report.html", "report.json"]
@@ -144,7 +144,7 @@ def test_uncertainty_is_a_contract(first, workplace, sample_logs):
     assert np.linalg.eigvalsh(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)).min() > 0
     assert [block["std"][name] for name in NINE] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
     assert block["observable"] == dict.fromkeys(NINE, True)
-    assert set(block["noise"]) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad", "estimated"}
+    assert set(block["noise"]) == {field.name for field in fields(NoiseLevels)} - {"redundancy"}
     turn, move, _ = errors(params, load(sample_logs / "paper_robot.truth.yaml"))
     assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
     assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])

@@ -129,7 +129,7 @@ def observations(m, j):
 joint_tracks = st.integers(0, 5).flatmap(
     lambda n: st.builds(Track, hnp.arrays(np.int64, n, elements=int64), arrays(n))
 )
-tracks = st.builds(WheelTrack, joint_tracks, joint_tracks)
+tracks = st.builds(WheelTrack, joint_tracks, joint_tracks).filter(lambda track: len(track.time_ns))
 extractions = st.builds(
     Extraction,
     rig=rigs,

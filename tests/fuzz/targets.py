@@ -310,7 +310,7 @@ def targets(folder: Path) -> dict[str, Target]:
     provenance = Provenance("0", "2026-01-01T00:00:00Z", "ml", small.logs, settings_of(small))
     params = params_yaml(solve(small), small, provenance)
     found["params.yaml"] = Target({"params.yaml": params.encode()}, "params.yaml", _params)
-    found["manifest"] = Target({"fleet.yaml": MANIFEST}, "fleet.yaml", _manifest)
+    found["manifest"] = Target({"fleet.yaml": MANIFEST, "rig.yaml": b"{}"}, "fleet.yaml", _manifest)
     found["npz"] = Target({"extraction.npz": extraction}, "extraction.npz", _npz)
     with zipfile.ZipFile(io.BytesIO(extraction)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}

@@ -19,6 +19,16 @@ KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIG
 NAMES = ["extraction.npz", "params.yaml", "report.html", "report.json"]
 
 
+@pytest.fixture(autouse=True)
+def no_signal_ignored():
+    """The commands inherit it: under nohup or in the background of a shell, signals would be ignored."""
+    usual = signal.default_int_handler, signal.SIG_DFL
+    before = [signal.signal(number, how) for number, how in zip((INT, HUP), usual, strict=True)]
+    yield
+    for number, how in zip((INT, HUP), before, strict=True):
+        signal.signal(number, how)
+
+
 def started(arguments, cwd, **environment):
     """The command in a process group of its own, with an own directory for temporary files."""
     (cwd / "tmp").mkdir(exist_ok=True)

@@ -236,7 +236,7 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
         (["t_x=wide"], [], [], "not a number"),
         (["wheels=0.2"], [], [], "takes no value"),
         ([], ["t_x=0.1"], [], "VALUE±SIGMA"),
-        ([], ["t_x=0.1±0"], [], "VALUE±SIGMA"),
+        ([], ["t_x=0.1±0"], [], "standard deviation: 0 is not possible"),
         ([], [], ["pan_zeroo"], "did you mean pan_zero"),
         ([], [], ["tilt_zero"], "cannot be estimated separately"),
         (["neck_zero"], [], [], "no such parameter"),
