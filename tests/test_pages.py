@@ -38,8 +38,10 @@ def bench(sample_logs, tmp_path_factory):
     (folder / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
     assert shell("mobilecal calibrate log.mcap --output result --quiet", folder).returncode == 0
     (folder / "recordings").mkdir()
-    for number in (1, 2):
-        shutil.copy(folder / "result" / "extraction.npz", folder / f"robot_{number}.npz")
+    assert shell("mobilecal calibrate another.mcap --output other --quiet", folder).returncode == 0
+    shutil.copy(folder / "result" / "extraction.npz", folder / "robot_1.npz")
+    shutil.move(folder / "other" / "extraction.npz", folder / "robot_2.npz")
+    shutil.rmtree(folder / "other")
     shutil.copy(folder / "log.mcap", folder / "recordings" / "robot_1.mcap")
     manifest = "robots: [{name: a, logs: [robot_1.npz]}, {name: b, logs: [robot_2.npz]}]"
     (folder / "fleet.yaml").write_text(manifest, encoding="utf-8")
