@@ -82,7 +82,7 @@ def cleaned(process, number, everyone, folder):
     if code == 128 + number:
         assert err.splitlines()[-1].startswith("interrupted: ")
         return False
-    assert code in (0, 6)
+    assert code in (0, 6, -number)  # the last: it had finished, and Python was shutting down
     return True
 
 
@@ -90,7 +90,7 @@ def cleaned(process, number, everyone, folder):
 @pytest.mark.parametrize("number", [TERM, HUP, INT])
 def test_calibrate(sample_logs, tmp_path, number, everyone):
     process = started(["calibrate", sample_logs / "straight.mcap", "-o", "out"], tmp_path)
-    time.sleep(3)
+    time.sleep(1.5)
     finished = cleaned(process, number, everyone, tmp_path)
     assert whole_or_nothing(tmp_path) == finished
 
