@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import MotionSeen, motion_seen
+from mobilecal_cli.kinematics import FEWEST_LEGS, MotionSeen, motion_seen
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
@@ -119,7 +119,7 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
         if score is not None and score.error < min(_CLEARLY_BETTER * base, _FITS):
             found.append((score, mistake))
     if not found:
-        return _frozen(extraction)
+        return _of_one_log(extraction) or _frozen(extraction)
     least = min(score.error for score, _ in found)
     equal = [(score, mistake) for score, mistake in found if score.error < _EQUAL * least]
     nearest = min(score.turned_rad for score, _ in equal)
@@ -132,8 +132,31 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
     )
 
 
+def _of_one_log(extraction: Extraction) -> Diagnosis | None:
+    """The mistake of one of several recordings."""
+    logs = len(extraction.wheels)
+    for log in range(logs if logs > 1 else 0):
+        alone = tuple(replace(o, log=0) for o in extraction.observations if o.log == log)
+        if len(alone) <= FEWEST_LEGS:
+            continue
+        tracks = extraction.joint_tracks[log : log + 1]
+        one = replace(extraction, observations=alone, wheels=(extraction.wheels[log],), joint_tracks=tracks)
+        found = diagnose(one)
+        if found is not None:
+            return replace(found, cause=f"recording {log + 1} of {logs}: {found.cause}")
+    return None
+
+
 def _frozen(extraction: Extraction) -> Diagnosis | None:
-    """Joints that have the same reading at all stations while others move."""
+    """Joints that have the same reading at all stations while others move, or both wheels."""
+    sides = [side for track in extraction.wheels for side in (track.right, track.left)]
+    if all(np.ptp(side.value) < STILL for side in sides):
+        return Diagnosis(
+            "the readings of both wheels never change, and the images do not fit a base at rest",
+            "check that the wheel encoders are recorded while the base moves",
+            None,
+            None,
+        )
     readings = np.stack([o.joints for o in extraction.observations])
     still = [
         name

@@ -80,11 +80,11 @@ def joint_mistakes(chain: HeadChain) -> Iterator[Mistake]:
             _with_joints(1.0, order),
         )
     for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
-        yield Mistake(
-            f"the joint readings are in {unit}",
-            "set the unit in joints.fields in rig.yaml, or correct the recording",
-            _with_joints(factor),
-        )
+        cure = "set the unit in joints.fields in rig.yaml, or correct the recording"
+        yield Mistake(f"the joint readings are in {unit}", cure, _with_joints(factor))
+        for column, name in enumerate(joints if len(joints) > 1 else ()):
+            only = np.where(np.arange(len(joints)) == column, factor, 1.0)
+            yield Mistake(f"the readings of {name} are in {unit}", cure, _with_joints(only))
 
 
 def wheel_mistakes() -> Iterator[Mistake]:
@@ -111,38 +111,44 @@ def wheel_mistakes() -> Iterator[Mistake]:
 
 
 def interruptions(extraction: Extraction) -> Iterator[Mistake]:
-    """Stretches of stations in which one reading stays the same while another changes, left out."""
-    for log in range(len(extraction.wheels)):
+    """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
+    cure = "check the cable and the driver, and record again, or leave this stretch out"
+    for log, track in enumerate(extraction.wheels):
         mine = np.array([k for k, o in enumerate(extraction.observations) if o.log == log])
         if len(mine) <= _FEWEST:
             continue
         seen = [extraction.observations[k] for k in mine]
         times = np.array([o.time_ns for o in seen])
-        track = extraction.wheels[log]
-        joints = (np.stack([o.joints for o in seen]), extraction.rig.chain.joints, "joint {}")
-        wheels = np.stack(
-            [np.interp(times, side.time_ns, side.value) for side in (track.right, track.left)], 1
-        )
-        for readings, names, label in (joints, (wheels, ("right", "left"), "the {} wheel")):
-            for column, name in enumerate(names):
-                for first, last in _still(readings, column):
-                    if label != joints[2] and first > 0 and last < len(mine) - 1:
-                        continue  # the leg across would be wrong
-                    stretch = f"between {_at_s(track, times[first])} and {_at_s(track, times[last])} s"
-                    yield Mistake(
-                        f"the reading of {label.format(name)} does not change {stretch}",
-                        "check the cable and the driver, and record again, or leave this stretch out",
-                        _without(mine[first + 1 if first else 0 : last + 1]),
-                    )
+
+        def stretch(first: int, last: int, track: WheelTrack = track, times: IntArray = times) -> str:
+            return f"between {_at_s(track, times[first])} and {_at_s(track, times[last])} s"
+
+        readings = np.stack([o.joints for o in seen])
+        for column, name in enumerate(extraction.rig.chain.joints):
+            others = np.delete(readings, column, axis=1)
+            for first, last in _still(readings[:, [column]], others):
+                cause = f"the reading of joint {name} does not change {stretch(first, last)}"
+                yield Mistake(cause, cure, _without(mine[first + 1 if first else 0 : last + 1]))
+        turned = np.stack([side.at(times) for side in (track.right, track.left)], axis=1)
+        for columns, cause in (
+            ([0], "the reading of the right wheel does not change"),
+            ([1], "the reading of the left wheel does not change"),
+            ([0, 1], "the readings of both wheels do not change"),
+        ):
+            for first, last in _still(turned[:, columns], np.delete(turned, columns, axis=1)):
+                if first and last < len(mine) - 1:
+                    continue  # the leg across would be wrong
+                lost = _without(mine[first + 1 if first else 0 : last + 1])
+                yield Mistake(f"{cause} {stretch(first, last)}", cure, lost)
 
 
-def _still(readings: FloatArray, column: int) -> Iterator[tuple[int, int]]:
-    """First and last row of each stretch in which one column stays the same while others change: (n, m) readings."""
-    same = np.abs(np.diff(readings[:, column])) < STILL
+def _still(readings: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
+    """First and last row of stretches in which readings (n, k) stay the same while the others (n, m) change, if any."""
+    same = np.all(np.abs(np.diff(readings, axis=0)) < STILL, axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2).tolist():
-        moved = float(np.ptp(np.delete(readings[first : last + 1], column, axis=1), axis=0).max(initial=0.0))
-        if last - first + 1 >= _FEWEST and last - first + 1 < len(readings) and moved > MOVED:
+        moved = np.ptp(others[first : last + 1], axis=0)
+        if _FEWEST <= last - first + 1 < len(readings) and (not len(moved) or moved.max() > MOVED):
             yield first, last
 
 

@@ -13,6 +13,7 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.diagnosis import diagnose
+from tests.solvers.test_several_logs import joined
 
 ROBOT = tick_robot()
 PAN, TILT = 0, 1
@@ -67,6 +68,17 @@ def unplugged_from(extraction, station):
     return replace(extraction, wheels=(WheelTrack(replace(right, value=value), track.left),))
 
 
+def parked_from(extraction, station):
+    """Both wheels are read no more from one station on."""
+    (track,) = extraction.wheels
+    at = extraction.observations[station].time_ns
+    sides = (
+        replace(s, value=np.where(s.time_ns < at, s.value, s.at(np.array([at]))[0]))
+        for s in (track.right, track.left)
+    )
+    return replace(extraction, wheels=(WheelTrack(*sides),))
+
+
 def said_of(extraction):
     """The error's message, or the verdict's reason."""
     try:
@@ -110,6 +122,16 @@ MISTAKES |= {
         lambda e: stuck_from(e, 5, TILT),
         "the reading of joint tilt_joint does not change between",
     ),
+    "both unplugged": (lambda e: parked_from(e, 6), "the readings of both wheels do not change between"),
+    "no wheels": (lambda e: with_wheels(e, 0, 0), "the readings of both wheels never change"),
+    "pan in degrees": (
+        lambda e: with_joints(e, lambda q: q * [180 / np.pi, 1]),
+        "the readings of pan_joint are in degrees",
+    ),
+    "tilt in degrees": (
+        lambda e: with_joints(e, lambda q: q * [1, 180 / np.pi]),
+        "the readings of tilt_joint are in degrees",
+    ),
     "unplugged": (lambda e: unplugged_from(e, 6), "the reading of the right wheel does not change between"),
 }
 
@@ -132,3 +154,11 @@ def test_the_named_mistake_is_the_only_one(recorded):
 def test_a_good_recording_has_no_diagnosis(recorded):
     assert diagnose(recorded) is None
     assert solve(recorded).diagnosis is None
+
+
+def test_the_recording_with_the_mistake_is_named(recorded):
+    second = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=5), Noise(0.2, 0.003, 0.0, 1e-3), 5)
+    spoilt = with_wheels(second, -1, 1)
+    assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in said_of(
+        joined(recorded, spoilt)
+    )

@@ -29,7 +29,7 @@
       copy.hidden = false;
       return copy;
     }));
-    said.textContent = k < 0 ? "Pick a station here, in a plot or in the view: it lights up everywhere." : describe(k);
+    said.textContent = k < 0 ? "Pick a station here, in a plot or in the view: it is highlighted in all plots." : describe(k);
     draw();
   }
   function describe(k) {
