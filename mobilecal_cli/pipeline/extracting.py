@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.config import RigConfig, read_urdf
 from mobilecal_cli.discovery import resolve_rig
-from mobilecal_cli.errors import ConfigError, ObservationError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
@@ -185,7 +186,11 @@ def extract(
     sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
     refuse_equal_files(sources)
     for parts in recordings:
-        with open_recording(parts) as recording, DetectionWorkers(recording, jobs) as workers:
+        with (
+            _named(parts[0], several=len(recordings) > 1),
+            open_recording(parts) as recording,
+            DetectionWorkers(recording, jobs) as workers,
+        ):
             pieces = _see(seen, recording, workers, config, flags, progress)
         one = pieces[0]
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
@@ -199,6 +204,17 @@ def extract(
     extraction, snapshots = _assembled(seen, sources)
     refuse_equal_recordings(extraction, [one.name for one in seen])
     return extraction, snapshots
+
+
+@contextmanager
+def _named(path: Path, *, several: bool) -> Iterator[None]:
+    """Name the recording in an error, where there are several."""
+    try:
+        yield
+    except MobilecalError as error:
+        if not several or str(path) in error.message:
+            raise
+        raise type(error)(f"{path}: {error.message}", error.hint) from error
 
 
 def _other_cameras(first: Seen, other: Seen) -> tuple[str, ...]:

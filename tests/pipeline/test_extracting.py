@@ -1,4 +1,4 @@
-"""Recordings of one robot whose camera infos differ."""
+"""Several recordings of one robot: camera infos that differ, and errors in one of them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
-from mobilecal_cli.pipeline.extracting import _other_cameras
+from mobilecal_cli.pipeline.extracting import _other_cameras, extract
 from mobilecal_cli.simulate.robot import ROBOTS
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
@@ -40,3 +42,11 @@ def test_other_cameras_are_told(other):
 def test_rounding_is_not_told():
     other = changed(K=CAMERAS.right.K * (1 + 1e-9), D=CAMERAS.right.D + 1e-9)
     assert _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other)) == ()
+
+
+def test_the_recording_with_the_error_is_named(sample_logs):
+    logs = [sample_logs / "tick_robot.mcap", sample_logs / "imperfect_robot.mcap"]
+    with pytest.raises(
+        RecordingError, match=r"imperfect_robot\.mcap: wheels\.left: no topic /wheel_ticks/left"
+    ):
+        extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))
