@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mobilecal_cli.comparison import difference as compare
-    from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, load, solve
+    from mobilecal_cli.pipeline.steps import Data, Fit, Report, export_to, extract, load, solve
 
 __version__ = "0.1.0"
-__all__ = ["Data", "Fit", "Report", "compare", "extract", "load", "solve"]
+__all__ = ["Data", "Fit", "Report", "compare", "export_to", "extract", "load", "solve"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name

@@ -106,7 +106,7 @@ def calibrate(
         list[str] | None,
         typer.Option(
             metavar="NAME,...",
-            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation.",
+            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
         ),
     ] = None,
     gate: Gates = None,

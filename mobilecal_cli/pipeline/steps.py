@@ -13,7 +13,7 @@ from typing import Any
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import SolveError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml, write_outputs
 from mobilecal_cli.model import (
     CalibratedRobot,
@@ -23,11 +23,13 @@ from mobilecal_cli.model import (
     Method,
     Parameters,
     Provenance,
+    Side,
     Snapshot,
     Solution,
     StereoRig,
 )
 from mobilecal_cli.pipeline.evaluating import held_out, read_params
+from mobilecal_cli.pipeline.exporting import Exported, export
 from mobilecal_cli.pipeline.loading import load as load_logs
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
@@ -45,6 +47,7 @@ from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
 from mobilecal_cli.source_date import source_date
+from mobilecal_cli.targets import Target
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
 
 AnyPath = str | os.PathLike[str]
@@ -152,7 +155,8 @@ def solve(
         method: "ml" (maximum likelihood), "linear", "paper" or "lm", see `--method`.
         fix: parameters, groups of them or constants to fix; with a value (m, rad, share) or None for the nominal one.
         prior: parameter or constant → (value, standard deviation).
-        estimate: constants, or kinds of them, whose stated values are ignored.
+        estimate: constants, kinds of them, or groups of kinds ("stereo", "lenses", "board", "head"), whose stated
+            values are ignored.
         hold_out: share at the end of each recording to hold out and to test the parameters on.
         progress: called with the progress.
 
@@ -214,6 +218,33 @@ def load(params: AnyPath) -> CalibratedRobot:
         ConfigError: the file cannot be read, or is not a params.yaml.
     """
     return read_params(Path(params))
+
+
+def export_to(
+    params: AnyPath,
+    target: str,
+    *,
+    urdf: AnyPath | None = None,
+    wheel_joints: Mapping[Side, str] | None = None,
+    with_chain: bool = False,
+) -> Exported:
+    """A calibration in the format of another program, as `mobilecal export --to`.
+
+    Args:
+        params: params.yaml, with its extraction.npz beside it for the cameras and the head chain.
+        target: the format, see `mobilecal export --help`.
+        urdf: the file to patch, for the target "urdf".
+        wheel_joints: names of the wheel joints, overriding those that the calibration read.
+        with_chain: for the target "urdf", also write the estimated head chain.
+
+    Raises:
+        ConfigError: an unknown format, or a file that is missing or invalid.
+    """
+    if target not in tuple(Target):
+        raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
+    return export(
+        Path(params), Target(target), None if urdf is None else Path(urdf), wheel_joints, with_chain
+    )
 
 
 class Report:

@@ -71,7 +71,7 @@ class _Geometry:
         joints = np.stack([o.joints for o in seen])
         grid = extraction.board.grid()
         points = np.stack([se3.act(o.T_c_k, grid * o.square_m) for o in seen])
-        _, by_point = project_with_jacobian(extraction.rig.cameras.left, points)
+        _, by_point = project_with_jacobian(solution.cameras.left, points)
         by_joints = se3.adjoint(se3.inverse(X)) @ head_jacobian(chain, joints)
         cov = np.stack([o.points_cov for o in seen])
         return cls(points, by_point, head_pose(chain, joints) @ X, cov, by_joints)

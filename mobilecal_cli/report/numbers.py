@@ -99,7 +99,7 @@ def rotation_of(solution: Solution) -> Rotation:
     lock_deg = se3.gimbal_margin_deg(R)
     euler_deg = np.array(se3.euler_zyx_deg(R)) if lock_deg >= NEAR_LOCK_DEG else None
     vector_std = euler_std = None
-    if found is not None and not found.fixed[:3].any():
+    if found is not None and None not in reference_std(solution)[:3]:
         C = found.reference_covariance[:3, :3]
         J = np.linalg.inv(se3.left_jacobian_so3(np.radians(vector_deg)))
         vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
@@ -156,13 +156,14 @@ def sigmas(solution: Solution) -> tuple[Sigma, ...]:
 def reference_std(solution: Solution) -> tuple[float | None, ...]:
     """Nine standard deviations for the reference camera, rad and m; None where the user fixed a parameter.
 
-    Empty for methods that give none.
+    Empty for methods that give none. With the left camera fixed, the pose of a right reference camera varies with the
+    estimated stereo pair.
     """
     found = solution.uncertainty
     if found is None:
         return ()
     std = np.sqrt(np.diag(found.reference_covariance))
-    return tuple(None if fixed else float(s) for s, fixed in zip(std, found.fixed, strict=True))
+    return tuple(None if fixed and s == 0 else float(s) for s, fixed in zip(std, found.fixed, strict=True))
 
 
 def written(sigma: Sigma) -> str:

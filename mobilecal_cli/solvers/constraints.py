@@ -23,6 +23,13 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OF_THE_ROBOT = re.compile(r".+_(?:zero|scale|axis_[xyz]|position_[xyz])|backlash_.+|baseline_[xyz]")
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _KINDS = tuple(kind.name for kind in nuisance.KINDS)
+#: Group → its kinds of constants, for --estimate.
+_KIND_GROUPS = {
+    "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
+    "lenses": ("focal_length", "principal_point", "distortion"),
+    "board": ("square_size", "square_aspect", "board_bend"),
+    "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
+}
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
@@ -74,7 +81,11 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, [*known, *_OFTEN], 1)
     if near:
         return ConfigError(message, f"did you mean {near[0]}?")
-    kinds = f"kinds: {', '.join(_KINDS)}; " if flag == "--estimate" else f"parameters: {', '.join(NINE)}; "
+    kinds = (
+        f"kinds: {', '.join((*_KIND_GROUPS, *_KINDS))}; "
+        if flag == "--estimate"
+        else f"parameters: {', '.join(NINE)}; "
+    )
     return ConfigError(message, f"{kinds}docs/reference/rig-yaml.md lists all constants")
 
 
@@ -93,16 +104,17 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     Args:
         fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of a constant.
         prior: NAME=VALUE±SIGMA (or +-).
-        estimate: constants or kinds of constants whose stated values are ignored, separated by commas.
+        estimate: constants, kinds of constants or groups of kinds whose stated values are ignored, separated by commas.
 
     Raises:
         ConfigError: unknown name or wrong format.
     """
-    requested = tuple(name.strip() for text in estimate for name in text.split(",") if name.strip())
+    named = (name.strip() for text in estimate for name in text.split(",") if name.strip())
+    requested = tuple(member for name in named for member in _KIND_GROUPS.get(name, (name,)))
     fixed_rows = [row.name for row in nuisance.CONSTANTS]
     for name in requested:
         if name not in (*_KINDS, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--estimate", name, [*_KINDS, *fixed_rows])
+            raise _unknown("--estimate", name, [*_KIND_GROUPS, *_KINDS, *fixed_rows])
     known = [*NINE, *_GROUPS, *fixed_rows]
     fixed: dict[str, float | None] = {}
     for text in fix:

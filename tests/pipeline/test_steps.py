@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 import mobilecal_cli as mc
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.pipeline import calibrate
+from mobilecal_cli.solvers import constraints_of
 from tests.conftest import REPOSITORY
 
 
@@ -43,3 +45,16 @@ def test_the_command_writes_the_same_files(workplace, monkeypatch):
 def test_a_name_that_does_not_exist_is_refused():
     with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
         _ = mc.calibrat
+
+
+def test_a_group_stands_for_its_kinds_of_constants():
+    kinds = ("stereo_rotation", "baseline_direction", "baseline_length")
+    assert constraints_of([], [], ["stereo"]).constants == kinds
+    with pytest.raises(ConfigError, match="--estimate streo: no such") as caught:
+        constraints_of([], [], ["streo"])
+    assert caught.value.hint == "did you mean stereo?"
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(ConfigError, match="export to xarco: no such format"):
+        mc.export_to("params.yaml", "xarco")

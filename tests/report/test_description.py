@@ -28,7 +28,7 @@ from mobilecal_cli.report.budget import FAMILIES, SOURCES, families, limiting_se
 from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
 from mobilecal_cli.report.decomposition import error_parts, reprojection_sentence
 from mobilecal_cli.report.findings import jackknife_sentence, noise_rows
-from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.numbers import reference_std, rotation_of, std_text
 from mobilecal_cli.simulate.ideal import Noise
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -348,6 +348,29 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     for R in (written.T_parent_child[:3, :3], shown):
         off_deg = np.degrees(np.linalg.norm(se3.log_so3(R @ truth[:3, :3].T)))
         assert off_deg < 0.35
+
+
+def test_the_right_camera_follows_the_estimated_pair_where_the_left_one_is_fixed():
+    """A fixed head-eye transform fixes the left camera; the right one has the estimated pose in the pair."""
+    _, extraction = of_the_right_camera()
+    nominal = Nominal(tick_robot().T_h_c @ extraction.rig.cameras.T_c_r, extraction.rig.nominal.wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
+    solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
+    expected = tick_robot().T_h_c @ solution.cameras.T_c_r
+    assert not np.allclose(expected, nominal.T_h_reference, atol=5e-3)
+    provenance = make_provenance(extraction)
+    written = parameters_from_yaml(params_yaml(solution, extraction, provenance))
+    data = json.loads(report_json(solution, extraction, provenance, judge(solution, extraction)))[
+        "parameters"
+    ]
+    shown = se3.transform(
+        se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
+    )
+    for T in (written.T_parent_child, shown):
+        np.testing.assert_allclose(T, expected, atol=1e-6)
+    # Its pose is not exact: it varies with the estimated pair.
+    assert min(reference_std(solution)[:6]) > 0
+    assert (rotation_of(solution).vector_std_deg > 0).all()
 
 
 def test_the_right_camera_has_its_own_covariance_and_jackknife():

@@ -133,7 +133,7 @@ def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     share_look, share_bad = max(LEG_SHARE_LOOK, excused), max(LEG_SHARE_BAD, excused)
     for kind, errors, scale, unit in (
         ("point", residuals.leg_point_rms_m * 1e3, board_distance_m(extraction) * 1e3, "mm"),
-        ("reprojection", residuals.leg_reprojection_px, float(extraction.rig.cameras.left.K[0, 0]), "px"),
+        ("reprojection", residuals.leg_reprojection_px, float(solution.cameras.left.K[0, 0]), "px"),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = residuals.legs[worst]
@@ -161,7 +161,7 @@ def error_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         graded(unexplained, POINT_ERROR_LOOK_PERCENT, POINT_ERROR_BAD_PERCENT),
         facts={"error_mm": error * 1e3, "depth_noise_mm": predicted * 1e3, "distance_m": distance},
     )
-    limit_px = PIXEL_ERROR_BAD * float(extraction.rig.cameras.left.K[0, 0])
+    limit_px = PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
     px = math.sqrt(max(solution.reprojection_rms_px**2 - floor.px**2, 0.0))
     facts = {"error_px": solution.reprojection_rms_px}
     yield Check("reprojection_error", px, limit_px, "px", graded(px, math.inf, limit_px), facts=facts)
