@@ -1,4 +1,4 @@
-"""The export formats, in a module that imports nothing heavy, for the command line."""
+"""Export formats and paper sizes, in a module that imports nothing heavy, for the command line."""
 
 from __future__ import annotations
 
@@ -17,3 +17,20 @@ class Target(StrEnum):
     camera_info_right = "camera_info_right"
     camchain = "camchain"
     json = "json"
+
+
+class Paper(StrEnum):
+    """A page of `mobilecal board`: automatic (A4 to A0), a standard size, or as large as the board needs."""
+
+    auto = "auto"
+    a4 = "a4"
+    a3 = "a3"
+    a2 = "a2"
+    a1 = "a1"
+    a0 = "a0"
+    letter = "letter"
+    tabloid = "tabloid"
+    ansi_c = "ansi_c"
+    ansi_d = "ansi_d"
+    ansi_e = "ansi_e"
+    exact = "exact"

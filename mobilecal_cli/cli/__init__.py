@@ -6,15 +6,26 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
-from mobilecal_cli.cli import calibrating, fleet, looking, simulating, using
+from mobilecal_cli.cli import calibrating, fleet, looking, printing, simulating, using
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.errors import MobilecalError, QualityError, RecordingError, ResourceError
 from mobilecal_cli.source_date import source_date
 
-__all__ = ["app", "calibrating", "fleet", "looking", "main", "simulating", "using"]
+__all__ = ["app", "calibrating", "fleet", "looking", "main", "printing", "simulating", "using"]
 
 #: The order of `mobilecal --help`: the everyday commands first.
-_ORDER = ("calibrate", "inspect", "init", "suggest", "evaluate", "compare", "export", "batch", "simulate")
+_ORDER = (
+    "calibrate",
+    "inspect",
+    "init",
+    "suggest",
+    "evaluate",
+    "compare",
+    "export",
+    "batch",
+    "board",
+    "simulate",
+)
 app.registered_commands.sort(key=lambda command: _ORDER.index(command.callback.__name__))  # type: ignore[union-attr]
 
 

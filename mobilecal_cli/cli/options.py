@@ -62,15 +62,25 @@ def flags_of(
 
     flags = dict(parse_setting(text) for text in settings or [])
     if board is not None:
-        columns, x, rows = board.lower().partition("x")
-        if not (x and columns.isdigit() and rows.isdigit()):
-            raise ConfigError(
-                f"--board {board}: not of the form COLUMNSxROWS",
-                "count the inner corners, for example --board 9x6",
-            )
-        flags |= {"board.columns": int(columns), "board.rows": int(rows)}
+        columns, rows = counts_of("--board", board)
+        flags |= {"board.columns": columns, "board.rows": rows}
     if square_m is not None:
         flags["board.square_m"] = square_m
     if stations is not None:
         flags["stations"] = stations.value
     return flags
+
+
+def counts_of(option: str, text: str) -> tuple[int, int]:
+    """Columns and rows of inner corners, from "9x6".
+
+    Raises:
+        ConfigError: another text.
+    """
+    columns, x, rows = text.lower().partition("x")
+    if not (x and columns.isdigit() and rows.isdigit()):
+        raise ConfigError(
+            f"{option} {text}: not of the form COLUMNSxROWS",
+            f"count the inner corners, for example {option} 9x6",
+        )
+    return int(columns), int(rows)

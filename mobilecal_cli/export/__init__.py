@@ -1,5 +1,6 @@
 """Writers and readers of params.yaml, extraction.npz and other formats, and of output directories."""
 
+from mobilecal_cli.export.board_print import BoardPrint, board_pdf
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.formats import (
     camchain_yaml,
@@ -26,8 +27,10 @@ from mobilecal_cli.export.single_file import check_file, write_file
 from mobilecal_cli.export.urdf_patch import patched_urdf
 
 __all__ = [
+    "BoardPrint",
     "Improved",
     "ImprovedChain",
+    "board_pdf",
     "camchain_yaml",
     "camera_constants",
     "camera_info_yaml",

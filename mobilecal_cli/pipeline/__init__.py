@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.pipeline.fleet import batch, run_locally
     from mobilecal_cli.pipeline.inspecting import inspect
     from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
+    from mobilecal_cli.pipeline.printing import print_board
     from mobilecal_cli.pipeline.progress import Progress, silent
 
 #: Name → module that defines it.
@@ -37,6 +38,7 @@ _HOME = {
     "export": "exporting",
     "extract": "extracting",
     "inspect": "inspecting",
+    "print_board": "printing",
     "run_locally": "fleet",
     "run_on": "cluster",
     "silent": "progress",
@@ -73,6 +75,7 @@ __all__ = [
     "export",
     "extract",
     "inspect",
+    "print_board",
     "run_locally",
     "run_on",
     "silent",

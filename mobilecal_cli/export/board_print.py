@@ -1,0 +1,225 @@
+"""A checkerboard or ChArUco board as a PDF to print at true scale."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.pdf import CHARACTER, LARGEST_MM, Line, one_page
+from mobilecal_cli.export.yaml_text import decimal
+from mobilecal_cli.model import Board, FloatArray, Markers
+from mobilecal_cli.targets import Paper
+
+#: Page size in portrait, mm.
+_PAGES_MM = {
+    Paper.a4: (210.0, 297.0),
+    Paper.a3: (297.0, 420.0),
+    Paper.a2: (420.0, 594.0),
+    Paper.a1: (594.0, 841.0),
+    Paper.a0: (841.0, 1189.0),
+    Paper.letter: (215.9, 279.4),
+    Paper.tabloid: (279.4, 431.8),
+    Paper.ansi_c: (431.8, 558.8),
+    Paper.ansi_d: (558.8, 863.6),
+    Paper.ansi_e: (863.6, 1117.6),
+}
+_AUTOMATIC = (Paper.a4, Paper.a3, Paper.a2, Paper.a1, Paper.a0)
+_MARGIN_MM = 8.0  # white around the board, and what printers leave blank
+_GAP_MM, _BOTTOM_MM = 6.0, 6.0  # above and below the text
+_TEXT_MM, _PITCH_MM = 2.5, 3.2
+_BAR_MM, _TICK_MM = 1.0, 3.0
+_BARS_MM = (1000.0, 500.0, 200.0, 100.0, 50.0)
+_NARROWEST_MM = 120.0  # of a page, for the text
+
+
+@dataclass(frozen=True, slots=True)
+class BoardPrint:
+    """A board to print.
+
+    Attributes:
+        content: the PDF.
+        page: the page, for people.
+        config: the line for rig.yaml.
+        border_mm: white around the board, at its narrowest side on the page, mm.
+    """
+
+    content: bytes
+    page: str
+    config: str
+    border_mm: float
+
+
+def board_pdf(board: Board, paper: Paper) -> BoardPrint:
+    """A board at true scale, with a scale bar, its size in words, and the line for rig.yaml.
+
+    The board is in the middle of the page, and the text is below it. The first square at the top left is dark.
+
+    Args:
+        board: a checkerboard or ChArUco board with `square_m`.
+        paper: page; portrait or landscape, as the board fits.
+
+    Raises:
+        ConfigError: the board does not fit on the page, or the dictionary has too few markers.
+    """
+    assert board.square_m is not None
+    square_mm = board.square_m * 1e3
+    board_mm = (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
+    page, (width, height) = _page(board, paper, board_mm)
+    config = board_setting(board)
+    bar_mm = _bar(width)
+    words = _words(board, square_mm, board_mm, page, bar_mm)
+    left, spare = (width - board_mm[0]) / 2, height - _needed(board, board_mm, width)[1]
+    top = _MARGIN_MM + spare / 2
+    rectangles = _dark(board) * square_mm + np.array([left, top, 0.0, 0.0])
+    baseline = top + board_mm[1] + _GAP_MM + spare / 2
+    bar = _scale_bar(_MARGIN_MM, baseline, bar_mm)
+    lines = [Line(f"{bar_mm:g} mm", _MARGIN_MM + bar_mm + 2, baseline + _TICK_MM, _TEXT_MM)]
+    lines += [
+        Line(text, _MARGIN_MM, baseline + _TICK_MM + (number + 1.2) * _PITCH_MM, _TEXT_MM)
+        for number, text in enumerate(_wrapped([*words, config], width))
+    ]
+    content = one_page(width, height, np.vstack([rectangles, bar]), lines, f"{words[0]} mobilecal")
+    return BoardPrint(content, page, config, min(left, top))
+
+
+def board_setting(board: Board) -> str:
+    """The line of rig.yaml that describes a board."""
+    square = decimal(board.square_m or 0.0)
+    size = f"columns: {board.columns}, rows: {board.rows}, square_m: {square}"
+    markers = board.markers
+    if markers is None:
+        return f"board: {{{size}}}"
+    return (
+        f"board: {{kind: charuco, {size}, dictionary: {markers.dictionary}, "
+        f"marker_share: {decimal(markers.share)}}}"
+    )
+
+
+def _words(
+    board: Board, square_mm: float, board_mm: tuple[float, float], page: str, bar_mm: float
+) -> list[str]:
+    """What the page shows, and how to print and check it."""
+    size = f"{board.columns} x {board.rows} inner corners, squares of {square_mm:g} mm"
+    if board.markers is None:
+        what = f"Checkerboard, {size}."
+    else:
+        side = f"markers of {board.markers.share * square_mm:g} mm ({board.markers.dictionary})"
+        what = f"ChArUco board, {size}, {side}."
+    whole = f"{board_mm[0]:g} mm x {board_mm[1]:g} mm"
+    return [
+        what,
+        f"Print at actual size (100 %) on {page}. Check with a ruler: the bar is {bar_mm:g} mm long, the board "
+        f"{whole}.",
+    ]
+
+
+def _wrapped(texts: list[str], page_width_mm: float) -> list[str]:
+    width = int((page_width_mm - 2 * _MARGIN_MM) / (CHARACTER * _TEXT_MM))
+    return [line for text in texts for line in textwrap.wrap(text, width)]
+
+
+def _bar(page_width_mm: float) -> float:
+    """Length of the scale bar, mm: the longest that leaves place for its label."""
+    return next(bar for bar in _BARS_MM if bar <= page_width_mm - 2 * _MARGIN_MM - 20)
+
+
+def _scale_bar(x_mm: float, y_mm: float, length_mm: float) -> FloatArray:
+    """(3, 4) rectangles: a line with a tick inside each end, so that the outer edges are the length apart."""
+    return np.array(
+        [
+            [x_mm, y_mm + _TICK_MM - _BAR_MM, length_mm, _BAR_MM],
+            [x_mm, y_mm, 0.3, _TICK_MM],
+            [x_mm + length_mm - 0.3, y_mm, 0.3, _TICK_MM],
+        ]
+    )
+
+
+def _needed(board: Board, board_mm: tuple[float, float], page_width_mm: float) -> tuple[float, float]:
+    """Width and height that a page of some width needs, mm."""
+    square_mm, width = (board.square_m or 0.0) * 1e3, max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
+    page_width_mm = max(page_width_mm, width)
+    longest = _words(board, square_mm, board_mm, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
+    count = len(_wrapped([*longest, board_setting(board)], page_width_mm))
+    height = board_mm[1] + _MARGIN_MM + _GAP_MM + _TICK_MM + (count + 0.2) * _PITCH_MM + _BOTTOM_MM
+    return float(np.ceil(width)), float(np.ceil(height))
+
+
+def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+    """Description and size (mm) of the page to use, portrait or landscape."""
+    if paper == Paper.exact:
+        size = _needed(board, board_mm, 0.0)
+        if max(size) > LARGEST_MM:
+            raise ConfigError(
+                f"the board needs a page of {size[0]:.0f} x {size[1]:.0f} mm (limit of a PDF: {LARGEST_MM:.0f} mm)",
+                "use smaller or fewer squares",
+            )
+        return f"a page of {size[0]:g} x {size[1]:g} mm", size
+    for name in _AUTOMATIC if paper == Paper.auto else (paper,):
+        fitting = _placed(board, name, board_mm)
+        if fitting is not None:
+            shown = name.value.upper() if name in _AUTOMATIC else name.value
+            return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
+    raise _too_large(board, paper, board_mm)
+
+
+def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[float, float] | None:
+    """A standard page, portrait or landscape, mm; None if the board does not fit."""
+    portrait = _PAGES_MM[paper]
+    for size in (portrait, portrait[::-1]):
+        needed = _needed(board, board_mm, size[0])
+        if needed[0] <= size[0] and needed[1] <= size[1]:
+            return size
+    return None
+
+
+def _too_large(board: Board, paper: Paper, board_mm: tuple[float, float]) -> ConfigError:
+    name = _AUTOMATIC[-1] if paper == Paper.auto else paper
+    width, height = _PAGES_MM[name]
+    larger = next((other for other in _PAGES_MM if _placed(board, other, board_mm)), Paper.exact)
+    return ConfigError(
+        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {name.value} ({width:g} x {height:g} mm) "
+        f"with {_MARGIN_MM:g} mm around it and the text below",
+        f"use --paper {larger.value}, or smaller squares",
+    )
+
+
+def _dark(board: Board) -> FloatArray:
+    """(n, 4) dark rectangles x, y, width, height in squares, from the top left corner of the board."""
+    columns, rows = board.columns + 1, board.rows + 1
+    if board.markers is None:
+        row, column = np.divmod(np.arange(columns * rows), columns)
+        dark = (row + column) % 2 == 0
+        ones = np.ones(len(row))
+        return np.array(np.stack([column, row, ones, ones], axis=1)[dark], dtype=np.float64)
+    return _charuco(columns, rows, board.markers)
+
+
+def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
+    """Dark squares, and the dark cells of the markers in the light ones, as OpenCV arranges them."""
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
+    count = columns * rows // 2
+    if markers.first_id + count > len(family.bytesList):
+        raise ConfigError(
+            f"the board needs {count} markers, and {markers.dictionary} has {len(family.bytesList)}",
+            "choose a larger dictionary of the same family",
+        )
+    ids = np.arange(markers.first_id, markers.first_id + count)
+    drawn = cv2.aruco.CharucoBoard((columns, rows), 1.0, markers.share, family, ids)
+    corners = np.array([np.asarray(points)[0, :2] for points in drawn.getObjPoints()], dtype=np.float64)
+    light = {(int(x), int(y)) for x, y in np.floor(corners)}
+    found = [
+        (float(x), float(y), 1.0, 1.0) for y in range(rows) for x in range(columns) if (x, y) not in light
+    ]
+    cells = family.markerSize + 2 * markers.border_bits
+    side = markers.share / cells
+    for number, (left, top) in zip(ids, corners, strict=True):
+        code = cv2.aruco.generateImageMarker(family, int(number), cells, borderBits=markers.border_bits)
+        for y, line in enumerate(np.asarray(code) == 0):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]])))
+            for start, end in edges.reshape(-1, 2):
+                found.append((left + start * side, top + y * side, (end - start) * side, side))
+    return np.array(found)

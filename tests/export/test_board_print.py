@@ -1,0 +1,178 @@
+"""Printed boards, rendered by PDFium: their size on the page, and whether detectors find them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pypdfium2
+import pytest
+
+from mobilecal_cli.config import load_rig
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import board_pdf
+from mobilecal_cli.model import Board, Markers
+from mobilecal_cli.pipeline import print_board
+from mobilecal_cli.pipeline.extracting import board_of
+from mobilecal_cli.targets import Paper
+from mobilecal_cli.vision import Detection, find_board
+from mobilecal_cli.yaml_input import load_yaml
+
+MM = 25.4
+NEEDED = 0.3  # white in squares that OpenCV's newer search needs in front of a dark wall
+CHARUCO = Markers("charuco", "DICT_5X5_50", 0.75)
+PRINTS = {
+    "checkerboard": (Board(9, 6, 0.02), Paper.auto),
+    "charuco": (Board(8, 5, 0.025, CHARUCO), Paper.a4),
+    "charuco with an even number of rows": (
+        Board(5, 7, 0.03, Markers("charuco", "DICT_4X4_100", 0.6)),
+        Paper.letter,
+    ),
+    "page as large as the board": (Board(4, 3, 0.05), Paper.exact),
+    "little space around the board": (Board(8, 6, 0.08), Paper.a1),
+}
+
+
+def page_of(pdf):
+    return pypdfium2.PdfDocument(pdf)[0]
+
+
+def rendered(pdf, dpi):
+    """Gray image of the page, and pixels per mm along x and y: PDFium stretches a page to whole pixels."""
+    page = page_of(pdf)
+    image = np.asarray(page.render(scale=dpi / 72, grayscale=True).to_numpy())
+    image = image.reshape(image.shape[:2])
+    return image, np.array(image.shape[::-1]) / page.get_size() * 72 / MM
+
+
+def opencv_corners(image, board):
+    """The board's corners as OpenCV finds them, (M, 2) px, (0, 0) the center of the first pixel."""
+    if board.markers is None:
+        found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows))
+        assert found
+        return np.asarray(corners, dtype=float).reshape(-1, 2)
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.markers.dictionary))
+    drawn = cv2.aruco.CharucoBoard((board.columns + 1, board.rows + 1), 1.0, board.markers.share, family)
+    corners, numbers, _, _ = cv2.aruco.CharucoDetector(drawn).detectBoard(image)
+    assert numbers.ravel().tolist() == list(range(board.corners))
+    return np.asarray(corners, dtype=float).reshape(-1, 2)
+
+
+def grid_mm(board):
+    return board.grid()[:, :2] * board.square_m * 1e3
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_corners_are_at_true_scale(name):
+    """Both detectors find every corner, as far from the others as the board says: within 0.05 mm."""
+    board, paper = PRINTS[name]
+    image, per_mm = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
+    ours = find_board(image, board)
+    assert isinstance(ours, Detection)
+    assert ours.seen.all()
+    for corners in (ours.pixels, opencv_corners(image, board)):
+        found = corners / per_mm
+        expected = grid_mm(board) + (found - grid_mm(board)).mean(axis=0)
+        if np.abs(found - expected).max() > 1:  # OpenCV may number a checkerboard from its other end
+            found = found[::-1]
+            expected = grid_mm(board) + (found - grid_mm(board)).mean(axis=0)
+        assert np.abs(found - expected).max() < 0.05
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_the_bar_and_the_board_have_the_stated_length(name):
+    board, paper = PRINTS[name]
+    made, square_mm = board_pdf(board, paper), board.square_m * 1e3
+    text = page_of(made.content).get_textpage().get_text_bounded()
+    bar_mm = float(text.split("the bar is ")[1].split(" mm")[0])
+    image, per_mm = rendered(made.content, 300 if board.square_m < 0.06 else 150)
+    last = find_board(image, board).pixels[:, 1].max()
+    runs = [longest_run(line) for line in image[int(last + 1.05 * square_mm * per_mm[1]) :] < 128]
+    assert max(runs) / per_mm[0] == pytest.approx(bar_mm, abs=1.5 / per_mm[0])
+    page_mm = np.array(page_of(made.content).get_size()) / 72 * MM
+    assert (
+        f"board {(board.columns + 1) * square_mm:g} mm x {(board.rows + 1) * square_mm:g} mm"
+        in text.replace("\r\n", " ")
+    )
+    assert f"squares of {square_mm:g} mm" in text
+    assert f"({page_mm[0]:g} x {page_mm[1]:g} mm)" in made.page.replace("a page of ", "(") + ")"
+
+
+def longest_run(line):
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]])))
+    return max((edges[1::2] - edges[::2]).tolist(), default=0)
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_the_board_is_found_in_a_photograph(name):
+    """Printed on white paper in front of a dark wall, seen obliquely; noise and blur as of a camera."""
+    board, paper = PRINTS[name]
+    made = board_pdf(board, paper)
+    image, _ = rendered(made.content, 100 if board.square_m < 0.06 else 36)
+    height, width = image.shape
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float32)
+    scale = 760 / max(width, height)
+    seen = corners * scale @ np.array([[0.96, 0.1], [-0.12, 0.92]], dtype=np.float32) + np.float32([180, 60])
+    seen[2] -= [25, 40]
+    H = cv2.getPerspectiveTransform(corners, seen.astype(np.float32))
+    photo = cv2.warpPerspective(image, H, (1024, 960), flags=cv2.INTER_AREA, borderValue=60.0)
+    random = np.random.default_rng(5)
+    photo = cv2.GaussianBlur(photo, (0, 0), 0.8) * 0.8 + 20 + random.normal(scale=2, size=photo.shape)
+    photo = np.clip(np.round(photo), 0, 255).astype(np.uint8)
+    ours = find_board(photo, board)
+    assert isinstance(ours, Detection)
+    assert ours.seen.all()
+    if board.markers is None:
+        assert cv2.findChessboardCorners(photo, (board.columns, board.rows))[0]
+    if board.markers is not None or made.border_mm > NEEDED * board.square_m * 1e3:
+        assert len(opencv_corners(photo, board)) == board.corners
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_the_line_for_rig_yaml_describes_the_board(name, tmp_path):
+    board, paper = PRINTS[name]
+    made = board_pdf(board, paper)
+    assert (
+        board_of(
+            load_rig(None, {f"board.{key}": value for key, value in load_yaml(made.config)["board"].items()})
+        )
+        == board
+    )
+    text = page_of(made.content).get_textpage().get_text_bounded()
+    assert made.config in text.replace("\r\n", " ")
+
+
+def test_a_reader_is_asked_not_to_scale():
+    made = board_pdf(*PRINTS["checkerboard"])
+    assert b"/PrintScaling /None" in made.content
+    document = pypdfium2.PdfDocument(made.content)
+    assert document.get_metadata_dict()["Title"].startswith("Checkerboard, 9 x 6 inner corners")
+    assert len(document) == 1
+
+
+def test_the_smallest_sufficient_dictionary_is_the_default():
+    assert "DICT_5X5_50," in print_board(8, 5, 0.02, charuco=True).config
+    assert "DICT_5X5_250," in print_board(14, 14, 0.015, charuco=True).config
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "hint"),
+    [
+        ((9, 6, 0.03, False, None, None, Paper.a4), r"300 x 210 mm does not fit on a4", "--paper a3"),
+        ((9, 6, 0.2), r"2000 x 1400 mm does not fit on a0", "--paper exact"),
+        ((50, 50, 0.2, False, None, None, Paper.exact), r"limit of a PDF: 5080 mm", "smaller or fewer"),
+        ((9, 8, 0.02, True, "DICT_4X4_50"), None, None),
+        ((11, 8, 0.02, True, "DICT_4X4_50"), r"needs 54 markers, and DICT_4X4_50 has 50", "larger dictionary"),
+        ((8, 5, 0.02, False, "DICT_4X4_50"), r"apply only to ChArUco", "--charuco"),
+        ((8, 5, 0.02, True, "DICT_9X9"), r"board\.dictionary", ""),
+        ((2, 5, 0.02), r"3 or more", ""),
+        ((8, 5, -0.02), r"square_m", ""),
+        ((8, 5, 0.02, True, None, 1.2), r"marker_share", ""),
+    ],
+)  # fmt: skip
+def test_refusals(arguments, message, hint):
+    if message is None:
+        assert print_board(*arguments)
+        return
+    with pytest.raises(ConfigError, match=message) as refused:
+        print_board(*arguments)
+    assert hint in (refused.value.hint or "")
