@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +27,9 @@ from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
+
+#: Value of a required key that a draft leaves to the user.
+TODO = "TODO"
 
 Number = Annotated[float, Strict()]  # neither a text nor true
 Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
@@ -320,7 +323,13 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     for key, value in (flags or {}).items():
         if value is not None:
             section, _, name = key.partition(".")  # names of gates contain dots
-            _assign(data, [section, name] if section == "gates" else key.split("."), value)
+            _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
+    todo = sorted(_places_of(data, TODO))
+    if todo:
+        raise ConfigError(
+            f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
+            f"replace each {TODO} by its value; the comments of the draft explain them",
+        )
     try:
         rig = RigConfig.model_validate(data)
     except ValidationError as error:
@@ -329,6 +338,18 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
     return rig
+
+
+def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
+    """Dotted keys, below a mapping or list, that have a value."""
+    if isinstance(data, Mapping):
+        for key, inner in data.items():
+            yield from _places_of(inner, value, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(data, list):
+        for number, inner in enumerate(data):
+            yield from _places_of(inner, value, f"{prefix}[{number}]")
+    elif data == value:
+        yield prefix
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

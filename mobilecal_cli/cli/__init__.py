@@ -16,8 +16,9 @@ __all__ = ["app", "calibrating", "fleet", "looking", "main", "printing", "simula
 #: The order of `mobilecal --help`: the everyday commands first.
 _ORDER = (
     "calibrate",
-    "inspect",
     "init",
+    "check",
+    "inspect",
     "suggest",
     "evaluate",
     "compare",

@@ -22,8 +22,8 @@ def inspect(
 ) -> None:
     """Show what a recording contains and what is missing.
 
-    Lists the topics, the settings that a calibration would use, the motion and the board. Samples a long recording,
-    so that it takes seconds. Writes nothing.
+    Describes the recording: topics, the settings that a calibration would use, the motion and the board; `check` tests
+    a rig.yaml against it. Samples a long recording, so that it takes seconds. Writes nothing.
 
     Example: mobilecal inspect log.mcap
     """
@@ -34,6 +34,32 @@ def inspect(
     with progress_bar(quiet) as progress:
         found = pipeline.inspect(logs, config, flags_of(setting), progress)
     typer.echo(inspection_json(found) if as_json else inspection_text(found), nl=False)
+    if found.exit_code:
+        raise typer.Exit(found.exit_code)
+
+
+@app.command()
+def check(
+    rig: Annotated[Path, typer.Argument(help="Configuration to check (rig.yaml).")],
+    logs: Logs,
+    setting: Settings = None,
+    as_json: AsJson = False,
+    quiet: NoBar = False,
+) -> None:
+    """Check a configuration against a recording, without calibrating.
+
+    One line for each criterion: topics and their types, camera infos, wheels, head chain and joints, times, motion,
+    board and size of its squares. The exit code is that of a calibration. Writes nothing.
+
+    Example: mobilecal check rig.yaml log.mcap
+    """
+    from mobilecal_cli import pipeline
+    from mobilecal_cli.report import checklist_json, checklist_text
+    from mobilecal_cli.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        found = pipeline.check(rig, logs, flags_of(setting), progress)
+    typer.echo(checklist_json(found) if as_json else checklist_text(found), nl=False)
     if found.exit_code:
         raise typer.Exit(found.exit_code)
 

@@ -1,7 +1,28 @@
 """Discovery of cameras, joints, wheels and head chain by message type and name, where not configured."""
 
+from mobilecal_cli.discovery.chain import nominal_of
 from mobilecal_cli.discovery.draft import draft_rig
 from mobilecal_cli.discovery.priors import prior_sigmas, shown_priors
-from mobilecal_cli.discovery.resolve import ResolvedRig, lacking, resolve_rig
+from mobilecal_cli.discovery.resolve import (
+    Part,
+    ResolvedRig,
+    Survey,
+    complete_rig,
+    layout_of,
+    resolve_rig,
+    survey_rig,
+)
 
-__all__ = ["ResolvedRig", "draft_rig", "lacking", "prior_sigmas", "resolve_rig", "shown_priors"]
+__all__ = [
+    "Part",
+    "ResolvedRig",
+    "Survey",
+    "complete_rig",
+    "draft_rig",
+    "layout_of",
+    "nominal_of",
+    "prior_sigmas",
+    "resolve_rig",
+    "shown_priors",
+    "survey_rig",
+]

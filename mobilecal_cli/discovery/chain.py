@@ -11,7 +11,17 @@ from mobilecal_cli.config import ChainLink, RigConfig
 from mobilecal_cli.discovery.wheels import urdf_wheels
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics.urdf import Urdf, head_chain, vehicle_frame, wheel_centres
-from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink, Side, WheelSource, listed
+from mobilecal_cli.model import (
+    FixedLink,
+    FloatArray,
+    HeadChain,
+    JointLink,
+    Nominal,
+    Side,
+    WheelGeometry,
+    WheelSource,
+    listed,
+)
 
 _MIDWAY_M = 1e-6
 
@@ -99,10 +109,16 @@ def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | Non
     return T_h_reference
 
 
-def nominal_head_eye(config: RigConfig) -> FloatArray | None:
-    """(4, 4) nominal T_h_reference of the configuration; None if it is not given."""
-    prior = config.nominal.head_eye
-    if prior is None:
-        return None
-    rotation = se3.from_quaternion_xyzw(np.array(prior.quaternion_xyzw))
-    return se3.transform(rotation, np.array(prior.translation_m))
+def nominal_of(config: RigConfig) -> Nominal:
+    """Nominal values that the configuration gives; None where it gives none."""
+    head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
+    T_h_reference = None
+    if head_eye is not None:
+        rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
+        T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
+    return Nominal(
+        T_h_reference,
+        None
+        if wheels is None
+        else WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
@@ -14,7 +14,7 @@ from mobilecal_cli.discovery.chain import (
     drawn_head_eye,
     explicit_chain,
     frames,
-    nominal_head_eye,
+    nominal_of,
 )
 from mobilecal_cli.discovery.joints import joint_fields, joint_topics, joint_transforms, pan_and_tilt
 from mobilecal_cli.discovery.priors import prior_sigmas
@@ -35,13 +35,14 @@ from mobilecal_cli.model import (
     Side,
     Sources,
     StereoRig,
-    WheelGeometry,
     WheelSource,
 )
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 T = TypeVar("T")
 _Lack = RecordingError | ConfigError
+#: Parts of a rig that can be unknown.
+Part = Literal["cameras", "camera infos", "wheels", "head chain", "joints", "priors"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,7 @@ def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Head:
+class Head:
     """The head chain and its source.
 
     Attributes:
@@ -94,13 +95,13 @@ def _head(
     urdf_text: str | None,
     wheels: dict[Side, WheelSource],
     camera_frame: str,
-) -> _Head:
+) -> Head:
     if config.head.chain is not None:
         moving = [link.joint for link in config.head.chain if link.joint]
         pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = explicit_chain(config, base, head, pan, tilt)
-        return _Head(chain, None, Nominal(), "head.chain of the configuration", ())
+        return Head(chain, None, Nominal(), "head.chain of the configuration", ())
     origin = "head.urdf of the configuration"
     notes = []
     if urdf_text is None and not prelude.urdfs:
@@ -117,7 +118,7 @@ def _head(
 
 def _head_of_transforms(
     config: RigConfig, prelude: Prelude, wheels: dict[Side, WheelSource], camera_frame: str
-) -> _Head:
+) -> Head:
     """The head of a recording without a URDF, from the motion of its transforms."""
     urdf = urdf_of_transforms(prelude.transforms)
     if camera_frame not in urdf.links:
@@ -158,11 +159,11 @@ def _mounted(
     camera_frame: str,
     origin: str,
     notes: list[str],
-) -> _Head:
+) -> Head:
     chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
     base, _ = frames(config, urdf, tilt)
     drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
-    return _Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
 
 
 def _check_moves(chain: HeadChain) -> None:
@@ -174,8 +175,8 @@ def _check_moves(chain: HeadChain) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Parts:
-    """The parts of a rig.
+class Survey:
+    """The parts of a rig that configuration and recording determine, and why the others are unknown.
 
     Attributes:
         images, infos: topics of each side.
@@ -185,16 +186,19 @@ class _Parts:
         head: the head chain.
         elsewhere: the head's joints without joint states.
         joints: JointState topics.
+        lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
+            error has none of its own.
     """
 
-    images: dict[Side, str]
+    images: dict[Side, str] | None
     infos: dict[Side, str]
     rectified: bool
-    cameras: StereoRig
-    wheels: dict[Side, WheelSource]
-    head: _Head
+    cameras: StereoRig | None
+    wheels: dict[Side, WheelSource] | None
+    head: Head | None
     elsewhere: dict[str, JointField | JointTransform]
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] | None
+    lacks: tuple[tuple[Part, _Lack], ...]
 
 
 def resolve_rig(
@@ -215,17 +219,28 @@ def resolve_rig(
         RecordingError: the recording lacks something that the configuration does not give.
         ConfigError: configuration and recording contradict each other, or several choices remain.
     """
-    parts, lacks = _find(config, prelude, urdf_text)
-    if parts is None:
-        raise lacks[0]
-    infos, images, chain, drawn = parts.infos, parts.images, parts.head.chain, parts.head.drawn
-    layout: Layout = "separate" if config.cameras.both is None else config.cameras.both.layout
-    given, head_eye = config.nominal.wheels, nominal_head_eye(config)
+    return complete_rig(survey_rig(config, prelude, urdf_text), config, flags)
+
+
+def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = frozenset()) -> ResolvedRig:
+    """The rig of a survey.
+
+    Args:
+        survey: of the same configuration.
+        config, flags: see `resolve_rig`.
+
+    Raises:
+        RecordingError, ConfigError: the first error of the survey.
+    """
+    images, cameras, wheels, head, joints = (
+        survey.images, survey.cameras, survey.wheels, survey.head, survey.joints,
+    )  # fmt: skip
+    if survey.lacks or not (images and cameras and wheels and head) or joints is None:
+        raise survey.lacks[0][1]
+    infos, chain, drawn, given = survey.infos, head.chain, head.drawn, nominal_of(config)
     nominal = Nominal(
-        drawn.T_h_reference if head_eye is None else head_eye,
-        WheelGeometry(given.radius_right_m, given.radius_left_m, given.separation_m)
-        if given
-        else drawn.wheels,
+        drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
+        given.wheels or drawn.wheels,
     )
 
     def source_of(key: str, otherwise: str = "log") -> str:
@@ -238,77 +253,81 @@ def resolve_rig(
         f"right images {images['right']}": source_of("cameras.right.image"),
         f"left camera info {infos['left']}": source_of("cameras.left.info"),
         f"right camera info {infos['right']}": source_of("cameras.right.info"),
-        f"images are {'rectified' if parts.rectified else 'raw'}": source_of(
+        f"images are {'rectified' if survey.rectified else 'raw'}": source_of(
             "cameras.rectified", "topic name"
         ),
         f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
-        f"joint states {', '.join(parts.joints)}": source_of("joints.topic"),
+        f"joint states {', '.join(joints)}": source_of("joints.topic"),
         f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
         f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
-        f"head chain {chain.base_frame} to {chain.head_frame}": parts.head.origin,
+        f"head chain {chain.base_frame} to {chain.head_frame}": head.origin,
         **{
             f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
-            for side, source in parts.wheels.items()
+            for side, source in wheels.items()
         },
         "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
         "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
     return ResolvedRig(
         Rig(
-            parts.cameras,
+            cameras,
             chain,
             nominal,
-            Sources(images, infos, parts.joints, parts.wheels, parts.elsewhere, layout),
+            Sources(images, infos, joints, wheels, survey.elsewhere, layout_of(config)),
             setting_sources,
             KnownNoise(**config.noise.model_dump()),
-            prior_sigmas(config.priors, parts.cameras, chain),
+            prior_sigmas(config.priors, cameras, chain),
         ),
-        parts.head.notes,
+        head.notes,
     )
 
 
-def lacking(config: RigConfig, prelude: Prelude, urdf_text: str | None = None) -> tuple[_Lack, ...]:
-    """All errors that prevent a complete rig, except those that follow from another error."""
-    return tuple(_find(config, prelude, urdf_text)[1])
+def layout_of(config: RigConfig) -> Layout:
+    """Arrangement of the two images of a pair."""
+    return "separate" if config.cameras.both is None else config.cameras.both.layout
 
 
-def _find(config: RigConfig, prelude: Prelude, urdf_text: str | None) -> tuple[_Parts | None, list[_Lack]]:
-    """The parts of a rig, or all errors, in order."""
-    lacks: list[_Lack] = []
+def survey_rig(config: RigConfig, prelude: Prelude, urdf_text: str | None = None) -> Survey:
+    """Everything that configuration and recording determine, and all errors, except those that follow from another.
 
-    def tried(step: Callable[[], T]) -> T | None:
+    Args:
+        config, `prelude`, urdf_text: see `resolve_rig`.
+    """
+    lacks: list[tuple[Part, _Lack]] = []
+
+    def tried(part: Part, step: Callable[[], T]) -> T | None:
         try:
             return step()
         except (RecordingError, ConfigError) as error:
-            lacks.append(error)
+            lacks.append((part, error))
             return None
 
     reference = config.cameras.reference
-    images = tried(lambda: image_topics(config, prelude))
+    images = tried("cameras", lambda: image_topics(config, prelude))
     topics: dict[Side, str] = {}
     rectified, cameras = False, None
     if images is not None:
         for side in _SIDES:
-            topic = tried(partial(info_topic, side, images[side], config, prelude))
+            topic = tried("camera infos", partial(info_topic, side, images[side], config, prelude))
             topics |= {side: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(images["left"]) if told is None else told
     infos = {side: prelude.infos[topic] for side, topic in topics.items()}
     if len(infos) == len(_SIDES):
-        tried(lambda: check_sizes(infos))
-        cameras = tried(lambda: stereo_rig(infos["left"], infos["right"], rectified, reference))
-    wheels = tried(lambda: wheel_sources(config, prelude))
+        tried("camera infos", lambda: check_sizes(infos))
+        cameras = tried(
+            "camera infos", lambda: stereo_rig(infos["left"], infos["right"], rectified, reference)
+        )
+    wheels = tried("wheels", lambda: wheel_sources(config, prelude))
     frame = infos[reference].frame_id if reference in infos else ""
-    head = tried(lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
+    head = tried("head chain", lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:
-        tried(lambda: _check_moves(head.chain))
-        elsewhere |= tried(lambda: joint_fields(config, prelude, head.chain)) or {}
+        tried("head chain", lambda: _check_moves(head.chain))
+        elsewhere |= tried("joints", lambda: joint_fields(config, prelude, head.chain)) or {}
         elsewhere |= joint_transforms(config, prelude, head.chain, head.urdf)
-        joints = tried(lambda: joint_topics(config, prelude, head.chain, elsewhere))
+        joints = tried("joints", lambda: joint_topics(config, prelude, head.chain, elsewhere))
         if cameras is not None:
-            tried(lambda: prior_sigmas(config.priors, cameras, head.chain))
-    if lacks or images is None or cameras is None or wheels is None or head is None or joints is None:
-        return None, lacks
-    return _Parts(images, topics, rectified, cameras, wheels, head, elsewhere, joints), lacks
+            tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
+    return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, tuple(lacks))

@@ -15,7 +15,15 @@ from mobilecal_cli.model.findings import (
     Suggestion,
 )
 from mobilecal_cli.model.fleet import FleetJob, FleetRow
-from mobilecal_cli.model.inspection import BoardView, Inspection, JointRange, Lack, MotionView, TopicView
+from mobilecal_cli.model.inspection import (
+    BoardView,
+    Inspection,
+    JointRange,
+    Lack,
+    MotionView,
+    Parts,
+    TopicView,
+)
 from mobilecal_cli.model.observations import (
     Corners,
     Extraction,
@@ -123,6 +131,7 @@ __all__ = [
     "Observation",
     "Outlier",
     "Parameters",
+    "Parts",
     "PictureIndex",
     "Prelude",
     "Provenance",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
-from mobilecal_cli.model.rig import Rig
+from mobilecal_cli.model.rig import HeadChain, Rig, Side, StereoRig, WheelSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +38,20 @@ class BoardView:
         pictures: number of images searched.
         seen: number of images with a whole board of the most frequent size.
         size: (columns, rows) inner corners, None if no size is the most frequent.
-        square_m: side of a square measured with the stereo pair, m; None if no pair shows the board.
+        square_m: side of a square measured with the stereo pair, m: median over the pairs; None if no pair shows the
+            board.
+        squares_m: measured side in each pair, m.
         stated_m: side of a square as configured, m; None if it is not.
+        other_sizes: number of images that show a whole board of another size.
     """
 
     pictures: int
     seen: int
     size: tuple[int, int] | None
     square_m: float | None = None
+    squares_m: tuple[float, ...] = ()
     stated_m: float | None = None
+    other_sizes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +88,37 @@ class Lack:
     """Something that is missing for a calibration.
 
     Attributes:
+        about: what it concerns, one of `Inspection.CRITERIA`.
         what: what is wrong.
         cure: what to do.
         exit_code: the exit code of `calibrate` for this, see `errors`.
     """
 
+    about: str
     what: str
     cure: str
     exit_code: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """Parts of the rig that are known, also where others are not.
+
+    Attributes:
+        images: image topic of each side.
+        cameras: the stereo pair.
+        wheels: source of each wheel's rotation.
+        chain: the head chain.
+        chain_from: source of the chain.
+        joints: topics with the readings of the chain's joints.
+    """
+
+    images: Mapping[Side, str] | None = None
+    cameras: StereoRig | None = None
+    wheels: Mapping[Side, WheelSource] | None = None
+    chain: HeadChain | None = None
+    chain_from: str = ""
+    joints: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,18 +126,38 @@ class Inspection:
     """Summary of a recording.
 
     Attributes:
+        CRITERIA: what is checked, in order; see `Lack.about`.
         name: path as given by the user.
         containers: file formats.
         size_bytes: total size.
         start_ns, end_ns: log times of the first and last message, None where unknown.
         topics: in order of name.
         rig: what `calibrate` would use, None if something is missing for it.
+        parts: the parts of it that are known.
         board: None if no image can be read.
         motion: None if joints or wheels cannot be read.
+        covered: number of left images within the time of all joints and wheels, and of all left images; None if
+            their times are unknown.
         missing: what prevents a calibration.
         weak: what limits a calibration.
         notes: irregularities and losses, whole sentences.
     """
+
+    CRITERIA: ClassVar[tuple[str, ...]] = (
+        "rig.yaml",
+        "recording",
+        "cameras",
+        "camera infos",
+        "wheels",
+        "head chain",
+        "joints",
+        "priors",
+        "gates",
+        "time",
+        "motion",
+        "board",
+        "square size",
+    )
 
     name: str
     containers: tuple[str, ...]
@@ -117,8 +166,10 @@ class Inspection:
     end_ns: int | None
     topics: tuple[TopicView, ...]
     rig: Rig | None
+    parts: Parts
     board: BoardView | None
     motion: MotionView | None
+    covered: tuple[int, int] | None
     missing: tuple[Lack, ...]
     weak: tuple[Lack, ...]
     notes: tuple[str, ...]

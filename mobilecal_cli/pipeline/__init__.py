@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.pipeline.exporting import Exported, export
     from mobilecal_cli.pipeline.extracting import extract
     from mobilecal_cli.pipeline.fleet import batch, run_locally
-    from mobilecal_cli.pipeline.inspecting import inspect
+    from mobilecal_cli.pipeline.inspecting import check, inspect
     from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
     from mobilecal_cli.pipeline.printing import print_board
     from mobilecal_cli.pipeline.progress import Progress, silent
@@ -31,6 +31,7 @@ _HOME = {
     "Progress": "progress",
     "batch": "fleet",
     "calibrate": "calibrating",
+    "check": "inspecting",
     "compare": "comparing",
     "default_output": "calibrating",
     "draft": "drafting",
@@ -67,6 +68,7 @@ __all__ = [
     "Progress",
     "batch",
     "calibrate",
+    "check",
     "check_file",
     "compare",
     "default_output",

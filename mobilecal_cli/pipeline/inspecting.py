@@ -1,4 +1,4 @@
-"""`mobilecal inspect`: a summary of a recording of any length."""
+"""`mobilecal inspect` and `check`: a summary of a recording of any length."""
 
 from __future__ import annotations
 
@@ -10,44 +10,38 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
-from mobilecal_cli.discovery import lacking, resolve_rig
-from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError, SolveError
+from mobilecal_cli.discovery import Survey, complete_rig, layout_of, survey_rig
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
-    Board,
     BoardView,
-    GrayImage,
     Inspection,
     IntArray,
     JointRange,
     Lack,
     MotionView,
+    Parts,
     PictureIndex,
-    Prelude,
-    Rejection,
     Rig,
     Side,
     Signals,
-    Station,
     TopicInfo,
     TopicView,
     WheelTrack,
 )
 from mobilecal_cli.pipeline.extracting import board_of
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.readers import Extent, Recording, open_recording, pictures_near, read_prelude, read_signals
-from mobilecal_cli.report import MIN_STATIONS
+from mobilecal_cli.pipeline.sampling import sample_board
+from mobilecal_cli.readers import Extent, Recording, open_recording, read_prelude, read_signals
+from mobilecal_cli.report import MIN_STATIONS, gates_of
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
-from mobilecal_cli.vision import Detection, Measured, find_board, identify_size, measure
 
 #: At most so much of a recording is decompressed for the motion.
 MOTION_BYTES = 2**28
-#: Number of moments, evenly spaced, at which an image of either camera is searched for the board.
-PICTURE_MOMENTS = 6
-#: `calibrate` rejects stations whose squares differ by this share from the stated size.
-_SQUARE_TOLERANCE = 0.1
+#: A smaller share of images during which joints and wheels were recorded limits a calibration.
+_LEAST_COVERED = 0.9
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
@@ -77,16 +71,33 @@ def inspect(
     with open_recording(logs) as recording:
         progress("topics", 0, None)
         times = recording.log_times()
-        rig, missing, notes = _settled(recording, config, given)
+        missing = _unknown_gates(config)
+        survey = _survey(recording, config, missing)
+        rig: Rig | None = None
+        notes: tuple[str, ...] = ()
+        if survey is not None and not survey.lacks:
+            settled = complete_rig(survey, config, given)
+            rig, notes = settled.rig, settled.notes
         board: BoardView | None = None
         motion: MotionView | None = None
+        covered: tuple[int, int] | None = None
         weak: tuple[Lack, ...] = ()
         if rig is not None:
             progress("motion", 0, None)
-            motion, weak, seen = _motion(recording, rig, times, missing)
-            notes = [*notes, *seen]
+            covered, weak = _covered(rig, times, missing)
+            motion, unobservable, seen = _motion(recording, rig, times, missing)
+            notes, weak = (*notes, *seen), (*weak, *unobservable)
+        if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            board = _board(recording, rig, board_of(config), config.board.square_m, missing)
+            board, lacks = sample_board(
+                recording,
+                survey.images,
+                layout_of(config),
+                survey.cameras,
+                board_of(config),
+                config.board.square_m,
+            )
+            missing += lacks
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -95,12 +106,66 @@ def inspect(
             end_ns=recording.end_ns,
             topics=tuple(_topic(recording, info, times.get(info.name)) for info in recording.topics),
             rig=rig,
+            parts=Parts() if survey is None else _parts(survey),
             board=board,
             motion=motion,
+            covered=covered,
             missing=tuple(missing),
             weak=weak,
             notes=(*notes, *recording.damage),
         )
+
+
+def check(
+    config_path: Path,
+    logs: Sequence[Path],
+    flags: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> Inspection:
+    """`inspect`, with an invalid configuration and an unreadable recording among the problems found.
+
+    Args:
+        config_path: rig.yaml.
+        logs, flags, progress: see `inspect`.
+    """
+    about = "rig.yaml"
+    try:
+        read_urdf(load_rig(config_path, dict(flags or {})))
+        about = "recording"
+        return inspect(logs, config_path, flags, progress)
+    except (ConfigError, RecordingError) as error:
+        missing = (_lack(about, error),)
+    return Inspection(
+        name=str(logs[0]),
+        containers=(),
+        size_bytes=0,
+        start_ns=None,
+        end_ns=None,
+        topics=(),
+        rig=None,
+        parts=Parts(),
+        board=None,
+        motion=None,
+        covered=None,
+        missing=missing,
+        weak=(),
+        notes=(),
+    )
+
+
+def _parts(survey: Survey) -> Parts:
+    head = survey.head
+    joints = survey.joints
+    if joints is not None:
+        joints = (*joints, *(source.topic for source in survey.elsewhere.values()))
+    return Parts(
+        survey.images,
+        survey.cameras,
+        survey.wheels,
+        None if head is None else head.chain,
+        "" if head is None else head.origin,
+        None if joints is None else tuple(dict.fromkeys(joints)),
+    )
 
 
 def _size_bytes(logs: Sequence[Path]) -> int:
@@ -108,24 +173,49 @@ def _size_bytes(logs: Sequence[Path]) -> int:
     return sum(p.stat().st_size for p in files if p.is_file())
 
 
-def _lack(error: MobilecalError) -> Lack:
-    return Lack(error.message, error.hint, error.exit_code)
+def _lack(about: str, error: MobilecalError) -> Lack:
+    return Lack(about, error.message, error.hint, error.exit_code)
 
 
-def _settled(
-    recording: Recording, config: RigConfig, flags: frozenset[str]
-) -> tuple[Rig | None, list[Lack], list[str]]:
-    """The rig that `calibrate` would use, or everything that is missing for it, and notes."""
+def _unknown_gates(config: RigConfig) -> list[Lack]:
     try:
-        prelude: Prelude = read_prelude(recording)
+        gates_of((), config.gates)
+    except ConfigError as error:
+        return [_lack("gates", error)]
+    return []
+
+
+def _survey(recording: Recording, config: RigConfig, missing: list[Lack]) -> Survey | None:
+    """The parts of the rig that `calibrate` would use; what is missing for it goes to `missing`."""
+    try:
+        prelude = read_prelude(recording)
     except RecordingError as error:
-        return None, [_lack(error)], []
-    urdf = read_urdf(config)
-    missing = lacking(config, prelude, urdf)
-    if missing:
-        return None, [_lack(error) for error in missing], []
-    settled = resolve_rig(config, prelude, urdf, flags)
-    return settled.rig, [], list(settled.notes)
+        missing.append(_lack("recording", error))
+        return None
+    survey = survey_rig(config, prelude, read_urdf(config))
+    missing += [_lack(part, error) for part, error in survey.lacks]
+    return survey
+
+
+def _covered(
+    rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
+) -> tuple[tuple[int, int] | None, tuple[Lack, ...]]:
+    """Left images within the time of all joints and wheels, and of all left images; and a lack if that are few."""
+    images, motion = times.get(rig.sources.image["left"]), [times.get(t) for t in rig.sources.motion]
+    spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
+    if images is None or not len(images) or len(spans) < len(motion):
+        return None, ()
+    first, last = max(span[0] for span in spans), min(span[1] for span in spans)
+    count, total = int(np.sum((images >= first) & (images <= last))), len(images)
+    lack = Lack(
+        "time",
+        f"{count} of {total} left images were recorded while all joints and wheels were",
+        "record images, joint states and wheels at the same time",
+        RecordingError.exit_code,
+    )
+    if not count:
+        missing.append(lack)
+    return (count, total), (lack,) if 0 < count < _LEAST_COVERED * total else ()
 
 
 def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> TopicView:
@@ -151,7 +241,7 @@ def _motion(
         logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
         wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
-        missing.append(_lack(error))
+        missing.append(_lack("motion", error))
         return None, (), ()
     joints = {}
     for name in rig.chain.joints:
@@ -196,11 +286,12 @@ def _rests(
     try:
         (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
     except RecordingError as error:
-        missing.append(_lack(error))
+        missing.append(_lack("motion", error))
         return None, ()
     weak: list[Lack] = []
     if len(plan.stations) < MIN_STATIONS:
         lack = Lack(
+            "motion",
             f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
             f"and {MIN_STATIONS} to pass.",
             "record at least ten rests of two seconds, and move head and base in between",
@@ -211,9 +302,8 @@ def _rests(
         at = np.array([station.time_ns for station in plan.stations])
         readings = np.stack([station.joints for station in plan.stations])
         for gap in gaps_between(rig.chain, readings, [plan.wheels], [at]):
-            lack = Lack(
-                f"{', '.join(gap.parameters)}: unobservable: {gap.because}", gap.cure, SolveError.exit_code
-            )
+            what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
+            lack = Lack("motion", what, gap.cure, SolveError.exit_code)
             (weak if _has_nominal(rig, gap) else missing).append(lack)
     return sum(station.at_rest for station in plan.stations), tuple(weak)
 
@@ -222,79 +312,3 @@ def _has_nominal(rig: Rig, gap: Gap) -> bool:
     """Whether `calibrate` can fix the unobservable parameters at nominal values."""
     of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
     return (rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference) is not None
-
-
-def _board(
-    recording: Recording, rig: Rig, board: Board | None, stated_m: float | None, missing: list[Lack]
-) -> BoardView | None:
-    """The board in a few images: its size, how often it is found, and the measured side of its squares."""
-    start, end = recording.start_ns, recording.end_ns
-    if start is None or end is None:
-        return None
-    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
-    found = {
-        side: list(
-            pictures_near(recording, replace(rig.sources, image={side: rig.sources.image[side]}), moments)
-        )
-        for side in _SIDES
-    }
-    images = [image for side in _SIDES for image in found[side] if not isinstance(image, Rejection)]
-    if not images:
-        broken = [image for side in _SIDES for image in found[side] if isinstance(image, Rejection)]
-        why = f": {broken[0].detail}" if broken else ""
-        missing.append(
-            Lack(f"no image can be read{why}", "record both cameras' images", ObservationError.exit_code)
-        )
-        return None
-    size, seen = _found(images, board)
-    if not seen:
-        missing.append(
-            Lack(
-                f"a whole checkerboard is in none of {len(images)} images spread over the recording",
-                "keep the whole board in both images, in good light, with squares of 7 pixels or more",
-                ObservationError.exit_code,
-            )
-        )
-        return BoardView(len(images), seen, size)
-    square_m = None
-    if size is not None:
-        square_m = _square_m(rig, board or Board(*size), found["left"], found["right"])
-    if square_m and stated_m and abs(square_m - stated_m) > _SQUARE_TOLERANCE * stated_m:
-        missing.append(
-            Lack(
-                f"the squares measure {square_m * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
-                f"(limit {100 * _SQUARE_TOLERANCE:g} %)",
-                "correct board.square_m, or calibrate the stereo pair again (camera_info)",
-                ObservationError.exit_code,
-            )
-        )
-    return BoardView(len(images), seen, size, square_m, stated_m)
-
-
-def _square_m(
-    rig: Rig,
-    board: Board,
-    left: Sequence[GrayImage | Rejection],
-    right: Sequence[GrayImage | Rejection],
-) -> float | None:
-    """Median side of a square over the stereo pairs, m; None if no pair shows the board."""
-    if len(left) != len(right):  # the images cannot be paired without their stamps
-        return None
-    sides = []
-    for pair in zip(left, right, strict=True):
-        if not any(isinstance(image, Rejection) for image in pair):
-            detections = [find_board(image, board) for image in pair if not isinstance(image, Rejection)]
-            station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
-            measured = measure(0, station, detections[:1], detections[1:], rig.cameras, board)
-            if isinstance(measured, Measured):
-                sides.append(measured.square_m)
-    return float(np.median(sides)) if sides else None
-
-
-def _found(images: Sequence[GrayImage], board: Board | None) -> tuple[tuple[int, int] | None, int]:
-    """Columns and rows of the board, and the number of images that show it whole."""
-    if board is not None and board.markers is not None:
-        seen = sum(isinstance(find_board(image, board), Detection) for image in images)
-        return (board.columns, board.rows) if seen else None, seen
-    vote = identify_size(images)
-    return vote.size, vote.votes[vote.size] if vote.size else 0

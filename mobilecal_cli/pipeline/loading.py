@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import prior_sigmas
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz
 from mobilecal_cli.model import Extraction, Snapshot
 from mobilecal_cli.pipeline.extracting import extract
+from mobilecal_cli.pipeline.overrides import refuse_others, with_settings
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
-
-#: Settings that do not change an extraction, only what is made of it.
-_OF_THE_SOLVER = ("priors.", "noise.", "gates.")
 
 
 def _is_extraction(path: Path) -> bool:
@@ -45,31 +41,22 @@ def load(
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
-        ConfigError: an extraction was given together with recordings or with settings other than priors and noise, or
+        ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
     given = frozenset(key for key, value in flags.items() if value is not None)
     if not any(_is_extraction(path) for path in logs):
         return extract(logs, config, given, progress, jobs)
-    if len(logs) > 1 or config_path is not None or any(not key.startswith(_OF_THE_SOLVER) for key in given):
+    if len(logs) > 1 or config_path is not None:
         raise ConfigError(
             f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
-            "give it without recordings, --config and settings other than priors and noise, or give the recordings "
-            "instead",
+            "give it without recordings and without --config, or give the recordings instead",
         )
+    refuse_others(given, str(logs[0]))
     extraction = extraction_from_npz(logs[0])
     _check(extraction, logs[0])
     _refuse_repeated(extraction)
-    return _with_settings(extraction, config), ()
-
-
-def _with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
-    """The extraction with the priors and noise levels of the configuration in place of its own."""
-    rig = extraction.rig
-    sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
-    levels = config.noise.model_dump(exclude_none=True)
-    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
-    return replace(extraction, rig=rig)
+    return with_settings(extraction, config, given), ()
 
 
 def _check(extraction: Extraction, path: Path) -> None:

@@ -3,6 +3,7 @@
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.changes import Change, change_checks, change_from_nominal, change_since
 from mobilecal_cli.report.check import Check, Checks
+from mobilecal_cli.report.checklist import checklist, checklist_json, checklist_text
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 from mobilecal_cli.report.data import report_json
@@ -33,6 +34,9 @@ __all__ = [
     "change_checks",
     "change_from_nominal",
     "change_since",
+    "checklist",
+    "checklist_json",
+    "checklist_text",
     "comparison_json",
     "comparison_text",
     "dependence",

@@ -60,6 +60,9 @@ def inspection_json(found: Inspection) -> str:
             "square_stated_m": found.board.stated_m,
         },
         "motion": None if found.motion is None else _motion(found.motion),
+        "time": None
+        if found.covered is None
+        else {"images_covered": found.covered[0], "images": found.covered[1]},
         "missing": [_lack(lack) for lack in found.missing],
         "weak": [_lack(lack) for lack in found.weak],
         "exit_code": found.exit_code,
@@ -69,7 +72,7 @@ def inspection_json(found: Inspection) -> str:
 
 
 def _lack(lack: Lack) -> dict[str, Any]:
-    return {"what": lack.what, "cure": lack.cure, "exit_code": lack.exit_code}
+    return {"about": lack.about, "what": lack.what, "cure": lack.cure, "exit_code": lack.exit_code}
 
 
 def _duration_s(found: Inspection) -> float | None:

@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import draft_rig, prior_sigmas, resolve_rig, shown_priors
-from mobilecal_cli.discovery.resolve import lacking
+from mobilecal_cli.discovery import draft_rig, prior_sigmas, resolve_rig, shown_priors, survey_rig
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import HeadChain, JointLink
@@ -94,8 +93,8 @@ def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
     rig = resolve_rig(config(priors={"pan_zero": "free"}), prelude()).rig
     assert rig.prior_sigmas == {"pan_zero": math.inf}
     wrong = config(priors={"neck_zero": 1})
-    assert [lack.message for lack in lacking(wrong, prelude(urdf=AT_BASE))] == [
-        "priors.neck_zero: this robot has no such constant"
+    assert [(part, error.message) for part, error in survey_rig(wrong, prelude(urdf=AT_BASE)).lacks] == [
+        ("priors", "priors.neck_zero: this robot has no such constant")
     ]
     with pytest.raises(ConfigError):
         resolve_rig(wrong, prelude())

@@ -24,7 +24,7 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 from mobilecal_cli import pipeline
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.discovery import lacking
+from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import (
     diff_drive_yaml,
@@ -89,7 +89,7 @@ def _read(path: Path) -> None:
     with open_recording([path]) as recording:
         recording.log_times()
         prelude = read_prelude(recording)
-        lacking(load_rig(None, {}), prelude)
+        survey_rig(load_rig(None, {}), prelude)
         for signals in read_signals(recording, r.SOURCES, r.JOINTS):
             for _ in read_images(recording, r.SOURCES.image, signals.images):
                 pass

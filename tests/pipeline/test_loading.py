@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.likelihood.nuisance import table
-from mobilecal_cli.model import LogSource
+from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.pipeline.loading import load
+from mobilecal_cli.pipeline.overrides import with_settings
 from mobilecal_cli.pipeline.progress import silent
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
@@ -56,10 +58,66 @@ def test_the_solver_uses_them(npz):
     assert narrow.constants["focal_left"].std < 5.05e-6 < usual.constants["focal_left"].std
 
 
-@pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx"])
-def test_other_settings_are_refused(npz, flag):
-    with pytest.raises(ConfigError, match="an extraction contains its settings"):
+@pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])
+def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, flag):
+    with pytest.raises(ConfigError, match=f"{flag} cannot be changed in an extraction") as told:
         load([npz], load_rig(None), None, {flag: "all"}, silent)
+    assert "priors, noise, gates, nominal, cameras.reference, wheels.left.sign" in told.value.hint
+
+
+def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
+    old = loaded(npz)
+    source = old.rig.sources.wheels["left"]
+    ticks = source.ticks_per_revolution or 2 * math.pi
+    new = loaded(npz, wheels__left__sign=-1, wheels__left__ticks_per_revolution=ticks / 2)
+    assert new.rig.sources.wheels["left"].sign == -1
+    assert new.rig.sources.wheels["left"].ticks_per_revolution == ticks / 2
+    for before, after in zip(old.wheels, new.wheels, strict=True):
+        np.testing.assert_allclose(after.left.value, -2 * before.left.value, rtol=1e-12)
+        np.testing.assert_array_equal(after.right.value, before.right.value)
+    # The same ticks per revolution again, and the sign as before: nothing changes.
+    same = loaded(npz, wheels__left__sign=1, wheels__left__ticks_per_revolution=ticks)
+    np.testing.assert_allclose(same.wheels[0].left.value, old.wheels[0].left.value, rtol=1e-14)
+
+
+def test_a_wrong_sign_is_repaired_without_the_recording(npz, tmp_path):
+    wrong = tmp_path / "wrong.npz"
+    wrong.write_bytes(extraction_to_npz(loaded(npz, wheels__right__sign=-1)))
+    with pytest.raises(SolveError, match=r"right wheel"):
+        solve(loaded(wrong))
+    found = solve(loaded(wrong, wheels__right__sign=1)).parameters
+    np.testing.assert_allclose(found.wheels.vector, solve(loaded(npz)).parameters.wheels.vector, rtol=1e-9)
+
+
+def test_nominal_values_and_the_reference_camera(npz):
+    head_eye = {"translation_m": [0.1, 0.2, 0.3], "quaternion_xyzw": [0, 0, 0, 1]}
+    wheels = {"radius_left_m": 0.08, "radius_right_m": 0.08, "separation_m": 0.35}
+    rig = loaded(npz, nominal__head_eye=head_eye, nominal__wheels=wheels).rig
+    assert rig.nominal.wheels == WheelGeometry(0.08, 0.08, 0.35)
+    assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
+    assert (rig.settled_by["nominal wheels"], rig.settled_by["nominal head_eye"]) == ("flag", "flag")
+    again = replace(loaded(npz), rig=rig)
+    turned = with_settings(again, load_rig(None, {"cameras.reference": "right"}), {"cameras.reference"}).rig
+    assert turned.cameras.reference == "right"
+    np.testing.assert_allclose(
+        turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_r, atol=1e-12
+    )
+    assert turned.nominal.wheels == rig.nominal.wheels
+
+
+def test_wheels_from_odometry_keep_their_sizes(npz):
+    extraction = loaded(npz)
+    sizes = WheelGeometry(0.08, 0.08, 0.35)
+    wheels = {side: WheelSource("/odom", baked_in=sizes) for side in ("left", "right")}
+    sources = replace(extraction.rig.sources, wheels=wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, sources=sources))
+    nominal = {"radius_left_m": 0.1, "radius_right_m": 0.1, "separation_m": 0.4}
+    for flags, words in (
+        ({"nominal.wheels": nominal}, "come from odometry"),
+        ({"wheels.left.sign": -1}, "computed from odometry"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            with_settings(extraction, load_rig(None, flags), set(flags))
 
 
 def test_unknown_constants_are_refused(npz):
