@@ -7,7 +7,7 @@ import math
 import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -417,6 +417,18 @@ def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
             )
         data = inner
     data[keys[-1]] = value
+
+
+def setting_keys(section: type[BaseModel] = RigConfig, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted keys of rig.yaml that hold a value, with their descriptions ("" if there is none)."""
+    for name, field in section.model_fields.items():
+        inner = field.annotation
+        arguments = [inner, *get_args(inner)]
+        sections = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
+        if sections and get_origin(inner) not in (dict, tuple):
+            yield from setting_keys(sections[0], f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", field.description or ""
 
 
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:

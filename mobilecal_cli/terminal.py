@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.pipeline import Progress, silent
@@ -32,6 +35,37 @@ def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = Fals
     if stream.isatty() and not os.environ.get("NO_COLOR"):
         lines[0] = f"{_BOLD[level]}{level}{_PLAIN}{lines[0][len(level) :]}"
     return "\n".join([*lines, *textwrap.wrap(f"Next: {visible(next_step)}", _WIDTH)])
+
+
+def open_page(page: Path) -> str:
+    """Open a page in the user's browser, without waiting for it; or do nothing, without a display.
+
+    Returns:
+        A sentence that says where the page is.
+    """
+    uri = page.resolve().as_uri()
+    if not _has_display():
+        return f"No display to open the report on: {visible(str(page.resolve()))}"
+    command = [sys.executable, "-I", "-m", "webbrowser", "-t", uri]
+    # A browser in the terminal, or one that stays open, must not hold up this command.
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    threading.Thread(target=process.wait, daemon=True).start()
+    return f"Opened in the browser: {visible(str(page.resolve()))}"
+
+
+def _has_display() -> bool:
+    """Whether a browser can show a window: $BROWSER also stands for one that shows it elsewhere."""
+    if os.environ.get("BROWSER"):
+        return True
+    if sys.platform in ("darwin", "win32"):
+        return not os.environ.get("SSH_CONNECTION")
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import sys
 
 import jsonschema
 import pytest
+import yaml
 
 from mobilecal_cli import errors
 from mobilecal_cli.likelihood.nuisance import KINDS
@@ -119,6 +120,24 @@ def test_the_pages_are_built_without_a_warning(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert (tmp_path / "html" / "tutorial" / "first-calibration.html").is_file()
+
+
+def test_every_installation_is_from_the_source():
+    """The package is on no index: an image or a workflow that names one would install something else, or nothing."""
+    for page in (*DOCS.rglob("*.md"), DOCS / "how-to" / "Dockerfile", DOCS / "how-to" / "github-actions.yml"):
+        for arguments in re.findall(r"pip install ([^\n`]*)", page.read_text(encoding="utf-8")):
+            (target, *_) = [word.strip("'\"") for word in arguments.split() if not word.startswith("-")]
+            assert target.startswith((".", "/source")), f"{page.name}: {arguments}"
+
+
+def test_the_workflow_and_the_image_name_commands_and_files_that_exist():
+    workflow = yaml.safe_load((DOCS / "how-to" / "github-actions.yml").read_text(encoding="utf-8"))
+    steps = workflow["jobs"]["calibrate"]["steps"]
+    lines = [step["run"] for step in steps if "run" in step]
+    assert [line.split()[1] for line in lines if line.startswith("mobilecal ")] == ["check", "calibrate"]
+    dockerfile = (DOCS / "how-to" / "Dockerfile").read_text(encoding="utf-8")
+    for line in re.findall(r"^COPY (.*)$", dockerfile, flags=re.MULTILINE):
+        assert all((REPOSITORY / name).exists() for name in line.split()[:-1])
 
 
 def test_the_sample_s_report_fits_its_schema(sample_logs, tmp_path):

@@ -20,6 +20,7 @@ from mobilecal_cli.cli.options import (
     JUnit,
     Logs,
     NoBar,
+    OpenReport,
     Quiet,
     Settings,
     StationsName,
@@ -120,6 +121,7 @@ def calibrate(
         Path | None,
         typer.Option(help="params.yaml to compare the result with. [default: the nominal values]"),
     ] = None,
+    open_report: OpenReport = False,
     as_json: AsJson = False,
     junit: JUnit = None,
     force: Force = False,
@@ -137,7 +139,7 @@ def calibrate(
     from mobilecal_cli import pipeline
     from mobilecal_cli.report import summary_table
     from mobilecal_cli.solvers import constraints_of
-    from mobilecal_cli.terminal import progress_bar
+    from mobilecal_cli.terminal import open_page, progress_bar
 
     with _errors_to(junit, str(logs[0]), force, output or pipeline.default_output(logs[0])):
         flags = flags_of(setting, board, square_m, stations)
@@ -163,6 +165,8 @@ def calibrate(
         typer.echo((result.directory / "report.json").read_text(encoding="utf-8"), nl=False)
     elif not quiet:
         typer.echo(summary_table(result.solution, result.extraction, result.trial))
+    if open_report:
+        typer.echo(open_page(result.directory / "report.html"), err=True)
     verdict = result.verdict
     conclude(
         verdict.level,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from mobilecal_cli.cli.completion import gate_names, setting_keys
 from mobilecal_cli.errors import ConfigError
 
 Logs = Annotated[
@@ -19,13 +20,19 @@ Config = Annotated[
 Settings = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable."
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable.",
+        autocompletion=setting_keys,
     ),
 ]
 Gates = Annotated[
     list[str] | None,
     typer.Option(
-        "--gate", metavar="NAME=LIMIT", help="Exit with code 6 if the figure exceeds the limit. Repeatable."
+        "--gate",
+        metavar="NAME=LIMIT",
+        help="Exit with code 6 if the figure exceeds the limit. Repeatable.",
+        autocompletion=gate_names,
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
@@ -33,6 +40,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress an
 NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Print each stage and its duration on standard error.")
+]
+OpenReport = Annotated[
+    bool,
+    typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[

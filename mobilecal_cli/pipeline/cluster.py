@@ -28,7 +28,7 @@ def run_on(address: str, timeout_s: float = 30.0) -> Run:
         except ImportError as error:
             raise ConfigError(
                 "the Dask package `distributed` is not installed",
-                "run pip install 'mobilecal[cluster]' here and on the workers",
+                "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
             ) from error
         try:
             client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]

@@ -12,7 +12,15 @@ from mobilecal_cli.report.evaluation import dependence, evaluation_json, evaluat
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
-from mobilecal_cli.report.gates import Gate, evaluated_figures, figures_of, gate_checks, gates_of, use_limits
+from mobilecal_cli.report.gates import (
+    Gate,
+    evaluated_figures,
+    figures_of,
+    gate_checks,
+    gate_names,
+    gates_of,
+    use_limits,
+)
 from mobilecal_cli.report.history import history_plot
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
@@ -49,6 +57,7 @@ __all__ = [
     "fleet_html",
     "fleet_text",
     "gate_checks",
+    "gate_names",
     "gates_of",
     "history_plot",
     "inspection_json",

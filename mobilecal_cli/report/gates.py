@@ -74,6 +74,11 @@ class Gate:
     limit: float
 
 
+def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
+    """Names of the figures that a gate of `calibrate` (or of `evaluate`) can limit."""
+    return _EVALUATED if evaluating else (*_CALIBRATED, *_CRITERIA)
+
+
 def gates_of(
     flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False, hold_out: bool = True
 ) -> tuple[Gate, ...]:
@@ -88,7 +93,7 @@ def gates_of(
     Raises:
         ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
     """
-    known = _EVALUATED if evaluating else (*_CALIBRATED, *_CRITERIA)
+    known = gate_names(evaluating=evaluating)
     every = {*_EVALUATED, *_CALIBRATED, *_CRITERIA}
     limits = dict(config)
     for name in config:

@@ -36,7 +36,7 @@ class Video:
         except ImportError as error:
             raise RecordingError(
                 f"the images are {codec} video, and the decoder PyAV is not installed",
-                "pip install 'mobilecal[video]'",
+                "run pip install '.[video]' in mobilecal's source directory",
             ) from error
         self._packet, self._errors = av.Packet, FFmpegError
         self._context: Any = av.CodecContext.create(codec, "r")
