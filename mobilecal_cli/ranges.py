@@ -57,6 +57,9 @@ WHEEL_SEPARATION = Range(1e-2, 100.0, "m")
 SQUARE = Range(1e-4, 10.0, "m")
 #: A distance between two frames of one robot.
 POSITION = Range(-100.0, 100.0, "m")
+#: A drive.
+DISTANCE = Range(1e-2, 1e5, "m")
+ODOMETRY_RATE = Range(1e-1, 1e4, "Hz")
 ANGLE = Range(-100.0, 100.0, "rad")
 #: Standard deviations and noise levels in any unit of this package.
 SIGMA = Range(1e-9, 1e3)

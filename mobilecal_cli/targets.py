@@ -16,6 +16,7 @@ class Target(StrEnum):
     camera_info_left = "camera_info_left"
     camera_info_right = "camera_info_right"
     camchain = "camchain"
+    odometry_covariance = "odometry_covariance"
     json = "json"
 
 

@@ -79,6 +79,17 @@ def export(
             help="For --to urdf: also write the estimated head chain (joint origins and axes).",
         ),
     ] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="For --to odometry_covariance: messages per second. [default: 50]"),
+    ] = None,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METERS",
+            help="For --to odometry_covariance: length of straight drives. [default: legs of the recording]",
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
     ] = None,
@@ -97,7 +108,7 @@ def export(
     if output is not None:
         pipeline.check_file(output, force)
     joints = {side: name for side, name in given.items() if name}
-    made = pipeline.export(params, to, urdf, joints, with_chain)  # type: ignore[arg-type]
+    made = pipeline.export(params, to, urdf, joints, with_chain, rate, distance)  # type: ignore[arg-type]
     if output is None:
         typer.echo(made.content, nl=False)
     else:

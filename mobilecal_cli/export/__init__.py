@@ -19,6 +19,7 @@ from mobilecal_cli.export.improved import (
     improved_cameras,
     improved_chain,
 )
+from mobilecal_cli.export.odometry import OdometryCovariance, odometry_covariance, odometry_yaml
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.export.plain import from_plain, to_plain
@@ -30,6 +31,7 @@ __all__ = [
     "BoardPrint",
     "Improved",
     "ImprovedChain",
+    "OdometryCovariance",
     "board_pdf",
     "camchain_yaml",
     "camera_constants",
@@ -43,6 +45,8 @@ __all__ = [
     "from_plain",
     "improved_cameras",
     "improved_chain",
+    "odometry_covariance",
+    "odometry_yaml",
     "parameters_from_yaml",
     "params_yaml",
     "patched_urdf",

@@ -106,10 +106,10 @@ def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
 
 def leg_covariance(data: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
     """(L, 3, 3) covariance of odometry's (x, y, heading), m^2, m rad, rad^2; see `leg_covariances`."""
-    return np.asarray(sum(leg_covariances(data, wheels, noise).values()))
+    return np.asarray(sum(leg_covariances(data.steps(), wheels, noise).values()))
 
 
-def leg_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
+def leg_covariances(steps: Increments, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
     """Covariance of odometry's (x, y, heading) by cause, (L, 3, 3) each: m^2, m rad, rad^2.
 
     Noise that grows with the square root of the rotation is propagated along the arcs. A wheel's relative error over a
@@ -118,11 +118,10 @@ def leg_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mappi
     Returns:
         Noise level → its share; "slip" for what is supposed of every leg.
     """
-    steps = data.steps()
     arcs = Arcs.along(steps, wheels)
     sensitivity = arcs.sensitivity()
     right, left = noise.wheel_rad_per_sqrt_rad**2 * np.abs([steps.right_rad, steps.left_rad])
-    root = np.empty((len(data.legs), 3, 3))
+    root = np.empty((steps.legs, 3, 3))
     for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
         of_a, of_b = sensitivity[:, a], sensitivity[:, b]
         per_step = right * of_a[:, 0] * of_b[:, 0] + left * of_a[:, 1] * of_b[:, 1]

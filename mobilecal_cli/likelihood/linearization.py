@@ -63,7 +63,9 @@ class Linearization:
     @classmethod
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
         """The likelihood at a state, with the legs' covariance for the wheels of this state."""
-        return cls(data, state, inliers, noise, priors, leg_covariances(data, state.parameters.wheels, noise))
+        return cls(
+            data, state, inliers, noise, priors, leg_covariances(data.steps(), state.parameters.wheels, noise)
+        )
 
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""

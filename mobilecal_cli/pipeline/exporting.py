@@ -19,6 +19,8 @@ from mobilecal_cli.export import (
     frame_note,
     improved_cameras,
     improved_chain,
+    odometry_covariance,
+    odometry_yaml,
     patched_urdf,
     plain_json,
     rectified_pair,
@@ -28,6 +30,7 @@ from mobilecal_cli.export import (
 )
 from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
+from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import Target
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
@@ -54,27 +57,44 @@ def export(
     urdf: Path | None = None,
     wheel_joints: Mapping[Side, str] | None = None,
     with_chain: bool = False,
+    rate_hz: float | None = None,
+    distance_m: float | None = None,
 ) -> Exported:
     """A calibration in another format.
 
     Args:
-        params: params.yaml; camera_info, camchain and the head chain also need extraction.npz next to it.
+        params: params.yaml; camera_info, camchain, the head chain and odometry_covariance also need extraction.npz next
+            to it.
         target: the format.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target urdf, also write the estimated head chain.
+        rate_hz: for the target odometry_covariance, messages per second; 50 by default.
+        distance_m: for the target odometry_covariance, length of straight drives, m; the recording's legs by default.
 
     Raises:
-        ConfigError: a file is missing or invalid.
+        ConfigError: a file is missing or invalid, or an option does not apply to the format.
     """
     robot = read_params(params)
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
-    if with_chain and target != Target.urdf:
-        raise ConfigError("--with-chain applies only to --to urdf", "leave it out")
+    _check_options(
+        target,
+        {
+            "--with-chain": (with_chain, Target.urdf),
+            "--rate": (rate_hz is not None, Target.odometry_covariance),
+            "--distance": (distance_m is not None, Target.odometry_covariance),
+        },
+    )
     if target == Target.urdf:
         return _urdf(robot, urdf, joints, _chain(params, robot) if with_chain else None)
     if target in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
         return _cameras(params, robot, target)
+    if target == Target.odometry_covariance:
+        rate = ODOMETRY_RATE.check("--rate", 50.0 if rate_hz is None else rate_hz)
+        if distance_m is not None:
+            DISTANCE.check("--distance", distance_m)
+        found = odometry_covariance(robot, _beside(params), rate, distance_m)
+        return Exported(odometry_yaml(found).encode())
     text: dict[Target, Callable[[], str]] = {
         Target.xacro: lambda: xacro_properties(robot),
         Target.ros2_control: lambda: diff_drive_yaml(robot, joints, robot.nominal_wheels),
@@ -84,6 +104,13 @@ def export(
     }
     notes = (frame_note(robot),) if robot.rectified and target != Target.ros2_control else ()
     return Exported(text[target]().encode(), notes)
+
+
+def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -> None:
+    """Refuse an option that is given (True) for another format than its own."""
+    for name, (given, own) in options.items():
+        if given and target != own:
+            raise ConfigError(f"{name} applies only to --to {own.value}", "leave it out")
 
 
 def _chain(params: Path, robot: CalibratedRobot) -> ImprovedChain:
@@ -169,7 +196,7 @@ def _beside(params: Path) -> Extraction:
     path = params.with_name("extraction.npz")
     if not path.is_file():
         raise ConfigError(
-            f"{path}: not found; it contains the cameras",
+            f"{path}: not found; it contains the measurements",
             "keep params.yaml in the directory that calibrate wrote",
         )
     return extraction_from_npz(path)

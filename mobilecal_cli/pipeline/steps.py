@@ -227,6 +227,8 @@ def export_to(
     urdf: AnyPath | None = None,
     wheel_joints: Mapping[Side, str] | None = None,
     with_chain: bool = False,
+    rate_hz: float | None = None,
+    distance_m: float | None = None,
 ) -> Exported:
     """A calibration in the format of another program, as `mobilecal export --to`.
 
@@ -236,6 +238,7 @@ def export_to(
         urdf: the file to patch, for the target "urdf".
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target "urdf", also write the estimated head chain.
+        rate_hz, distance_m: for the target "odometry_covariance", see `--rate` and `--distance`.
 
     Raises:
         ConfigError: an unknown format, or a file that is missing or invalid.
@@ -243,8 +246,9 @@ def export_to(
     if target not in tuple(Target):
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
     return export(
-        Path(params), Target(target), None if urdf is None else Path(urdf), wheel_joints, with_chain
-    )
+        Path(params), Target(target), None if urdf is None else Path(urdf), wheel_joints, with_chain, rate_hz,
+        distance_m,
+    )  # fmt: skip
 
 
 class Report:

@@ -131,7 +131,7 @@ def _wheel_covariance(solution: Solution, extraction: Extraction) -> FloatArray:
     data, wheels = dataset_of(extraction), solution.parameters.wheels
     noise = solution.uncertainty.noise
     levels = Noise(**{name: getattr(noise, name) for name in Noise.__dataclass_fields__})
-    every = sum(leg_covariances(data, wheels, levels).values())
+    every = sum(leg_covariances(data.steps(), wheels, levels).values())
     number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
     covariance = np.asarray(every)[[number[a, b] for a, b in solution.residuals.legs.tolist()]]
     if noise.encoder_rad:

@@ -7,6 +7,7 @@ from tests.bench import (
     memory,
     monte_carlo,
     moving,
+    odometry,
     one_thing,
     real_pairs,
     robust,
@@ -15,6 +16,6 @@ from tests.bench import (
 )
 
 exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
-for study in (table1, samples, fleet, memory, real_pairs, drawn, one_thing, *exact):
+for study in (table1, samples, fleet, memory, real_pairs, drawn, odometry, one_thing, *exact):
     print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
     study.main()

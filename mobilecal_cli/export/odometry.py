@@ -1,0 +1,216 @@
+"""Covariance of wheel odometry for ROS 2: diff_drive_controller publishes it, robot_localization uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.yaml_text import decimal, decimals
+from mobilecal_cli.kinematics import Arcs, Increments
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.noise import EXACT, SLIP_M_PER_SQRT_M, Noise, encoder_sigmas
+from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, WheelGeometry
+
+#: Variance of a quantity that wheels do not measure: a filter gives it no weight.
+UNKNOWN = 1e6
+_LEVEL = 0.95  # of the intervals that are widened because the noise levels are estimates
+_SAMPLE_S, _WINDOW = 0.1, 3  # a wheel turns if it does within this many samples
+_STANDS_RAD = 2e-3
+_STEPS = 100  # of a straight drive
+_WHEEL_LEVELS = frozenset({"wheel_rad_per_sqrt_rad", "wheel_share"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryCovariance:
+    """Diagonals in the order of ROS: x, y, z, rotation about x, y, z.
+
+    Attributes:
+        pose: (6,) variances of the pose after a drive, m^2 and rad^2.
+        twist: (6,) variances of the velocity in one message, (m/s)^2 and (rad/s)^2.
+        rate_hz: odometry messages per second that `twist` applies to.
+        legs: number of legs of the recording, which the noise levels come from.
+        path_m, turn_rad, moving_s: path, rotation and time in motion of the drives that the variances apply to, mean.
+        widening: factor on the variances, because the noise levels are estimated from few legs.
+        systematic: (2,) share of the variances of length and heading from proportional noise and the covariance of the
+            calibration. It grows with the square of the distance, the rest with the distance.
+    """
+
+    pose: FloatArray
+    twist: FloatArray
+    rate_hz: float
+    legs: int
+    path_m: float
+    turn_rad: float
+    moving_s: float
+    widening: float
+    systematic: FloatArray
+
+
+def odometry_covariance(
+    robot: CalibratedRobot, extraction: Extraction, rate_hz: float, distance_m: float | None = None
+) -> OdometryCovariance:
+    """Covariance of odometry with calibrated wheels, from the noise levels and the covariance of the calibration.
+
+    A filter that adds up the velocities of n messages with independent errors of variance s^2, at intervals of dt,
+    obtains a length with variance n s^2 dt^2. `twist` makes this equal to the variance over some drives, for the
+    messages while the robot moves: s^2 = rate_hz * (sum of the variances) / (sum of the times in motion).
+
+    Args:
+        robot: the calibration, with standard deviations.
+        extraction: its measurements.
+        rate_hz: odometry messages per second.
+        distance_m: for straight drives of this length at the recording's speed; for the legs of the recording if None.
+
+    Raises:
+        ConfigError: the calibration states no noise of the wheels, or the robot does not drive in the recording.
+    """
+    known = robot.knowledge
+    if known is None or not known.noise.keys() >= _WHEEL_LEVELS:
+        raise ConfigError(
+            "params.yaml does not state the noise of the wheels",
+            "calibrate extraction.npz again with this version and --method ml",
+        )
+    data = dataset_of(extraction)
+    noise = Noise(**{level.name: known.noise.get(level.name, EXACT) for level in fields(Noise)})
+    wheels, C = robot.wheels, known.covariance[6:, 6:]
+    moving_s, speed_mps = _motion(data, wheels)
+    if moving_s <= 0 or speed_mps <= 0:
+        raise ConfigError(
+            "the robot does not drive in the recording, so the noise of the wheels is unknown",
+            "calibrate from a recording with motion",
+        )
+    steps = data.steps()
+    if distance_m is not None:
+        steps, moving_s = _straight(distance_m, wheels), distance_m / speed_mps
+    random, systematic = _of_length_and_heading(data, steps, wheels, noise, C)
+    both, pose = random + systematic, _of_pose(data, steps, wheels, noise, C)
+    xy = (pose[0, 0] + pose[1, 1]) / 2
+    right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+    path_m = float(np.abs(right + left).sum() / 2)
+    widening, rate = _widening(extraction.rig.noise.given, len(data.legs)), rate_hz / moving_s
+    slip = SLIP_M_PER_SQRT_M**2 * path_m
+    floor = np.array([noise.floor_m, noise.floor_rad, noise.floor_rad]) ** 2
+    return OdometryCovariance(
+        pose=np.concatenate([[widening * xy, widening * xy], floor, [widening * pose[2, 2]]]),
+        twist=np.array(
+            [widening * rate * both[0], rate * slip, UNKNOWN, UNKNOWN, UNKNOWN, widening * rate * both[1]]
+        ),
+        rate_hz=rate_hz,
+        legs=len(data.legs),
+        path_m=path_m / steps.legs,
+        turn_rad=float(np.abs(right - left).sum() / wheels.separation_m / steps.legs),
+        moving_s=moving_s / steps.legs,
+        widening=widening,
+        systematic=systematic / both,
+    )
+
+
+def _widening(given: Mapping[str, float], legs: int) -> float:
+    """Squared ratio of the quantiles of Student's t and the normal distribution; 1 for noise levels that are given.
+
+    Each leg adds about one redundant number about the noise of the wheels.
+    """
+    if given.keys() >= _WHEEL_LEVELS:
+        return 1.0
+    upper = (1 + _LEVEL) / 2
+    return float((stdtrit(legs, upper) / ndtri(upper)) ** 2)
+
+
+def _motion(data: Dataset, wheels: WheelGeometry) -> tuple[float, float]:
+    """Time in which a wheel turns, over all legs, s, and the speed of driving, mean over the path, m/s."""
+    moving, speeds = 0, [np.zeros(0)]
+    stands = _STANDS_RAD + 1.5 * data.encoder_step_rad
+    span_s = _SAMPLE_S * _WINDOW
+    for number, track in enumerate(data.tracks):
+        times = data.times_ns[data.log == number]
+        if len(times) < 2:
+            continue
+        at = np.arange(times[0], times[-1], round(_SAMPLE_S * 1e9))
+        rotation = np.stack([track.right.at(at), track.left.at(at)], axis=1)
+        turned = rotation[_WINDOW:] - rotation[:-_WINDOW]
+        moving += int(np.any(np.abs(turned) > stands, axis=1).sum())
+        speeds.append(np.abs(turned @ wheels.vector[:2]) / 2 / span_s)
+    speed = np.concatenate(speeds)
+    return moving * _SAMPLE_S, float(np.sum(speed**2) / max(np.sum(speed), 1e-12))
+
+
+def _straight(distance_m: float, wheels: WheelGeometry) -> Increments:
+    """One leg straight ahead, in steps."""
+    right, left = (np.full(_STEPS, distance_m / _STEPS / radius) for radius in wheels.vector[:2])
+    return Increments(right, left, np.zeros(_STEPS, dtype=np.int64), 1)
+
+
+def _of_pose(
+    data: Dataset, steps: Increments, wheels: WheelGeometry, noise: Noise, C: FloatArray
+) -> FloatArray:
+    """(3, 3) covariance of x, y (m) and heading (rad) after a leg, mean over the legs."""
+    nothing = np.zeros((steps.legs, 2))
+    whole = steps.with_ends(nothing, nothing)  # every leg has a step
+    arcs = Arcs.along(whole, wheels)
+    d_psi, d_t = arcs.by_wheels()
+    by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
+    covariance = sum(leg_covariances(whole, wheels, noise).values()) + by_wheels @ C @ by_wheels.mT
+    variance = encoder_sigmas(data, noise) ** 2
+    legs = np.arange(steps.legs)
+    for at in (np.searchsorted(whole.leg, legs), np.searchsorted(whole.leg, legs, side="right") - 1):
+        by_reading = arcs.sensitivity(at)
+        covariance = covariance + (by_reading * variance) @ by_reading.mT
+    return np.asarray(covariance.mean(axis=0))
+
+
+def _of_length_and_heading(
+    data: Dataset, steps: Increments, wheels: WheelGeometry, noise: Noise, C: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Variances of the driven length (m^2) and of the heading (rad^2), sums over the legs.
+
+    Returns:
+        (2,) random: grows with the rotation of the wheels; (2,) systematic: with its square.
+    """
+    rR, rL, b = wheels.vector
+    Phi = steps.totals_rad
+    turned = (rR * Phi[:, 0] - rL * Phi[:, 1]) / b
+    by_rotation = np.array([[rR / 2, rL / 2], [rR / b, -rL / b]])
+    rolled = np.array([np.abs(steps.right_rad).sum(), np.abs(steps.left_rad).sum()])
+    readings = 2 * encoder_sigmas(data, noise) ** 2 * steps.legs  # at the start and the end of each leg
+    random = by_rotation**2 @ (noise.wheel_rad_per_sqrt_rad**2 * rolled + readings)
+    proportional = by_rotation**2 @ (noise.wheel_share**2 * (Phi**2).sum(axis=0))
+    for_length = np.stack([Phi[:, 0] / 2, Phi[:, 1] / 2, np.zeros(len(Phi))], axis=1)
+    for_heading = np.stack([Phi[:, 0], -Phi[:, 1], -turned], axis=1) / b
+    calibration = np.array([np.sum((G @ C) * G) for G in (for_length, for_heading)])
+    return random, proportional + calibration
+
+
+def odometry_yaml(found: OdometryCovariance) -> str:
+    """Parameters of diff_drive_controller, and of robot_localization's ekf_node, which fuses the velocities."""
+    drive = f"{found.path_m:.2f} m, {np.degrees(found.turn_rad):.0f} deg, {found.moving_s:.1f} s in motion"
+    length, heading = (f"{100 * share:.0f} %" for share in found.systematic)
+    return "\n".join(
+        [
+            "# Covariance of wheel odometry with the calibrated wheels. Order: x, y, z, roll, pitch, yaw.",
+            f"# Applies to drives like this (mean): {drive}. Longer ones have larger errors:",
+            f"# {length} of the variance of the length and {heading} of that of the heading are systematic, and",
+            "# grow with the square of the distance. --distance exports for longer drives.",
+            f"# Variances times {found.widening:.3f}, because the noise is estimated from {found.legs} legs.",
+            f"# Twist: (m/s)^2, (rad/s)^2, for {found.rate_hz:g} messages per second. Change both together.",
+            "# Pose: m^2, rad^2, after one such drive. The error grows with the distance: let filters use the twist.",
+            "diff_drive_controller:",
+            "  ros__parameters:",
+            f"    publish_rate: {decimal(found.rate_hz)}",
+            f"    pose_covariance_diagonal: {decimals(found.pose)}",
+            f"    twist_covariance_diagonal: {decimals(found.twist)}",
+            "ekf_filter_node:",
+            "  ros__parameters:",
+            '    odom0: "/diff_drive_controller/odom"',
+            "    # Only the velocities along x and y and about z.",
+            "    odom0_config: [false, false, false, false, false, false, true, true, false, false, false, true,",
+            "                   false, false, false]",
+            "    odom0_differential: false",
+            "    odom0_relative: false",
+            "",
+        ]
+    )

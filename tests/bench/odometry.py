@@ -1,0 +1,187 @@
+"""Covariance of odometry: do 95 % regions contain 95 % of the errors over legs that the calibration did not use?"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.export import OdometryCovariance, odometry_covariance, parameters_from_yaml, params_yaml
+from mobilecal_cli.kinematics import Increments, integrate
+from mobilecal_cli.model import CalibratedRobot, FloatArray, Provenance
+from mobilecal_cli.simulate import ideal
+from mobilecal_cli.simulate.drive import Drive, Stretch
+from mobilecal_cli.solvers import solve
+from tests.bench.drawn import CASES, drawn
+from tests.bench.imperfect import ROBOTS, Case, route_of
+from tests.bench.simulated import RUNS_PER_ROUTE, conditions, map_runs
+
+RATE_HZ, SPEED_MPS = 50.0, 0.3
+#: 95 % of chi-squared with 1 and 3 degrees of freedom.
+INSIDE, INSIDE_3 = 3.841459, 7.814728
+#: Length of the straight drives, m.
+STRAIGHT_M = 5.0
+QUANTITIES = ("x", "y", "heading", "x, y and heading", "pose: x, y", "pose: heading")
+FIVE = "five legs together"
+_OTHER_ROUTES = 5000
+#: The wheels' noise of each robot is the usual one times a factor between these.
+_LEAST, _MOST = 0.5, 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Odometry over the legs of another drive of the robot.
+
+    Attributes:
+        error: (L, 3) x, y (m) and heading (rad) of the end in the frame of the start, odometry minus truth.
+        predicted: (L, 3, 3) their covariance, as a filter adds it up from the velocities.
+        start_rad: (L,) heading at the start.
+    """
+
+    error: FloatArray
+    predicted: FloatArray
+    start_rad: FloatArray
+
+
+def robot_of(name: str, seed: int) -> Case:
+    """A robot drawn from the priors, whose wheels have noise of their own."""
+    case = drawn(name)
+    factor = np.exp(np.random.default_rng([seed, 11]).uniform(np.log(_LEAST), np.log(_MOST)))
+    wheels = {name: factor * getattr(case.noise, name) for name in ("wheel_rad_per_sqrt_rad", "wheel_share")}
+    return replace(case, noise=replace(case.noise, **wheels))
+
+
+def held_out(
+    robot: CalibratedRobot, found: OdometryCovariance, case: Case, drive: Drive, ends_s: FloatArray, seed: int
+) -> HeldOut:
+    """Odometry with the calibrated wheels over the legs of a drive between some times."""
+    true, dt = ROBOTS[case.robot](), 1 / RATE_HZ
+    times_s = np.unique(np.concatenate([np.arange(ends_s[0], ends_s[-1], dt), ends_s, drive.breaks_s]))
+    times_s = times_s[(times_s >= ends_s[0]) & (times_s <= ends_s[-1])]
+    leg = np.searchsorted(ends_s, times_s[:-1], side="right") - 1
+    angles = drive.wheel_angles(times_s, true.wheels)
+    rolled = ideal.rolled_as_read(angles, leg, case.noise, np.random.default_rng([seed, 13]))
+    motion = integrate(Increments(*np.diff(rolled, axis=0).T, leg, len(ends_s) - 1), robot.wheels)
+    poses = drive.poses(ends_s)
+    error, predicted = [], []
+    for number, (start, end) in enumerate(itertools.pairwise(poses)):
+        truth = _seen_from(start, end[None])[0]
+        off = np.append(motion.t_m[number], motion.psi_rad[number]) - truth
+        off[2] = np.remainder(off[2] + np.pi, 2 * np.pi) - np.pi
+        error.append(off)
+        at_s = np.arange(ends_s[number] + dt / 2, ends_s[number + 1], dt)
+        before, after = (drive.wheel_angles(at_s + late * dt / 4, true.wheels) for late in (-1, 1))
+        moves = np.any(np.abs(after - before) > 1e-9, axis=1)
+        predicted.append(added_up(_seen_from(start, drive.poses(at_s[moves])), truth, found.twist, dt))
+    return HeldOut(np.array(error), np.array(predicted), poses[:-1, 2])
+
+
+def _seen_from(start: FloatArray, poses: FloatArray) -> FloatArray:
+    """Poses (n, 3) in the frame of another."""
+    apart = poses - start
+    cos, sin = np.cos(start[2]), np.sin(start[2])
+    x, y = cos * apart[:, 0] + sin * apart[:, 1], -sin * apart[:, 0] + cos * apart[:, 1]
+    return np.stack([x, y, apart[:, 2]], axis=1)
+
+
+def added_up(messages: FloatArray, end: FloatArray, twist: FloatArray, dt: float) -> FloatArray:
+    """(3, 3) covariance of the end from velocities with independent errors, one per message.
+
+    Args:
+        messages: (n, 3) pose at each message.
+        end: (3,) the end.
+        twist: (6,) variances of one message's velocities.
+        dt: s between messages.
+    """
+    cos, sin = np.cos(messages[:, 2]), np.sin(messages[:, 2])
+    zero, one = np.zeros(len(messages)), np.ones(len(messages))
+    along, across = np.stack([cos, sin, zero]), np.stack([-sin, cos, zero])
+    turning = np.stack([messages[:, 1] - end[1], end[0] - messages[:, 0], one])
+    parts = zip((along, across, turning), (twist[0], twist[1], twist[5]), strict=True)
+    return np.asarray(dt**2 * sum(variance * (rows @ rows.T) for rows, variance in parts))
+
+
+def inside(drive: HeldOut, found: OdometryCovariance) -> FloatArray:
+    """(L, 6) whether each error is in its 95 % region, in the order of `QUANTITIES`."""
+    e, P = drive.error, drive.predicted
+    single = e**2 < INSIDE * np.diagonal(P, axis1=1, axis2=2)
+    whole = np.einsum("la,lab,lb->l", e, np.linalg.inv(P), e) < INSIDE_3
+    cos, sin = np.cos(drive.start_rad), np.sin(drive.start_rad)
+    world = np.stack([cos * e[:, 0] - sin * e[:, 1], sin * e[:, 0] + cos * e[:, 1]], axis=1)
+    place = np.mean(world**2 < INSIDE * found.pose[:2], axis=1)
+    heading = e[:, 2] ** 2 < INSIDE * found.pose[5]
+    return np.column_stack([single, whole, place, heading])
+
+
+def drives(case: Case, seed: int) -> dict[str, tuple[Drive, FloatArray, float | None]]:
+    """Name → another drive of the robot, the times that end its legs (s), and the distance to export for (m)."""
+    route = route_of(case.robot, case.motion, case.stations, _OTHER_ROUTES + seed // RUNS_PER_ROUTE)
+    stops_s = ideal.station_times_s(route)
+    lasts_s = STRAIGHT_M / SPEED_MPS
+    ahead = Drive((Stretch(lasts_s, SPEED_MPS),) * 10)
+    return {
+        "from stop to stop": (route.drive, stops_s, None),
+        FIVE: (route.drive, stops_s[::5], None),
+        f"{STRAIGHT_M:g} m straight, exported for the legs": (ahead, ahead.breaks_s, None),
+        f"{STRAIGHT_M:g} m straight, exported for {STRAIGHT_M:g} m": (ahead, ahead.breaks_s, STRAIGHT_M),
+    }
+
+
+def one_robot(name: str, seed: int) -> tuple[dict[str, FloatArray], FloatArray] | str:
+    """Whether each error is inside, for each drive; and the widening and the systematic shares."""
+    case = robot_of(name, seed)
+    extraction = case.extraction(seed)
+    try:
+        solution = solve(extraction)
+    except MobilecalError as error:
+        return error.message
+    robot = parameters_from_yaml(params_yaml(solution, extraction, Provenance("", "", "ml", (), {})))
+    found = odometry_covariance(robot, extraction, RATE_HZ)
+    result = {}
+    for label, (drive, ends_s, distance_m) in drives(case, seed).items():
+        exported = odometry_covariance(robot, extraction, RATE_HZ, distance_m)
+        result[label] = inside(held_out(robot, exported, case, drive, ends_s, seed), exported)
+    return result, np.array([found.path_m, found.widening, *found.systematic])
+
+
+def row(label: str, each: list[FloatArray]) -> str:
+    """Coverage over all legs, with its standard error from the spread between the robots."""
+    rows = np.concatenate(each)
+    between = np.std([r.mean(axis=0) for r in each], axis=0) / np.sqrt(len(each))
+    cells = [f"{mean:.3f} ± {error:.3f}" for mean, error in zip(rows.mean(axis=0), between, strict=True)]
+    if label == FIVE:
+        cells[4:] = ["", ""]  # the pose applies to one leg
+    return f"| {label} | {len(rows)} | " + " | ".join(cells) + " |"
+
+
+def study(name: str, robots: int) -> None:
+    """Print the table of one case."""
+    results = list(map_runs(one_robot, [(name, seed) for seed in range(robots)]))
+    solved = [result for result in results if not isinstance(result, str)]
+    print(f"\n### {name}: {len(solved)} robots, {robots - len(solved)} refused\n")
+    print(f"| drive | errors | {' | '.join(QUANTITIES)} |\n" + "| --- " * (len(QUANTITIES) + 2) + "|")
+    for label in solved[0][0]:
+        print(row(label, [inside[label] for inside, _ in solved]))
+    path, widening, length, heading = np.mean([values for _, values in solved], axis=0)
+    print(
+        f"\nmean leg {path:.2f} m; variances times {widening:.3f}; systematic share: length {length:.2f}, "
+        f"heading {heading:.2f}"
+    )
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Robots as an argument, 200 by default; then names of cases."""
+    robots = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    print(conditions())
+    for name, case in CASES.items():
+        chosen = len(sys.argv) < 3 or any(part in name for part in sys.argv[2:])
+        if case.motion == "standard" and chosen:
+            study(name, robots)
+
+
+if __name__ == "__main__":
+    main()

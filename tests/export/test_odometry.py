@@ -1,0 +1,139 @@
+"""Covariance of odometry: what its numbers mean to a filter, and how large the errors are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import odometry_covariance, odometry_yaml
+from mobilecal_cli.kinematics import Increments, integrate
+from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, WheelGeometry
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+
+SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
+LEVELS = {
+    "wheel_rad_per_sqrt_rad": SQRT,
+    "wheel_share": SHARE,
+    "encoder_rad": 0.0,
+    "floor_rad": 0.002,
+    "floor_m": 0.001,
+}
+TRUE = paper_robot().wheels
+ROOT = np.array([[2e-4, 0, 0], [1.5e-4, 1e-4, 0], [4e-4, 3e-4, 1e-3]])
+
+
+@pytest.fixture(scope="module")
+def extraction():
+    """Eleven legs, with given noise levels: nothing is widened."""
+    robot = paper_robot()
+    made = ideal_extraction(robot, plan_route(robot, "standard", stations=12, seed=4), Noise(pixel_px=0.1))
+    known = KnownNoise(wheel_rad_per_sqrt_rad=SQRT, wheel_share=SHARE)
+    return replace(made, rig=replace(made.rig, noise=known))
+
+
+def robot_with(**levels):
+    C = np.zeros((9, 9))
+    C[6:, 6:] = ROOT @ ROOT.T
+    known = Knowledge(C, np.ones(9, bool), {**LEVELS, **levels})
+    return CalibratedRobot("head", "camera", np.eye(4), TRUE, known)
+
+
+def test_the_variances_are_those_of_simulated_drives(extraction):
+    """Straight drives with wheels drawn from the covariance of the calibration, and with noise of the wheels."""
+    random, drives, n = np.random.default_rng(2), 1500, 20
+    found = odometry_covariance(robot_with(), extraction, RATE_HZ, DISTANCE_M)
+    true = np.linspace(0, DISTANCE_M, n + 1)[:, None] / TRUE.vector[:2]
+    ends = []
+    for _ in range(drives):
+        rolled = rolled_as_read(
+            true, np.zeros(n, int), Noise(wheel_rad_per_sqrt_rad=SQRT, wheel_share=SHARE), random
+        )
+        wheels = WheelGeometry.of(TRUE.vector + ROOT @ random.normal(size=3))
+        motion = integrate(Increments(*np.diff(rolled, axis=0).T, np.zeros(n, int), 1), wheels)
+        ends.append([*motion.t_m[0], motion.psi_rad[0]])
+    x, y, heading = np.var(np.array(ends) - [DISTANCE_M, 0, 0], axis=0)
+    of_variance = 4 * np.sqrt(2 / drives)
+    assert (x + y) / 2 == pytest.approx(found.pose[0], rel=of_variance)
+    assert heading == pytest.approx(found.pose[5], rel=of_variance)
+    messages = found.moving_s * RATE_HZ
+    assert x == pytest.approx(found.twist[0] * messages / RATE_HZ**2, rel=of_variance)
+    assert heading == pytest.approx(found.twist[5] * messages / RATE_HZ**2, rel=of_variance)
+
+
+@pytest.mark.parametrize("process_noise", [1e-4, 1.0, 1e4])
+def test_a_filter_adds_the_twist_up_to_the_variance_of_the_drive(extraction, process_noise):
+    """A Kalman filter with states position and velocity that fuses the velocity, as robot_localization does.
+
+    How fast the velocity may change does not matter for the position's variance once the filter has started.
+    """
+    found = odometry_covariance(robot_with(), extraction, RATE_HZ, DISTANCE_M)
+    dt, messages = 1 / RATE_HZ, int(10 * found.moving_s * RATE_HZ)
+    F, Q, H = np.array([[1, dt], [0, 1.0]]), np.diag([0.0, process_noise * dt]), np.array([[0.0, 1.0]])
+    P, warm_up = np.diag([0.0, 1.0]), messages // 2
+    for number in range(messages):
+        P = F @ P @ F.T + Q
+        K = P @ H.T / (P[1, 1] + found.twist[0])
+        P = P - K @ H @ P
+        if number == warm_up:
+            started = P[0, 0]
+    grown = (P[0, 0] - started) / (messages - warm_up - 1)
+    assert grown == pytest.approx(found.twist[0] * dt**2, rel=0.02)
+
+
+def test_the_twist_is_proportional_to_the_rate_and_the_pose_is_not(extraction):
+    slow, fast = (odometry_covariance(robot_with(), extraction, rate) for rate in (10.0, 50.0))
+    assert fast.twist[[0, 1, 5]] == pytest.approx(5 * slow.twist[[0, 1, 5]])
+    assert fast.pose == pytest.approx(slow.pose)
+    assert slow.legs == 11
+    assert slow.moving_s == pytest.approx(2.6, abs=1.0)
+
+
+def test_estimated_levels_widen_as_student_s_distribution_does(extraction):
+    estimated = replace(extraction, rig=replace(extraction.rig, noise=KnownNoise()))
+    given, widened = (odometry_covariance(robot_with(), each, RATE_HZ) for each in (extraction, estimated))
+    assert given.widening == 1
+    assert widened.widening == pytest.approx((2.200985 / 1.959964) ** 2, rel=1e-5)  # table of t, 11 degrees
+    assert widened.twist[0] == pytest.approx(widened.widening * given.twist[0])
+
+
+def test_what_wheels_do_not_measure_has_no_weight_and_the_floor_is_that_of_the_calibration(extraction):
+    found = odometry_covariance(robot_with(), extraction, RATE_HZ)
+    assert found.twist[2:5].tolist() == [1e6] * 3
+    assert found.pose[2:5] == pytest.approx([0.001**2, 0.002**2, 0.002**2])
+
+
+def test_only_systematic_errors_remain_without_noise(extraction):
+    found = odometry_covariance(robot_with(wheel_rad_per_sqrt_rad=1e-9), extraction, RATE_HZ)
+    assert found.systematic == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_the_file_has_the_parameters_of_both_nodes(extraction):
+    """Names and lengths as documented by ros2_controllers and robot_localization; read by another YAML loader."""
+    found = odometry_covariance(robot_with(), extraction, RATE_HZ)
+    data = yaml.safe_load(odometry_yaml(found))
+    controller = data["diff_drive_controller"]["ros__parameters"]
+    assert set(controller) == {"publish_rate", "pose_covariance_diagonal", "twist_covariance_diagonal"}
+    assert controller["pose_covariance_diagonal"] == pytest.approx(found.pose.tolist())
+    assert controller["twist_covariance_diagonal"] == pytest.approx(found.twist.tolist())
+    assert all(
+        isinstance(value, float) for values in controller.values() for value in np.ravel(values).tolist()
+    )
+    ekf = data["ekf_filter_node"]["ros__parameters"]
+    used = [number for number, on in enumerate(ekf["odom0_config"]) if on]
+    assert (len(ekf["odom0_config"]), used) == (15, [6, 7, 11])  # vx, vy, rotation about z
+    assert ekf["odom0_differential"] is False
+
+
+def test_refusals(extraction):
+    with pytest.raises(ConfigError, match="does not state the noise of the wheels"):
+        odometry_covariance(replace(robot_with(), knowledge=None), extraction, RATE_HZ)
+    robot = paper_robot()
+    still = ideal_extraction(robot, plan_route(robot, "base_fixed", stations=5, seed=1), Noise(pixel_px=0.1))
+    with pytest.raises(ConfigError, match="does not drive in the recording"):
+        odometry_covariance(robot_with(), still, RATE_HZ)
