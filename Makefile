@@ -58,6 +58,7 @@ docs: $(VENV)/.dev  ## generate the pages made from the code, then build all pag
 	$(BIN)/python docs/generate/errors.py
 	$(BIN)/python docs/generate/options.py
 	$(BIN)/python docs/generate/refusals.py
+	$(BIN)/python docs/generate/schema.py
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 
 clean:

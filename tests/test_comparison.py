@@ -10,10 +10,9 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline import Limits
 from mobilecal_cli.report import change_from_nominal, comparison_text
-from mobilecal_cli.report.changes import change_rows
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -92,10 +91,10 @@ def test_another_robot_is_refused():
 
 def test_nominal_values_have_no_sigma():
     change = change_from_nominal(robot(), Nominal(wheels=WheelGeometry(0.11, 0.1, 0.5)))
-    rows = change_rows(change, [1.0] * 9)
-    assert (rows["radius_right"].value, rows["radius_right"].percent) == ("-10.0", "-9.09")
-    assert rows["t_x"].value == "–"
-    assert {row.sigmas for row in rows.values()} == {"–"}
+    k = NINE.index("radius_right")
+    assert (1e3 * change.value[k], change.percent[k]) == (pytest.approx(-10), pytest.approx(-100 / 11))
+    assert np.isnan(change.value[:6]).all()
+    assert np.isnan(change.sigmas).all()
     assert change.chance is None
 
 

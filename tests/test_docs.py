@@ -140,6 +140,11 @@ def test_the_workflow_and_the_image_name_commands_and_files_that_exist():
         assert all((REPOSITORY / name).exists() for name in line.split()[:-1])
 
 
+def test_the_schema_is_that_of_the_types():
+    schema = generator_of("schema")
+    assert schema.TARGET.read_text(encoding="utf-8") == schema.schema(), "run: make docs"
+
+
 def test_the_sample_s_report_fits_its_schema(sample_logs, tmp_path):
     schema = json.loads((DOCS / "reference" / "report.schema.json").read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)

@@ -20,12 +20,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("paper_robot", "straight", "head_fixed"):
             constraints = constraints_of(["t_y=0"] if name == "head_fixed" else [], [], [])
-            done = pipeline.calibrate(
+            report, _ = pipeline.calibrate(
                 [SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints
             )
+            done = report.fit
             way = plots.seen_from_above(done.solution, done.extraction, 0)
             (IMAGES / f"way-{name}.svg").write_text(standalone(way), encoding="utf-8")
-            head = plots.head_angles(done.extraction)
+            head = plots.head_angles(done.solution, done.extraction)
             (IMAGES / f"head-{name}.svg").write_text(standalone(head), encoding="utf-8")
 
 

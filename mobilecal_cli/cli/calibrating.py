@@ -137,7 +137,6 @@ def calibrate(
     In CI: mobilecal calibrate log.mcap --gate reprojection_rms_px=0.5 --gate std.wheels.separation_m=0.001 --json
     """
     from mobilecal_cli import pipeline
-    from mobilecal_cli.report import summary_table
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import open_page, progress_bar
 
@@ -145,7 +144,7 @@ def calibrate(
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
-            result = pipeline.calibrate(
+            report, directory = pipeline.calibrate(
                 logs,
                 output,
                 config_path=config,
@@ -160,19 +159,19 @@ def calibrate(
                 jobs=jobs or os.cpu_count() or 1,
             )
         if junit is not None:
-            pipeline.write_junit(junit, str(logs[0]), result.verdict.checks, force)
+            pipeline.write_junit(junit, str(logs[0]), report.verdict.checks, force)
     if as_json:
-        typer.echo((result.directory / "report.json").read_text(encoding="utf-8"), nl=False)
+        typer.echo(report.json, nl=False)
     elif not quiet:
-        typer.echo(summary_table(result.solution, result.extraction, result.trial))
+        typer.echo(str(report))
     if open_report:
-        typer.echo(open_page(result.directory / "report.html"), err=True)
-    verdict = result.verdict
+        typer.echo(open_page(directory / "report.html"), err=True)
+    verdict = report.verdict
     conclude(
         verdict.level,
         verdict.reason,
         verdict.next_step,
-        written=(result.directory / "params.yaml", result.directory / "report.html"),
+        written=(directory / "params.yaml", directory / "report.html"),
         quiet=as_json or quiet,
     )
 
@@ -203,7 +202,7 @@ def evaluate(
     In CI: mobilecal evaluate another.mcap params.yaml --gate translation_rms_mm=15 --gate drift_deg_per_turn=3
     """
     from mobilecal_cli import pipeline
-    from mobilecal_cli.report import evaluation_json, evaluation_text
+    from mobilecal_cli.report import evaluation_data, evaluation_json, evaluation_text
     from mobilecal_cli.terminal import progress_bar
 
     with _errors_to(junit, str(logs[0]), force):
@@ -222,7 +221,7 @@ def evaluate(
     if as_json:
         text = evaluation_json(found.evaluation, found.extraction, found.verdict, found.checks, found.used)
     else:
-        text = evaluation_text(found.evaluation, found.notes, found.verdict)
+        text = evaluation_text(evaluation_data(found.evaluation), found.notes, found.verdict)
     typer.echo(text, nl=False)
     conclude(found.verdict.level, found.verdict.reason, found.verdict.next_step, quiet=as_json)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mobilecal_cli.export import check_file, write_file
-    from mobilecal_cli.pipeline.calibrating import Calibration, calibrate, default_output, suggest
+    from mobilecal_cli.pipeline.calibrating import calibrate, default_output, suggest
     from mobilecal_cli.pipeline.cluster import run_on
     from mobilecal_cli.pipeline.comparing import Comparison, Limits, compare
     from mobilecal_cli.pipeline.drafting import draft, write_draft
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 #: Name → module that defines it.
 _HOME = {
-    "Calibration": "calibrating",
     "Comparison": "comparing",
     "Evaluated": "evaluating",
     "Exported": "exporting",
@@ -60,7 +59,6 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - any exported name
 
 
 __all__ = [
-    "Calibration",
     "Comparison",
     "Evaluated",
     "Exported",

@@ -3,36 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.export import check_output
-from mobilecal_cli.model import Evaluation, Extraction, Method, Solution
+from mobilecal_cli.model import Method
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.steps import Data, Report, fitted
-from mobilecal_cli.report import Verdict, gates_of, recommendation, suggestion_sentences
+from mobilecal_cli.report import gates_of, recommendation, suggestion_sentences
 from mobilecal_cli.solvers import Constraints
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
-    """Result of a calibration.
-
-    Attributes:
-        solution, extraction, verdict: the solution, its data and the verdict on it.
-        directory: output directory.
-        trial: test of the calibration on the held-out stations, if there are any.
-    """
-
-    solution: Solution
-    extraction: Extraction
-    verdict: Verdict
-    directory: Path
-    trial: Evaluation | None = None
 
 
 def default_output(log: Path) -> Path:
@@ -79,8 +61,11 @@ def calibrate(
     force: bool = False,
     progress: Progress = silent,
     jobs: int = 1,
-) -> Calibration:
+) -> tuple[Report, Path]:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
+
+    Returns:
+        The report, and the output directory.
 
     Args:
         logs: recordings of one robot, or one extraction.npz.
@@ -111,4 +96,4 @@ def calibrate(
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)
     report.save(directory, force)
-    return Calibration(fit.solution, fit.extraction, report.verdict, directory, fit.trial)
+    return report, directory

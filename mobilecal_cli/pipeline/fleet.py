@@ -18,10 +18,11 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, Quali
 from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
 from mobilecal_cli.export.placing import already_exists
 from mobilecal_cli.model import FleetJob, FleetRow
-from mobilecal_cli.pipeline.calibrating import Calibration, calibrate
+from mobilecal_cli.pipeline.calibrating import calibrate
 from mobilecal_cli.pipeline.manifest import DONE, RECORDS, SUMMARIES, fleet_jobs, skipped_entries
 from mobilecal_cli.pipeline.processes import work, workers
 from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.readers import sha256_of
 from mobilecal_cli.report import fleet_csv, fleet_html, reference_pose, reference_std
 from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
@@ -50,7 +51,7 @@ def run_job(job: FleetJob) -> FleetRow:
             return done
         force = job.force or owns_result(job)
         _write_record(job, {})  # from now on, a result of this robot is one of the batch
-        calibration = calibrate(
+        report, _ = calibrate(
             job.logs,
             job.output / job.name,
             config_path=job.config,
@@ -58,7 +59,7 @@ def run_job(job: FleetJob) -> FleetRow:
             gates=job.gates,
             force=force,
         )
-        row = _row(job, calibration)
+        row = _row(job, report)
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
     except Exception as error:  # a bug must not stop the other robots
@@ -128,8 +129,8 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
     return replace(row, skipped=DONE) if same and there and owns_result(job) else None
 
 
-def _row(job: FleetJob, done: Calibration) -> FleetRow:
-    solution = done.solution
+def _row(job: FleetJob, done: Report) -> FleetRow:
+    solution = done.fit.solution
     T, wheels = reference_pose(solution.parameters, solution.cameras), solution.parameters.wheels
     lengths = (*T[:3, 3].tolist(), wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
     return FleetRow(
@@ -137,7 +138,7 @@ def _row(job: FleetJob, done: Calibration) -> FleetRow:
         done.verdict.level,
         0 if done.verdict.level == "PASS" else QualityError.exit_code,
         done.verdict.reason,
-        len(done.extraction.observations),
+        done.values.quality.stations,
         tuple(se3.log_so3(T[:3, :3]).tolist()),
         lengths,
         reference_std(solution),

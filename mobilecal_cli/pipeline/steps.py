@@ -34,14 +34,17 @@ from mobilecal_cli.pipeline.loading import load as load_logs
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report import (
+    Case,
     Gate,
+    build_report,
     change_from_nominal,
     change_since,
+    draw_all,
     gates_of,
+    json_text,
     judge,
     report_html,
-    report_json,
-    summary_table,
+    summary_text,
 )
 from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
@@ -267,6 +270,7 @@ class Report:
         robot: what it says.
         change: difference from the last calibration or from the nominal values, if there is either.
         verdict: PASS, FAIL or NOT ENOUGH, with all criteria and metrics.
+        values: content of report.json.
 
     Raises:
         ConfigError: an unknown gate, or a params.yaml that cannot be read.
@@ -294,27 +298,23 @@ class Report:
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(self.robot, earlier, name)
         self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
+        case = Case(solution, extraction, self.provenance, self.verdict, fit.trial, self.change)
+        self.values = build_report(case)
 
     def __str__(self) -> str:
         """The summary for the terminal."""
-        return summary_table(self.fit.solution, self.fit.extraction, self.fit.trial)
+        return summary_text(self.values)
 
-    @cached_property
+    @property
     def json(self) -> str:
         """Text of report.json."""
-        fit = self.fit
-        return report_json(
-            fit.solution, fit.extraction, self.provenance, self.verdict, fit.trial, self.change
-        )
+        return json_text(self.values)
 
     @cached_property
     def html(self) -> str:
         """Text of report.html."""
         fit = self.fit
-        return report_html(
-            fit.solution, fit.extraction, self.data.snapshots, self.provenance, self.verdict, fit.trial,
-            self.change,
-        )  # fmt: skip
+        return report_html(self.values, draw_all(fit.solution, fit.extraction, self.data.snapshots))
 
     def _repr_html_(self) -> str:
         """The page in a frame, for notebooks."""

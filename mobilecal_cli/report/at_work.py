@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from mobilecal_cli.model import AtWork, Solution
-from mobilecal_cli.report.budget import advice, limiting_sentence
+from mobilecal_cli.report.budget import shares_of
 from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome
-from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.wording.budget import advice, limiting_sentence
 
 # With less head motion, a parameter depends on a difference about as small as the noise.
 MIN_PAN_DEG, MIN_TILT_DEG = 10.0, 5.0
@@ -56,6 +56,11 @@ FIGURES = (
            _DEG, 5.0),
 )
 # fmt: on
+def default_errors(expected: AtWork) -> list[tuple[float, str]]:
+    """(value, unit) of the expected errors that have a default limit."""
+    return [(figure.of(expected), figure.unit) for figure in FIGURES if figure.limit is not None]
+
+
 #: Names of the gates that the verdict on use judges.
 USE_GATES = frozenset(figure.gate for figure in FIGURES)
 
@@ -110,49 +115,27 @@ def use_checks(solution: Solution, limits: Mapping[str, float]) -> Iterator[Chec
         figure = use.figure
         facts = {
             "meaning": figure.meaning,
-            "limiting": limiting_sentence(solution, figure.field, figure.meaning),
-            "advice": " ".join((advice(solution, figure.field), *_hints(solution, figure))),
+            "shares": shares_of(solution, figure.field),
+            "small": _small_motion(solution, figure),
         }
         outcome: Outcome = "good" if use.within else "short"
         yield Check(f"use.{figure.field}", use.value, use.limit, figure.unit, outcome, facts=facts)
 
 
-def _hints(solution: Solution, figure: Figure) -> Sequence[str]:
-    """Motion of which the recording has little, and which this figure depends on."""
-    head, base = (
-        figure.field in {"camera_m", "camera_rad", "point_m"},
-        figure.field not in {"camera_m", "camera_rad"},
-    )
-    found = solution.uncertainty
-    fixed = found.fixed if found is not None else [False] * 9
-    head, base = head and not all(fixed[:6]), base and not all(fixed[6:])
+def _small_motion(solution: Solution, figure: Figure) -> Sequence[tuple[str, float]]:
+    """(extent, value) of motion of which the recording has little, and which this figure depends on."""
+    of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
+    fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
+    head = (of_camera or of_point) and not all(fixed[:6])
+    base = not of_camera and not all(fixed[6:])
     wanted = (
-        (head, "pan_range_deg", MIN_PAN_DEG, "Pan the head further left and right (now {:.0f} degrees)."),
-        (head, "tilt_range_deg", MIN_TILT_DEG, "Tilt the head further up and down (now {:.0f} degrees)."),
-        (base, "turned_deg", MIN_TURNED_DEG, "Turn the base between stops (now {:.0f} degrees)."),
-        (base, "driven_m", MIN_DRIVEN_M, "Drive the base further between stops (now {:.1f} m)."),
+        (head, "pan_range_deg", MIN_PAN_DEG),
+        (head, "tilt_range_deg", MIN_TILT_DEG),
+        (base, "turned_deg", MIN_TURNED_DEG),
+        (base, "driven_m", MIN_DRIVEN_M),
     )
     motion = solution.motion
-    return [
-        words.format(motion[key]) for on, key, least, words in wanted if on and motion.get(key, least) < least
-    ]
-
-
-def use_sentence(solution: Solution) -> str:
-    """The expected errors that have a default limit, in one sentence; "" for methods that give none."""
-    found = solution.uncertainty
-    if found is None:
-        return ""
-    values = [(figure.of(found.at_work), figure.unit) for figure in FIGURES if figure.limit is not None]
-    camera_m, camera_rad, along, per_m, per_turn = (f"{std_text(value)} {unit}" for value, unit in values)
-    camera = f"{camera_m} and {camera_rad}" if any(value for value, _ in values[:2]) else "fixed by the user"
-    wheels = f"{along}, {per_m} and {per_turn} per full turn"
-    if not any(value for value, _ in values[2:]):
-        wheels = "with wheels fixed by the user"
-    return (
-        f"Expected errors (1 sigma): camera in the base {camera}; dead reckoning {wheels}. "
-        "All are within their limits."
-    )
+    return [(key, motion[key]) for on, key, least in wanted if on and motion.get(key, least) < least]
 
 
 def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:
@@ -160,5 +143,5 @@ def recommendation(solution: Solution, limits: Mapping[str, float] | None = None
     worst = least_certain(solution, limits or {})
     if worst is None:
         return ()
-    field = worst.figure.field
-    return limiting_sentence(solution, field, worst.figure.meaning), advice(solution, field)
+    shares = shares_of(solution, worst.figure.field)
+    return limiting_sentence(shares, worst.figure.meaning), advice(shares)

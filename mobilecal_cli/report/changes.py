@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from mobilecal_cli.comparison import difference, nine_apart
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.units import SHOWN, value_text
 
 #: The check warns if an unchanged robot shows a change this large less often than this.
 _UNLIKELY = 1e-4
@@ -40,14 +38,6 @@ class Change:
     percent: FloatArray = field(default_factory=_unknown)
 
 
-class ChangeRow(NamedTuple):
-    """One parameter's change, formatted: in deg or mm, in sigma and in percent; "–" where unknown."""
-
-    value: str
-    sigmas: str
-    percent: str
-
-
 def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Change:
     """Change from an earlier calibration, also in standard deviations of the difference.
 
@@ -73,30 +63,6 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
         wheels = nominal.wheels
         percent[6:] = 100 * value[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
     return Change("the nominal values", value, _unknown(), None, percent)
-
-
-def change_rows(change: Change | None, stds: Sequence[float | None]) -> dict[str, ChangeRow]:
-    """Parameter → its change, formatted.
-
-    Args:
-        change: the change, None for no rows.
-        stds: nine standard deviations of the present calibration in deg and mm: None for a fixed parameter, which
-            has no change; may be empty.
-    """
-    if change is None:
-        return {}
-
-    def shown(value: float, digits: int, std: float | None = None) -> str:
-        return value_text(value, std, digits, "+") if np.isfinite(value) else "–"
-
-    return {
-        name: ChangeRow("–", "–", "–")
-        if stds and std is None
-        else ChangeRow(shown(value * SHOWN[name][1], 3, std), shown(sigmas, 1), shown(percent, 2))
-        for name, value, sigmas, percent, std in zip(
-            NINE, change.value, change.sigmas, change.percent, stds or [None] * 9, strict=True
-        )
-    }
 
 
 def change_checks(change: Change | None) -> Iterator[Check]:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Outcome = Literal["good", "look", "bad", "short"]
-#: Outcome → its label in the report and in report.json.
-OUTCOME_LABELS: dict[Outcome, str] = {
+#: Outcome → its name in report.json, and its label in the report.
+OUTCOMES: dict[Outcome, Literal["pass", "warning", "fail", "not_enough"]] = {
     "good": "pass",
     "look": "warning",
     "bad": "fail",
-    "short": "not enough",
+    "short": "not_enough",
 }
+OUTCOME_LABELS = {outcome: name.replace("_", " ") for outcome, name in OUTCOMES.items()}
 
 # With less movement, a parameter depends on a difference about as small as the noise.
 MIN_TURNED_DEG, MIN_DRIVEN_M = 20.0, 0.2

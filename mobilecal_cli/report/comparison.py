@@ -13,8 +13,7 @@ from mobilecal_cli.comparison import Difference, History
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import decimals_of, std_text
-from mobilecal_cli.report.units import SHOWN
+from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
 
 COMPARISON_SCHEMA = 1
 #: Significance level.
@@ -27,14 +26,15 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
     for name, found in zip(names[1:], differences, strict=True):
         lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
         lines += [f"  {'':<14}{'change':>12}{'1 sigma':>12}{'in sigma':>10}"]
-        for k, number in enumerate(NINE):
-            unit, factor = SHOWN[number]
+        for k, parameter in enumerate(PARAMETERS):
+            factor = parameter.factor
             s, digits = found.std[k] * factor, decimals_of(found.std[k] * factor)
             std, sigmas = (
                 (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
             )
             lines.append(
-                f"  {number:<14}{found.change[k] * factor:>+12.{digits}f}{std:>12}{sigmas:>10}  {unit}"
+                f"  {parameter.name:<14}{found.change[k] * factor:>+12.{digits}f}{std:>12}{sigmas:>10}  "
+                f"{parameter.shown_unit}"
             )
         lines += ["", "  r is a small rotation about the head's axes.", ""]
         lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in _felt(found))]

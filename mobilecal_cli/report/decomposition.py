@@ -14,7 +14,6 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import Noise
 from mobilecal_cli.model import Extraction, FloatArray, NoiseLevels, Solution
-from mobilecal_cli.report.numbers import std_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,24 +139,3 @@ def _wheel_covariance(solution: Solution, extraction: Extraction) -> FloatArray:
         square = 2 * float(np.sum(path_m**2))  # a reading at both ends
         covariance = covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2])
     return covariance
-
-
-def reprojection_sentence(solution: Solution, extraction: Extraction) -> str:
-    """What the reprojection error consists of; "" where it is unknown."""
-    parts = error_parts(solution, extraction)
-    if not parts:
-        return ""
-    noise = solution.uncertainty.noise.pixel_px if solution.uncertainty is not None else 0.0
-    words = {
-        "corners": "corners",
-        "joints": "joint readings",
-        "floor": "the uneven floor",
-        "wheels": "wheels",
-    }
-    each = [f"{words[name]} {std_text(part.px)} px" for name, part in parts.items()]
-    whole = float(np.sqrt(sum(part.px**2 for part in parts.values())))
-    return (
-        f"One corner coordinate has a noise of only {std_text(noise)} px. The reprojection error compares two "
-        f"stations, so it includes the robot's motion between them. Expected from the noise levels: "
-        f"{', '.join(each)}; together {std_text(whole)} px."
-    )

@@ -18,8 +18,10 @@ from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, FloatArr
 from mobilecal_cli.report.check import Check, Checks, Outcome, enough
 from mobilecal_cli.report.checks.faults import PIXEL_ERROR_BAD
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
-from mobilecal_cli.report.verdict import Level, Verdict
+from mobilecal_cli.report.values import Level
+from mobilecal_cli.report.verdict import Verdict
 from mobilecal_cli.report.wording import words
+from mobilecal_cli.report.wording.evaluation import agreement
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 CAMERA_DEG, CAMERA_MM, RADIUS_PERCENT, SEPARATION_PERCENT = 0.75, 20.0, 1.0, 2.0
@@ -77,12 +79,7 @@ def judge_evaluation(
         for check in checks:
             if check.outcome == outcome:
                 return Verdict(level, words(check).why, words(check).next_step, checks)
-    compared = (words(check) for check in checks if check.id.startswith("agreement."))
-    agreement = ", ".join(f"{each.name} {each.measured}" for each in compared)
-    next_step = "Use params.yaml on the robot."
-    if used:
-        next_step = "Evaluate a recording that was not used for this calibration."
-    return Verdict("PASS", f"The calibration agrees with this recording: {agreement}.", next_step, checks)
+    return Verdict("PASS", *agreement(checks, independent=not used), checks)
 
 
 def _checks(

@@ -13,9 +13,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, FleetRow, FloatArray
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.pages import environment
-from mobilecal_cli.report.units import SHOWN, value_text
+from mobilecal_cli.report.parameters import PARAMETERS, std_text, value_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
 OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
 _NAMED = 5  # number of skipped names that are listed
 _FEWEST = 5  # among fewer robots there are no outliers
-_FIELDS = ("r_x_deg", "r_y_deg", "r_z_deg", "t_x_mm", "t_y_mm", "t_z_mm", "radius_right_mm", "radius_left_mm",
-           "separation_mm")  # fmt: skip
+_FIELDS = tuple(parameter.key for parameter in PARAMETERS)
 
 
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
@@ -35,7 +33,7 @@ def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
     Rotations are relative to the first robot that passes, as rotation vectors in the head frame.
     """
     numbers, std = np.full((2, len(rows), len(NINE)), np.nan)
-    factors = np.array([SHOWN[name][1] for name in NINE])
+    factors = np.array([parameter.factor for parameter in PARAMETERS])
     answered = [row for row in rows if row.lengths_m]
     first = next((row for row in answered if row.verdict == "PASS"), answered[0] if answered else None)
     R_first = np.eye(3) if first is None else se3.exp_so3(np.array(first.rotvec_rad))
@@ -124,7 +122,7 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
         fleet_limit=OUT_OF_FLEET,
         sigma_limit=OUT_OF_SIGMA,
         counts=counts,
-        heads=[(name, SHOWN[name][0]) for name in NINE],
+        heads=[(parameter.name, parameter.shown_unit) for parameter in PARAMETERS],
         total=len(lines),
         skipped=skipped_text(rows),
         out=len(out),

@@ -10,21 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import NINE, Drift, Evaluation, Extraction, Solution
+from mobilecal_cli.model import Drift, Evaluation, Extraction, Solution
 from mobilecal_cli.report.at_work import FIGURES, USE_GATES
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.numbers import reference_std
+from mobilecal_cli.report.parameters import PARAMETERS
 
 #: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
 
 #: Figures with a lower limit; all others have an upper limit.
 _AT_LEAST = frozenset({"stations", "legs", "hold_out.stations", "hold_out.legs"})
-_STD_KEYS = (
-    *(f"std.head_eye.{name}_rad" for name in NINE[:3]),
-    *(f"std.head_eye.{name}_m" for name in NINE[3:6]),
-    *(f"std.wheels.{name}_m" for name in NINE[6:]),
-)
+_STD_KEYS = tuple(parameter.gate for parameter in PARAMETERS)
 _EVALUATED = (
     "stations",
     "legs",

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from mobilecal_cli.comparison import History
-from mobilecal_cli.model import NINE
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.parameters import PARAMETERS
 from mobilecal_cli.report.svg import Axes, Canvas, Limits, standalone
-from mobilecal_cli.report.units import SHOWN
 
 _MOST_LABELS = 20
 _WIDE, _HIGH = 300.0, 210.0
@@ -28,13 +27,13 @@ def history_plot(labels: Sequence[str], past: History) -> str:
     if len(labels) > len(shown):
         shown.append(f"and {len(labels) - len(shown)} more")
     canvas = Canvas(3 * _WIDE, 3 * _HIGH + 10 + 16 * ((len(shown) + 2) // 3), title)
-    for k, name in enumerate(NINE):
-        unit, factor = SHOWN[name]
+    for k, parameter in enumerate(PARAMETERS):
+        unit, factor = parameter.shown_unit, parameter.factor
         change, std = past.change[:, k] * factor, past.std[:, k] * factor
         left, top = k % 3 * _WIDE, k // 3 * _HIGH
         y = Limits.of([0.0, *(change - 2 * std), *(change + 2 * std)], margin=0.1)
         box = (left, top, left + _WIDE, top + _HIGH)
-        axes = Axes.of(canvas, Limits(0.5, len(labels) + 0.5), y, f"{name} [{unit}]", box)
+        axes = Axes.of(canvas, Limits(0.5, len(labels) + 0.5), y, f"{parameter.name} [{unit}]", box)
         axes.grid(x=False)
         axes.level(0.0, "faint thin")
         for n, (value, s) in enumerate(zip(change.tolist(), std.tolist(), strict=True), 1):

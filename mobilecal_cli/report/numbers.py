@@ -1,52 +1,18 @@
-"""The numbers that the terminal and every report show, and how they are formatted."""
+"""Numbers of the report that follow from a solution and its data."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
+from mobilecal_cli.model import Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
 
 #: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.
 NEAR_LOCK_DEG = 5.0
 _STEP_RAD = 1e-5
-_MOST_DECIMALS = 6
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """One of the nine parameters, in the units of the paper's Table 1.
-
-    Attributes:
-        key: name in report.json, with its unit.
-        symbol: symbol in the paper.
-        meaning: label for people.
-        unit: "deg" or "mm".
-        digits: decimals to show where no standard deviation is known.
-    """
-
-    key: str
-    symbol: str
-    meaning: str
-    unit: str
-    digits: int
-
-
-QUANTITIES = (
-    Quantity("euler_x_deg", "αx", "Euler angle x (ZYX)", "deg", 3),
-    Quantity("euler_y_deg", "αy", "Euler angle y (ZYX)", "deg", 3),
-    Quantity("euler_z_deg", "αz", "Euler angle z (ZYX)", "deg", 3),
-    Quantity("translation_x_mm", "tx", "camera position in the head frame, x", "mm", 2),
-    Quantity("translation_y_mm", "ty", "camera position in the head frame, y", "mm", 2),
-    Quantity("translation_z_mm", "tz", "camera position in the head frame, z", "mm", 2),
-    Quantity("radius_right_mm", "rR", "right wheel radius", "mm", 2),
-    Quantity("radius_left_mm", "rL", "left wheel radius", "mm", 2),
-    Quantity("separation_mm", "b", "wheel separation", "mm", 2),
-)
 
 
 def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
@@ -60,12 +26,9 @@ def reference_frame(cameras: StereoRig) -> str:
     return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
 
 
-def nine_numbers(parameters: Parameters, cameras: StereoRig) -> FloatArray:
-    """The nine parameters, (9,), in the order and units of `QUANTITIES`."""
-    T = reference_pose(parameters, cameras)
-    wheels = parameters.wheels
-    lengths_m = [*T[:3, 3], wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
-    return np.array([*se3.euler_zyx_deg(T[:3, :3]), *(1e3 * length for length in lengths_m)])
+def lengths_mm(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+    """Translation of the reference camera, radii and separation, (6,) mm."""
+    return 1e3 * np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,46 +76,6 @@ def rotation_of(solution: Solution) -> Rotation:
     return Rotation(vector_deg, vector_std, se3.quaternion_xyzw(R), euler_deg, euler_std, lock_deg)
 
 
-@dataclass(frozen=True, slots=True)
-class Sigma:
-    """Standard deviation of one of the nine parameters.
-
-    Attributes:
-        name: as in params.yaml.
-        meaning: label for people.
-        value: 1 sigma, None where the user fixed the parameter.
-        unit: "deg" or "mm".
-        observable: whether the recording determines the parameter.
-    """
-
-    name: str
-    meaning: str
-    value: float | None
-    unit: str
-    observable: bool
-
-
-def sigmas(solution: Solution) -> tuple[Sigma, ...]:
-    """Standard deviations in params.yaml's order, in deg and mm; empty for methods that give none.
-
-    The first three are of a small rotation about the head's axes, not of the components of the rotation vector.
-    """
-    std, found = reference_std(solution), solution.uncertainty
-    if found is None:
-        return ()
-    meanings = [
-        *(f"small rotation about the head's {axis} axis" for axis in "xyz"),
-        *(quantity.meaning for quantity in QUANTITIES[3:]),
-    ]
-    units = [("deg", float(np.degrees(1.0)))] * 3 + [("mm", 1e3)] * 6
-    return tuple(
-        Sigma(name, meaning, None if s is None else s * factor, unit, bool(seen))
-        for name, meaning, s, (unit, factor), seen in zip(
-            NINE, meanings, std, units, found.observable, strict=True
-        )
-    )
-
-
 def reference_std(solution: Solution) -> tuple[float | None, ...]:
     """Nine standard deviations for the reference camera, rad and m; None where the user fixed a parameter.
 
@@ -164,31 +87,6 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
         return ()
     std = np.sqrt(np.diag(found.reference_covariance))
     return tuple(None if fixed and s == 0 else float(s) for s, fixed in zip(std, found.fixed, strict=True))
-
-
-def written(sigma: Sigma) -> str:
-    """A standard deviation with two significant digits, or "fixed"; unobservable parameters are marked."""
-    if sigma.value is None:
-        return "fixed"
-    return std_text(sigma.value) + ("" if sigma.observable else " (unobservable)")
-
-
-def std_text(std: float) -> str:
-    """A standard deviation or an error with two significant digits, never rounded to zero."""
-    return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
-
-
-def decimals_of(std: float, otherwise: int = 3) -> int:
-    """Decimals of a value that match two significant digits of its standard deviation.
-
-    Args:
-        std: the standard deviation.
-        otherwise: decimals where it is zero or not finite.
-    """
-    if not (math.isfinite(std) and std > 0):
-        return otherwise
-    exponent = int(f"{std:.1e}".partition("e")[2])
-    return min(max(1 - exponent, 0), _MOST_DECIMALS)
 
 
 def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:

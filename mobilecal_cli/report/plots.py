@@ -8,7 +8,9 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import nine_numbers, station_names
+from mobilecal_cli.report.drawn import plot
+from mobilecal_cli.report.numbers import lengths_mm, reference_pose, station_names
+from mobilecal_cli.report.parameters import PARAMETERS
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Limits, Scale
 
 _MOST_LABELS = 40  # more labels than this are not readable
@@ -17,11 +19,18 @@ _TRAIL_POINTS = 400
 _LEAST_SPAN_DEG = 20.0
 
 
-def wheel_convergence(solution: Solution) -> str:
+@plot(
+    "convergence",
+    "Iterations of the linear method. Good: constant after a few iterations. Dashed line: iteration "
+    "{report.linear.iterations_to_tolerance}, after which no parameter changed by more than 0.1 %.",
+)
+def wheel_convergence(solution: Solution, _: Extraction) -> str:
     """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
-    numbers, rounds = _history(solution), np.arange(1, solution.linear.rounds + 1)
+    history, cameras = solution.linear.history, solution.cameras
+    numbers = np.stack([lengths_mm(parameters, cameras) for parameters in history])
+    rounds = np.arange(1, len(history) + 1)
     canvas = Canvas(WIDE, 210.0, "wheel radius and separation over the iterations")
-    for k, (column, title) in enumerate(((6, "right wheel radius [mm]"), (8, "wheel separation [mm]"))):
+    for k, (column, title) in enumerate(((3, "right wheel radius [mm]"), (5, "wheel separation [mm]"))):
         values = numbers[:, column]
         box = (k * WIDE / 2, 0.0, (k + 1) * WIDE / 2, 210.0)
         axes = Axes.of(canvas, _rounds(solution), Limits.of(values, margin=0.25), title, box)
@@ -31,13 +40,19 @@ def wheel_convergence(solution: Solution) -> str:
     return canvas.svg
 
 
-def all_convergence(solution: Solution) -> str:
+@plot(
+    "convergence",
+    "Difference of each parameter from its final value. Good: lines that become smaller, on this logarithmic "
+    "scale nearly straight. A line that rises at first is normal.",
+)
+def all_convergence(solution: Solution, _: Extraction) -> str:
     """Difference of each of the nine parameters from its final value, over the iterations."""
-    numbers = _history(solution)
-    apart = np.abs(numbers - numbers[-1])
-    R = np.stack([parameters.T_h_c[:3, :3] for parameters in solution.linear.history])
-    apart[:, :3] = np.abs(np.degrees([se3.log_so3(each @ R[-1].T) for each in R]))
-    names = ("x", "y", "z", "x", "y", "z", "right radius", "left radius", "separation")
+    history, cameras = solution.linear.history, solution.cameras
+    numbers = np.stack([lengths_mm(parameters, cameras) for parameters in history])
+    R = np.stack([reference_pose(parameters, cameras)[:3, :3] for parameters in history])
+    turned = np.degrees([se3.log_so3(each @ R[-1].T) for each in R])
+    apart = np.abs(np.concatenate([turned, numbers - numbers[-1]], axis=1))
+    names = (*"xyzxyz", *(parameter.label.partition(" ")[0] for parameter in PARAMETERS[6:]))
     rounds = np.arange(1, len(numbers) + 1)
     canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
     for k, title in enumerate(("rotation [deg]", "translation [mm]", "wheels [mm]")):
@@ -53,14 +68,15 @@ def all_convergence(solution: Solution) -> str:
         styles = list(zip(("blue", "orange", "green"), names[3 * k : 3 * k + 3], strict=True))
         for column, (color, _) in enumerate(styles):
             _line_with_dots(axes, np.column_stack([rounds, part[:, column]]), color)
-        shown = [(f"line {color}", name.removesuffix(" radius")) for color, name in styles]
+        shown = [(f"line {color}", name) for color, name in styles]
         wide = Canvas(left + WIDE / 3, 1.0, "")
         wide.legend(shown, left + 8, 16.0)
         canvas.parts += wide.parts
     return canvas.svg
 
 
-def refinement_convergence(solution: Solution) -> str:
+@plot("convergence", "Refinement by {refinement}. Good: the curve reaches a constant value.")
+def refinement_convergence(solution: Solution, _: Extraction) -> str:
     """Point error over the iterations of the refinement; "" without a refinement."""
     if solution.refinement is None:
         return ""
@@ -72,10 +88,6 @@ def refinement_convergence(solution: Solution) -> str:
     axes.grid("iteration of the refinement (0: linear solution)", whole=True)
     _line_with_dots(axes, np.column_stack([np.arange(len(error_mm)), error_mm]), "blue")
     return canvas.svg
-
-
-def _history(solution: Solution) -> FloatArray:
-    return np.stack([nine_numbers(parameters, solution.cameras) for parameters in solution.linear.history])
 
 
 def _rounds(solution: Solution) -> Limits:
@@ -94,6 +106,13 @@ def _line_with_dots(axes: Axes, points: FloatArray, color: str) -> None:
             axes.dot(x, y, color, tip=f"{x:g}: {y:.4g}", r=2.5)
 
 
+@plot(
+    "space",
+    "Path of the base with the calibrated wheels (solid) and with the nominal wheels (dotted), and the board "
+    "as measured from each station. Good: the green lines coincide (dead reckoning drifts, so they spread "
+    "slowly along a long path), the cameras point at the board, and the path is the one that the robot drove.",
+    each="log",
+)
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
     picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
@@ -146,7 +165,8 @@ def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> Flo
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def head_angles(extraction: Extraction) -> str:
+@plot("head", "Head angles at each station. Good: spread in both directions, not along one line.", half=True)
+def head_angles(_: Solution, extraction: Extraction) -> str:
     """Pan and tilt angle at each station; "" if the chain names neither joint."""
     chain, seen = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
@@ -196,7 +216,15 @@ def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, 
     return canvas, axes
 
 
-def picture_coverage(extraction: Extraction, side: Side) -> str:
+@plot(
+    "coverage",
+    "Outlines of the board in the images: corners in {report.image_coverage[left]:.0%} and "
+    "{report.image_coverage[right]:.0%} of the image cells. Good: many positions and sizes, some near the "
+    "edges.",
+    half=True,
+    each="side",
+)
+def picture_coverage(_: Solution, extraction: Extraction, side: Side) -> str:
     """Outlines of the board in the images of one camera."""
     import cv2  # slow to import, and other plots do not need it
 

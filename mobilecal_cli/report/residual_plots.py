@@ -9,6 +9,7 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.model import NINE, Extraction, FloatArray, Side, Solution
 from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.budget import families
+from mobilecal_cli.report.drawn import plot
 from mobilecal_cli.report.numbers import predicted_point_rms_m, station_names
 from mobilecal_cli.report.plots import image_axes
 from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits, number
@@ -39,6 +40,12 @@ _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 _OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "joint": "joint reading"}
 
 
+@plot(
+    "residuals",
+    "One bar per leg. Good: bars of similar height. One bar far above the others: a wheel slipped or the "
+    "board moved on that leg. All bars far above the dashed line: errors of the wheels or of the head joints "
+    "are larger than the depth noise of the cameras.",
+)
 def leg_residuals(solution: Solution, extraction: Extraction) -> str:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
@@ -64,136 +71,12 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> str:
     return canvas.svg
 
 
-def station_residuals(extraction: Extraction) -> str:
-    """Residual of the flat board in the stereo pair, and the measured square size, at each station."""
-    seen, names = extraction.observations, station_names(extraction)
-    square_mm = [o.square_m * 1e3 for o in seen]
-    stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
-    x = Limits(-0.6, len(seen) - 0.4)
-    canvas = Canvas(WIDE, 420.0, "stereo residual and square size at each station")
-    stereo = Limits.of([o.reprojection_px for o in seen], zero=True)
-    axes = Axes.of(canvas, x, stereo, "stereo residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
-    axes.grid(x=False)
-    for i, o in enumerate(seen):
-        axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
-    axes.names(names, "")
-    size = Limits.of([*square_mm, *stated], margin=0.3)
-    axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
-    axes.grid(x=False)
-    for value in stated:
-        axes.level(value, "ink thin")
-        canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
-    for i, value in enumerate(square_mm):
-        axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
-    axes.names(names, "station")
-    return canvas.svg
-
-
-def picture_residuals(extraction: Extraction, side: Side) -> str:
-    """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
-
-    The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
-    """
-    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
-    found = [_board_residuals(extraction, side, i) for i in range(len(extraction.observations))]
-    longest = float(np.percentile(np.concatenate([np.linalg.norm(r, axis=1) for _, r in found]), 95))
-    scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
-    every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
-    names = station_names(extraction)
-    for i, (pixels, residual) in enumerate(found):
-        lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
-        axes.line(lines.reshape(-1, 2), "blue thin", stations=[i], tip=f"station {names[i]}")
-    canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    return canvas.svg
-
-
-def residual_histogram(extraction: Extraction) -> str:
-    """How often the corners are off by how much from the fitted flat board, u and v of both cameras."""
-    sides: tuple[Side, Side] = ("left", "right")
-    values = np.concatenate(
-        [
-            _board_residuals(extraction, side, i)[1].ravel()
-            for side in sides
-            for i in range(len(extraction.observations))
-        ]
-    )
-    most = float(np.percentile(np.abs(values), 99.5)) or 1.0
-    counts, edges = np.histogram(values, bins=41, range=(-most, most))
-    share = 100 * counts / len(values)
-    canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
-    axes = Axes.of(
-        canvas, Limits(-most, most), Limits.of(share, zero=True), "corner residuals, share of all [%]"
-    )
-    axes.grid("residual of a coordinate [px]")
-    left, right = edges[:-1], edges[1:]
-    steps = np.stack([left, share, right, share], axis=1).reshape(-1, 2)
-    axes.line(np.concatenate([[[left[0], 0.0]], steps, [[right[-1], 0.0]]]), "blue")
-    return canvas.svg
-
-
-def _board_residuals(extraction: Extraction, side: Side, i: int) -> tuple[FloatArray, FloatArray]:
-    """Detected corners of a station, (n, 2), and their residuals from the fitted board, (n, 2), px."""
-    cameras, o = extraction.rig.cameras, extraction.observations[i]
-    camera, T = (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
-    corners = o.left if side == "left" else o.right
-    points = se3.act(T @ o.T_c_k, extraction.board.grid() * o.square_m)
-    return corners.pixels[corners.seen], (corners.pixels - project(camera, points))[corners.seen]
-
-
-def correlation_matrix(solution: Solution) -> str:
-    """Correlation matrix of the nine parameters; "" without a covariance."""
-    found = solution.uncertainty
-    if found is None:
-        return ""
-    std = np.sqrt(np.diag(found.reference_covariance))
-    std = np.where(std > 0, std, np.nan)
-    correlation = found.reference_covariance / np.outer(std, std)
-    canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
-    left, top, wide, high = 100.0, 6.0, 58.0, 32.0
-    for k, name in enumerate(NINE):
-        canvas.text(left - 8, top + (k + 0.6) * high, name, anchor="end")
-        x, y = left + (k + 0.5) * wide, top + 9 * high + 14
-        canvas.text(x, y, name, anchor="end", turn=-30)
-    for (i, j), value in np.ndenumerate(correlation):
-        if np.isfinite(value):
-            x, y = left + j * wide, top + i * high
-            at = f'x="{number(x)}" y="{number(y)}" width="{wide - 1:g}" height="{high - 1:g}"'
-            shade = f'fill-opacity="{min(1.0, abs(value)) * 0.6:.2f}"'
-            canvas.shape("rect", f"fill {'blue' if value > 0 else 'orange'}", f"{at} {shade}")
-            canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
-    return canvas.svg
-
-
-def error_budget(solution: Solution) -> str:
-    """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
-    found = solution.uncertainty
-    if found is None:
-        return ""
-    names, shares = families(solution)
-    at_work = [figure for figure in FIGURES if figure.limit is not None]
-    fields = [*NINE, *found.budget.at_work]
-    columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
-    labels = [*NINE, *(_BUDGET_LABELS[figure.field] for figure in at_work)]
-    used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
-    canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
-    left, wide = 122.0, WIDE - 132.0
-    canvas.legend([(f"fill {_FAMILY_CLASSES[names[k]]}", names[k]) for k in used], 8.0, 14.0)
-    for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
-        y, x = 46.0 + 24.0 * row, left
-        canvas.text(left - 8, y + 13, label, anchor="end")
-        for k in used:
-            width = wide * float(shares[k, column])
-            if width <= 0:
-                continue
-            at = f'x="{number(x)}" y="{number(y)}" width="{number(width)}" height="18"'
-            share = f"{100 * shares[k, column]:.0f} %"
-            canvas.shape("rect", f"fill {_FAMILY_CLASSES[names[k]]}", at, tip=f"{label}: {names[k]} {share}")
-            if shares[k, column] > _LABELED_SHARE:
-                canvas.text(x + width / 2, y + 13, share, anchor="middle")
-            x += width
-    return canvas.svg
-
-
+@plot(
+    "residuals",
+    "Residuals over time, with outliers and rejected stations at the bottom. Good: no trend, and outliers "
+    "with a known cause.",
+    each="log",
+)
 def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     """Leg and stereo residuals of one recording over time, with outliers and rejected stations."""
     seen, residuals, names = extraction.observations, solution.residuals, station_names(extraction)
@@ -235,4 +118,161 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
             stations=outlier.observations,
             tip=outlier.text,
         )
+    return canvas.svg
+
+
+@plot(
+    "residuals",
+    "The stereo pair alone, without robot motion. Good: residuals of about 0.3 px or less, and the same "
+    "square size at all distances. High residuals at all stations: camera_info does not match the cameras. "
+    "Square size different from the stated one: the baseline or the stated size is wrong.",
+)
+def station_residuals(_: Solution, extraction: Extraction) -> str:
+    """Residual of the flat board in the stereo pair, and the measured square size, at each station."""
+    seen, names = extraction.observations, station_names(extraction)
+    square_mm = [o.square_m * 1e3 for o in seen]
+    stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
+    x = Limits(-0.6, len(seen) - 0.4)
+    canvas = Canvas(WIDE, 420.0, "stereo residual and square size at each station")
+    stereo = Limits.of([o.reprojection_px for o in seen], zero=True)
+    axes = Axes.of(canvas, x, stereo, "stereo residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
+    axes.grid(x=False)
+    for i, o in enumerate(seen):
+        axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
+    axes.names(names, "")
+    size = Limits.of([*square_mm, *stated], margin=0.3)
+    axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
+    axes.grid(x=False)
+    for value in stated:
+        axes.level(value, "ink thin")
+        canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
+    for i, value in enumerate(square_mm):
+        axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
+    axes.names(names, "station")
+    return canvas.svg
+
+
+@plot(
+    "residuals",
+    "Corner residuals across the image, magnified. Good: lines point in random directions. Lines that circle "
+    "the image center or point away from it: camera_info does not match the lens.",
+    half=True,
+    each="side",
+)
+def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
+    """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
+
+    The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
+    """
+    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
+    found = [_board_residuals(extraction, side, i) for i in range(len(extraction.observations))]
+    longest = float(np.percentile(np.concatenate([np.linalg.norm(r, axis=1) for _, r in found]), 95))
+    scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
+    every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
+    names = station_names(extraction)
+    for i, (pixels, residual) in enumerate(found):
+        lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
+        axes.line(lines.reshape(-1, 2), "blue thin", stations=[i], tip=f"station {names[i]}")
+    canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
+    return canvas.svg
+
+
+@plot(
+    "residuals",
+    "All corner residuals. Good: one symmetric peak at zero.",
+)
+def residual_histogram(_: Solution, extraction: Extraction) -> str:
+    """How often the corners are off by how much from the fitted flat board, u and v of both cameras."""
+    sides: tuple[Side, Side] = ("left", "right")
+    values = np.concatenate(
+        [
+            _board_residuals(extraction, side, i)[1].ravel()
+            for side in sides
+            for i in range(len(extraction.observations))
+        ]
+    )
+    most = float(np.percentile(np.abs(values), 99.5)) or 1.0
+    counts, edges = np.histogram(values, bins=41, range=(-most, most))
+    share = 100 * counts / len(values)
+    canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
+    axes = Axes.of(
+        canvas, Limits(-most, most), Limits.of(share, zero=True), "corner residuals, share of all [%]"
+    )
+    axes.grid("residual of a coordinate [px]")
+    left, right = edges[:-1], edges[1:]
+    steps = np.stack([left, share, right, share], axis=1).reshape(-1, 2)
+    axes.line(np.concatenate([[[left[0], 0.0]], steps, [[right[-1], 0.0]]]), "blue")
+    return canvas.svg
+
+
+def _board_residuals(extraction: Extraction, side: Side, i: int) -> tuple[FloatArray, FloatArray]:
+    """Detected corners of a station, (n, 2), and their residuals from the fitted board, (n, 2), px."""
+    cameras, o = extraction.rig.cameras, extraction.observations[i]
+    camera, T = (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
+    corners = o.left if side == "left" else o.right
+    points = se3.act(T @ o.T_c_k, extraction.board.grid() * o.square_m)
+    return corners.pixels[corners.seen], (corners.pixels - project(camera, points))[corners.seen]
+
+
+@plot(
+    "correlation",
+    "Blue: positive correlation; orange: negative. Near ±1 the recording determines a combination of the two "
+    "parameters better than each one alone. More varied motion separates them.",
+)
+def correlation_matrix(solution: Solution, _: Extraction) -> str:
+    """Correlation matrix of the nine parameters; "" without a covariance."""
+    found = solution.uncertainty
+    if found is None:
+        return ""
+    std = np.sqrt(np.diag(found.reference_covariance))
+    std = np.where(std > 0, std, np.nan)
+    correlation = found.reference_covariance / np.outer(std, std)
+    canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
+    left, top, wide, high = 100.0, 6.0, 58.0, 32.0
+    for k, name in enumerate(NINE):
+        canvas.text(left - 8, top + (k + 0.6) * high, name, anchor="end")
+        x, y = left + (k + 0.5) * wide, top + 9 * high + 14
+        canvas.text(x, y, name, anchor="end", turn=-30)
+    for (i, j), value in np.ndenumerate(correlation):
+        if np.isfinite(value):
+            x, y = left + j * wide, top + i * high
+            at = f'x="{number(x)}" y="{number(y)}" width="{wide - 1:g}" height="{high - 1:g}"'
+            shade = f'fill-opacity="{min(1.0, abs(value)) * 0.6:.2f}"'
+            canvas.shape("rect", f"fill {'blue' if value > 0 else 'orange'}", f"{at} {shade}")
+            canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
+    return canvas.svg
+
+
+@plot(
+    "budget",
+    "What each variance consists of. Dark: noise of the measurements, which more stations reduce. Light: "
+    "uncertainty of the robot description, which only better stated values reduce.",
+)
+def error_budget(solution: Solution, _: Extraction) -> str:
+    """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
+    found = solution.uncertainty
+    if found is None:
+        return ""
+    names, shares = families(solution)
+    at_work = [figure for figure in FIGURES if figure.limit is not None]
+    fields = [*NINE, *found.budget.at_work]
+    columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
+    labels = [*NINE, *(_BUDGET_LABELS[figure.field] for figure in at_work)]
+    used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
+    canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
+    left, wide = 122.0, WIDE - 132.0
+    canvas.legend([(f"fill {_FAMILY_CLASSES[names[k]]}", names[k]) for k in used], 8.0, 14.0)
+    for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
+        y, x = 46.0 + 24.0 * row, left
+        canvas.text(left - 8, y + 13, label, anchor="end")
+        for k in used:
+            width = wide * float(shares[k, column])
+            if width <= 0:
+                continue
+            at = f'x="{number(x)}" y="{number(y)}" width="{number(width)}" height="18"'
+            share = f"{100 * shares[k, column]:.0f} %"
+            canvas.shape("rect", f"fill {_FAMILY_CLASSES[names[k]]}", at, tip=f"{label}: {names[k]} {share}")
+            if shares[k, column] > _LABELED_SHARE:
+                canvas.text(x + width / 2, y + 13, share, anchor="middle")
+            x += width
     return canvas.svg

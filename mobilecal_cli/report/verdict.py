@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from mobilecal_cli.model import Evaluation, Extraction, Solution
-from mobilecal_cli.report.at_work import use_sentence
+from mobilecal_cli.report.at_work import default_errors
 from mobilecal_cli.report.changes import Change, change_checks
-from mobilecal_cli.report.check import Checks, Outcome
+from mobilecal_cli.report.check import OUTCOMES, Check, Checks, Outcome
 from mobilecal_cli.report.checks import all_checks
 from mobilecal_cli.report.gates import Gate, figures_of, gate_checks, use_limits
 from mobilecal_cli.report.numbers import board_distance_m
+from mobilecal_cli.report.values import CheckData, Level, VerdictData
 from mobilecal_cli.report.wording import words
-
-Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
+from mobilecal_cli.report.wording.use import passed
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,24 +63,36 @@ def judge(
         if check.outcome in levels:
             said = words(check)
             return Verdict(levels[check.outcome], said.why, said.next_step, checks, metrics)
-    if solution.uncertainty is None:
-        reason = (
-            f"{_point_error(solution, extraction)} The method {solution.method} gives no standard deviations, so the "
-            "expected errors in use are unknown."
-        )
-        next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
-    else:
-        reason = f"{_point_error(solution, extraction)} {use_sentence(solution)}"
-        next_step = "Use params.yaml on the robot."
+    found_errors = None if solution.uncertainty is None else default_errors(solution.uncertainty.at_work)
+    point_mm, distance_m = solution.point_rms_m * 1e3, board_distance_m(extraction)
+    reason, next_step = passed(
+        len(extraction.observations), point_mm, distance_m, solution.method, found_errors
+    )
     look = [words(check) for check in checks if check.outcome == "look"]
     if look:
         next_step += f" Check first: {look[0].why} {look[0].next_step}"
     return Verdict("PASS", reason, next_step, checks, metrics)
 
 
-def _point_error(solution: Solution, extraction: Extraction) -> str:
-    share = 100 * solution.point_rms_m / board_distance_m(extraction)
-    return (
-        f"The point error over {len(extraction.observations)} stations is {solution.point_rms_m * 1e3:.1f} mm, "
-        f"{share:.1f} % of the distance to the board."
+def check_data(check: Check) -> CheckData:
+    """A criterion as numbers and sentences."""
+    said, good = words(check), check.outcome == "good"
+    return CheckData(
+        id=check.id,
+        value=check.value,
+        limit=check.limit,
+        unit=check.unit,
+        at_least=check.at_least,
+        outcome=OUTCOMES[check.outcome],
+        name=said.name,
+        measured_text=said.measured,
+        limit_text=said.limit,
+        why="" if good else said.why,
+        next_step="" if good else said.next_step,
     )
+
+
+def verdict_data(verdict: Verdict) -> VerdictData:
+    """A verdict as numbers and sentences."""
+    checks = tuple(check_data(check) for check in verdict.checks)
+    return VerdictData(level=verdict.level, reason=verdict.reason, next_step=verdict.next_step, checks=checks)

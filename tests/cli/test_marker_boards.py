@@ -32,19 +32,24 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
         **BOARDS[kind],
     }
     flags = {f"board.{key}": value for key, value in flags.items()}
-    found = pipeline.calibrate([log], tmp_path / "out", flags=flags)
-    seen = [corners.seen for o in found.extraction.observations for corners in (o.left, o.right)]
+    found, _ = pipeline.calibrate([log], tmp_path / "out", flags=flags)
+    seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.left, o.right)]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
     robot = paper_robot()
-    error, covariance = errors(found.solution.parameters, robot), found.solution.uncertainty.covariance
+    error, covariance = (
+        errors(found.fit.solution.parameters, robot),
+        found.fit.solution.uncertainty.covariance,
+    )
     nees = float(error @ np.linalg.solve(covariance, error)) / 9
     assert nees < 2.5
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind
-    again = pipeline.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
-    np.testing.assert_allclose(again.solution.parameters.T_h_c, found.solution.parameters.T_h_c, atol=1e-9)
+    again, _ = pipeline.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
+    np.testing.assert_allclose(
+        again.fit.solution.parameters.T_h_c, found.fit.solution.parameters.T_h_c, atol=1e-9
+    )
     if kind == "aprilgrid":
         view = pipeline.inspect([log], None, flags).board
         assert view.size == (board.columns, board.rows)

@@ -20,7 +20,7 @@ def log(sample_logs):
 
 @pytest.fixture(scope="module")
 def usual(log, tmp_path_factory):
-    return pipeline.calibrate([log], tmp_path_factory.mktemp("usual") / "out").solution
+    return pipeline.calibrate([log], tmp_path_factory.mktemp("usual") / "out")[0].fit.solution
 
 
 def in_other_clothes(log, folder):
@@ -42,11 +42,11 @@ def in_other_clothes(log, folder):
 def test_protobuf_and_json(log, usual, tmp_path):
     (tmp_path / "rig.yaml").write_text("head: {urdf: robot.urdf}\n")
     logs = in_other_clothes(log, tmp_path)
-    found = pipeline.calibrate(logs, tmp_path / "out", config_path=tmp_path / "rig.yaml")
+    found, _ = pipeline.calibrate(logs, tmp_path / "out", config_path=tmp_path / "rig.yaml")
     assert found.verdict.level == "PASS"
-    np.testing.assert_allclose(found.solution.parameters.T_h_c, usual.parameters.T_h_c, atol=1e-9)
+    np.testing.assert_allclose(found.fit.solution.parameters.T_h_c, usual.parameters.T_h_c, atol=1e-9)
     for name in ("radius_right_m", "radius_left_m", "separation_m"):
-        assert getattr(found.solution.parameters.wheels, name) == pytest.approx(
+        assert getattr(found.fit.solution.parameters.wheels, name) == pytest.approx(
             getattr(usual.parameters.wheels, name), abs=1e-9
         )
 
@@ -96,12 +96,12 @@ def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
     logs = [in_other_clothes(log, tmp_path)[0], in_transforms(log, urdf, tmp_path, "stereo_left_optical")]
     nominal = {f"nominal.wheels.{name}": 0.22 for name in ("radius_left_m", "radius_right_m")}
     flags = {**nominal, "nominal.wheels.separation_m": 0.5}
-    found = pipeline.calibrate(logs, tmp_path / "out", flags=flags)
-    assert any("no URDF" in note for note in found.extraction.notes)
-    assert found.extraction.rig.chain.joints == tuple(
+    found, _ = pipeline.calibrate(logs, tmp_path / "out", flags=flags)
+    assert any("no URDF" in note for note in found.fit.extraction.notes)
+    assert found.fit.extraction.rig.chain.joints == tuple(
         joint.child for joint in urdf.path("base_link", "head_link") if joint.kind != "fixed"
     )
-    a, b = usual.parameters, found.solution.parameters
+    a, b = usual.parameters, found.fit.solution.parameters
     # The same chain otherwise parametrised: the pose of the head in the base is the same, and so is everything else.
     # Only the priors differ a little: they count from other zeros.
-    assert np.abs(a.minus(b) / found.solution.uncertainty.std).max() < 0.1
+    assert np.abs(a.minus(b) / found.fit.solution.uncertainty.std).max() < 0.1

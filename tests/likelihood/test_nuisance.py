@@ -8,13 +8,13 @@ import pytest
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.effects import JointEffect
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
-from mobilecal_cli.report.contradictions import constant_groups
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.likelihood.test_normal import Case, reduced
+from tests.report.example import made, rows_of
 
 SHIFT_RAD = 0.02
 
@@ -59,9 +59,10 @@ def test_a_made_up_constant_is_estimated_and_reported():
     assert abs(found.value - SHIFT_RAD) < 4 * found.std
     assert found.std < 0.3 * found.prior
     assert next(e for e in solution.evidence if e.kind == "shaky").part == "torso"
-    row = next(row for part, rows in constant_groups(solution, extraction) for row in rows if part == "torso")
-    assert SHAKY.meaning in row.meaning
-    assert (row.unit, float(row.value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
+    name, meaning, value, _, _, unit, *_ = rows_of(made(solution, extraction), "constants")["torso"]
+    assert name == "shaky_joint"
+    assert SHAKY.meaning in meaning
+    assert (unit, float(value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 
 
 @pytest.mark.usefixtures("table")

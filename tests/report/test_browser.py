@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import FleetRow, LogSource, Outlier, Rejection
-from mobilecal_cli.report import fleet_html, judge, report_html
+from mobilecal_cli.report import fleet_html
 from mobilecal_cli.report.changes import Change
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
 from tests.report.browser import CHROMIUM, Browser
-from tests.report.example import HOSTILE, make_provenance, make_snapshots
+from tests.report.example import HOSTILE, make_snapshots, page_of
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: chromium)")
 
@@ -40,7 +40,6 @@ def page(tmp_path_factory):
         rejections=(Rejection("vision", "blurred", HOSTILE, time_ns, log=0, station=20),),
         notes=(HOSTILE, "a very-long-word-" * 20),
     )
-    provenance = make_provenance(extraction)
     solution = solve(extraction)
     outliers = tuple(
         Outlier(kind, 0, (1,), time_ns, f"{kind} {HOSTILE}")
@@ -49,15 +48,7 @@ def page(tmp_path_factory):
     solution = replace(solution, outliers=outliers)
     trial = evaluate(extraction, solution.parameters, robot.wheels)
     change = Change(HOSTILE, np.linspace(-1, 1, 9) * 1e-3, np.linspace(-3, 3, 9), 0.2)
-    text = report_html(
-        solution,
-        extraction,
-        make_snapshots(extraction),
-        provenance,
-        judge(solution, extraction),
-        trial,
-        change,
-    )
+    text = page_of(solution, extraction, make_snapshots(extraction), trial=trial, change=change)
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
     return path

@@ -16,25 +16,26 @@ from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, LogSource, Nominal
 from mobilecal_cli.report import (
     gates_of,
+    json_text,
     judge,
     recommendation,
-    report_html,
-    report_json,
-    summary_table,
+    summary_text,
     words,
 )
 from mobilecal_cli.report.at_work import FIGURES, uses
-from mobilecal_cli.report.budget import FAMILIES, SOURCES, families, limiting_sentence
-from mobilecal_cli.report.contradictions import constant_groups, contradiction_sentences
-from mobilecal_cli.report.decomposition import error_parts, reprojection_sentence
-from mobilecal_cli.report.findings import jackknife_sentence, noise_rows
-from mobilecal_cli.report.numbers import reference_std, rotation_of, std_text
+from mobilecal_cli.report.budget import families, shares_of
+from mobilecal_cli.report.contradictions import told
+from mobilecal_cli.report.decomposition import error_parts
+from mobilecal_cli.report.numbers import reference_std, rotation_of
+from mobilecal_cli.report.parameters import std_text
+from mobilecal_cli.report.wording.budget import FAMILIES, SOURCES, limiting_sentence
+from mobilecal_cli.report.wording.findings import jackknife_sentence
 from mobilecal_cli.simulate.ideal import Noise
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
-from tests.report.example import make_extraction, make_provenance, make_solution
+from tests.report.example import made, make_extraction, make_provenance, make_solution, page_of, rows_of
 
 NOISE = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 QUIET = Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
@@ -154,7 +155,7 @@ def test_a_base_at_rest_is_not_enough_for_the_wheels():
 
 def test_methods_without_standard_deviations_say_so():
     extraction = make_extraction()
-    for method, solution in (("lm", make_solution(extraction)), ("linear", make_solution(extraction, False))):
+    for method, solution in ((method, make_solution(extraction, method)) for method in ("lm", "linear")):
         verdict = judge(solution, extraction)
         assert f"The method {method} gives no standard deviations" in verdict.reason
         assert "--method ml" in verdict.next_step
@@ -167,8 +168,8 @@ def test_an_unevenness_of_the_floor_is_told():
     verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, noise=noise)), extraction)
     assert verdict.level == "PASS"
     assert "The noise of the floor (roll and pitch of the base) is 0.5 degrees" in verdict.next_step
-    rows = {row.meaning: row for row in noise_rows(solution, extraction)}
-    assert rows["floor: roll and pitch of the base at each stop"].unit == "deg"
+    rows = rows_of(made(solution, extraction), "uncertainty", "Measurement noise")
+    assert rows["floor: roll and pitch of the base at each stop"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
 
 
@@ -178,17 +179,16 @@ def test_an_unevenness_of_the_floor_is_told():
 def test_a_turned_camera_is_named_with_its_cure():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
     (found,) = solution.contradictions
-    what, cure = contradiction_sentences(found, solution)
+    what, cure = told(found, solution)
     assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
     assert what.endswith("deg from camera_info (prior 0.050 deg).")
     assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
     value, std = found.values["stereo_r_x"]
     assert abs(value - np.radians(0.5)) < 4 * std
-    assert what in " ".join(summary_table(solution, extraction).split())
-    groups = dict(constant_groups(solution, extraction))
-    assert next(iter(groups)) == "right camera"
-    first = groups["right camera"][0]
-    assert (first.name, first.level, first.prior) == ("stereo_r_x", "wrong", "0.050")
+    assert what in " ".join(summary_text(made(solution, extraction)).split())
+    (table,) = (table for table in made(solution, extraction).tables if table.section == "constants")
+    part, name, _, _, _, prior, _, tag = table.rows[0]
+    assert (part, name, prior, tag) == ("right camera", "stereo_r_x", "0.050", "contradicts")
 
 
 @pytest.mark.parametrize(("shift", "level"), [(1.9, "PASS"), (2.1, "FAIL")])
@@ -241,15 +241,14 @@ def test_more_stations_do_not_help_against_stated_values():
 
 def test_the_files_hold_budget_and_constants():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
-    verdict, provenance = judge(solution, extraction), make_provenance(extraction)
-    data = json.loads(report_json(solution, extraction, provenance, verdict))
+    data = json.loads(json_text(made(solution, extraction)))
     jsonschema.validate(data, json.loads(SCHEMA.read_text()))
     for shares in (*data["error_budget"]["nine"].values(), *data["error_budget"]["at_work"].values()):
         assert sum(shares.values()) == pytest.approx(1.0)
     assert data["constants"]["stereo_r_x"]["prior"] == pytest.approx(np.radians(0.05))
     assert data["constants"]["stereo_r_x"]["used_prior"] > data["constants"]["stereo_r_x"]["prior"]
     assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
-    page = report_html(solution, extraction, (), provenance, verdict)
+    page = page_of(solution, extraction)
     for said in (
         "What the description gets wrong",
         "Error budget",
@@ -283,14 +282,14 @@ def test_one_noise_alone_makes_the_reprojection_error(part, noise):
     assert max(parts, key=lambda name: parts[name].px) == part
     whole = np.sqrt(sum(p.px**2 for p in parts.values()))
     assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
-    assert f"together {std_text(whole)} px" in reprojection_sentence(known, extraction)
+    assert f"together {std_text(whole)} px" in made(known, extraction).quality.reprojection_text
 
 
 def test_a_small_corner_noise_is_not_rounded_to_zero():
     solution, extraction = drawn()
     noise = replace(solution.uncertainty.noise, pixel_px=0.0041)
     quiet = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
-    assert "has a noise of only 0.0041 px" in reprojection_sentence(quiet, extraction)
+    assert "has a noise of only 0.0041 px" in made(quiet, extraction).quality.reprojection_text
 
 
 def test_the_sentence_and_the_chart_group_the_sources_alike():
@@ -299,7 +298,7 @@ def test_the_sentence_and_the_chart_group_the_sources_alike():
     column = [*NINE, *solution.uncertainty.budget.at_work].index("heading_rad_per_turn")
     share = dict(zip(names, shares[:, column], strict=True))
     family = max(share, key=share.get)
-    sentence = limiting_sentence(solution, "heading_rad_per_turn", "heading")
+    sentence = limiting_sentence(shares_of(solution, "heading_rad_per_turn"), "heading")
     assert sentence == f"{FAMILIES[family]} the heading: {100 * share[family]:.0f} % of its variance."
 
 
@@ -341,9 +340,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
     truth = robot.T_h_c @ T_c_r
     written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
-    data = json.loads(
-        report_json(solution, extraction, make_provenance(extraction), judge(solution, extraction))
-    )
+    data = json.loads(json_text(made(solution, extraction)))
     shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
     for R in (written.T_parent_child[:3, :3], shown):
         off_deg = np.degrees(np.linalg.norm(se3.log_so3(R @ truth[:3, :3].T)))
@@ -360,9 +357,7 @@ def test_the_right_camera_follows_the_estimated_pair_where_the_left_one_is_fixed
     assert not np.allclose(expected, nominal.T_h_reference, atol=5e-3)
     provenance = make_provenance(extraction)
     written = parameters_from_yaml(params_yaml(solution, extraction, provenance))
-    data = json.loads(report_json(solution, extraction, provenance, judge(solution, extraction)))[
-        "parameters"
-    ]
+    data = json.loads(json_text(made(solution, extraction)))["parameters"]
     shown = se3.transform(
         se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
     )
@@ -399,7 +394,7 @@ def test_params_yaml_keeps_all_noise_levels():
 def test_an_extraction_without_logs_has_a_report():
     solution, extraction = drawn()
     nameless = replace(extraction, logs=())
-    page = report_html(solution, nameless, (), make_provenance(nameless), judge(solution, nameless))
+    page = page_of(solution, nameless)
     assert "top view of the base path" in page
 
 

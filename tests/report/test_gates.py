@@ -13,16 +13,17 @@ from mobilecal_cli.model import Drift, Evaluation
 from mobilecal_cli.report import (
     Check,
     evaluated_figures,
+    evaluation_data,
     evaluation_text,
     figures_of,
     gate_checks,
     gates_of,
+    json_text,
     judge,
     junit_error_xml,
     junit_xml,
     words,
 )
-from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.gates import Gate
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
@@ -84,10 +85,10 @@ def test_figures_of_an_evaluation():
     assert figures["translation_rms_mm"] == pytest.approx(np.sqrt(50))
     assert figures["drift_mm_per_m"] == pytest.approx(4.0)
     assert figures["drift_deg_per_turn"] is None
-    data = json.loads(json.dumps(evaluation_data(EVALUATION), allow_nan=False))
+    data = json.loads(json_text(evaluation_data(EVALUATION)))
     assert data["drift_before"] == {"mm_per_m": pytest.approx(50), "deg_per_turn": None}
     assert data["per_leg"][1]["translation_mm"] == pytest.approx(8)
-    assert "worst" in evaluation_text(EVALUATION, ())
+    assert "worst" in evaluation_text(evaluation_data(EVALUATION))
 
 
 def test_each_side_of_a_limit():

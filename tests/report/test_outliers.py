@@ -2,7 +2,7 @@
 
 from mobilecal_cli.model import Outlier
 from mobilecal_cli.report import Check, words
-from mobilecal_cli.report.outliers import outlier_sentences
+from mobilecal_cli.report.wording.findings import outlier_sentences
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.camera import project
 from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.report import judge, words
 from mobilecal_cli.solvers import solve
-from tests.report.example import T_H_C, WHEELS, make_extraction, make_rig, make_solution, project
+from tests.report.example import ROBOT, WHEELS, make_extraction, make_solution, with_nominal
 
 NO_SIGMAS = "Calibrate with --method ml (the default) for a result that the robot can use."
 
@@ -31,12 +32,6 @@ def with_legs(solution, errors_m):
     return dataclasses.replace(solution, residuals=residuals, point_rms_m=rms)
 
 
-def with_nominal(extraction, wheels):
-    return dataclasses.replace(
-        extraction, rig=dataclasses.replace(extraction.rig, nominal=Nominal(wheels=wheels))
-    )
-
-
 def with_seen(extraction, **changes):
     seen = tuple(dataclasses.replace(o, **changes) for o in extraction.observations)
     return dataclasses.replace(extraction, observations=seen)
@@ -46,8 +41,8 @@ def test_a_sound_calibration_passes(solution, extraction):
     verdict = judge(solution, extraction)
     assert verdict.level == "PASS"
     assert verdict.reason == (
-        "The point error over 12 stations is 9.8 mm, 0.5 % of the distance to the board. The method lm gives no "
-        "standard deviations, so the expected errors in use are unknown."
+        f"The point error over 12 stations is {1e3 * solution.point_rms_m:.1f} mm, 0.7 % of the distance to the board. "
+        "The method lm gives no standard deviations, so the expected errors in use are unknown."
     )
     assert verdict.next_step == NO_SIGMAS
     assert {check.outcome for check in verdict.checks} == {"good"}
@@ -96,22 +91,30 @@ def failing(solution, extraction, said):
 
 
 def test_a_rival_answer(solution, extraction):
-    linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.012)
+    linear = dataclasses.replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.012)
     failing(
         dataclasses.replace(solution, linear=linear),
         extraction,
         "almost equally well: point errors 10.9 and 12.0 mm",
     )
-    linear = dataclasses.replace(solution.linear, rival_point_rms_m=0.02)
+    linear = dataclasses.replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.02)
     assert judge(dataclasses.replace(solution, linear=linear), extraction).level == "PASS"
 
 
 def test_wheels_far_from_their_nominal_sizes(solution, extraction):
     double = WheelGeometry(WHEELS.radius_right_m, 2 * WHEELS.radius_left_m, WHEELS.separation_m)
-    failing(solution, with_nominal(extraction, double), "left wheel radius is 227.6 mm, about half of")
-    verdict = judge(solution, with_nominal(extraction, dataclasses.replace(WHEELS, separation_m=0.55)))
+    failing(
+        solution,
+        with_nominal(extraction, Nominal(wheels=double)),
+        "left wheel radius is 81.7 mm, about half of",
+    )
+    verdict = judge(
+        solution, with_nominal(extraction, Nominal(wheels=dataclasses.replace(WHEELS, separation_m=0.37)))
+    )
     assert verdict.level == "PASS"
-    assert "Check first: The wheel separation is 508.8 mm, 0.93 times" in verdict.next_step
+    found = solution.parameters.wheels.separation_m
+    said = f"Check first: The wheel separation is {1e3 * found:.1f} mm, {found / 0.37:.2f} times"
+    assert said in verdict.next_step
 
 
 def test_a_stereo_pair_that_does_not_fit(solution, extraction):
@@ -166,12 +169,12 @@ def test_wheels_of_two_sizes(solution, extraction):
     failing(
         dataclasses.replace(solution, refinement=None, parameters=odd),
         extraction,
-        "left 113.8 mm",
+        "left 40.8 mm",
     )
 
 
 def test_all_legs_bad(solution, extraction):
-    failing(with_legs(solution, [0.05] * 11), extraction, "The point error is 50.0 mm at 2.1 m")
+    failing(with_legs(solution, [0.05] * 11), extraction, "The point error is 50.0 mm at 1.7 m")
 
 
 def test_depth_noise_is_no_fault_of_the_calibration(solution, extraction):
@@ -183,7 +186,7 @@ def test_pixels_off(solution, extraction):
     failing(
         dataclasses.replace(solution, reprojection_rms_px=9.0),
         extraction,
-        "The reprojection error is 9.0 px (limit 8.2 px)",
+        "The reprojection error is 9.0 px (limit 7.8 px)",
     )
 
 
@@ -232,7 +235,7 @@ class TestWithTheSolver:
 
     def test_the_board_is_moved_once(self, seed):
         extraction = make_extraction(seed=seed)
-        moved = list(extraction.observations)
+        moved, cameras = list(extraction.observations), extraction.rig.cameras
         for i, o in enumerate(moved[6:], 6):
             T = o.T_c_k @ se3.transform(np.eye(3), np.array([0.05, 0, 0]))
             points_c = se3.act(T @ se3.inverse(o.T_c_k), o.points_c)
@@ -240,8 +243,10 @@ class TestWithTheSolver:
                 o,
                 T_c_k=T,
                 points_c=points_c,
-                left=dataclasses.replace(o.left, pixels=project(points_c)),
-                right=dataclasses.replace(o.right, pixels=project(points_c, right=True)),
+                left=dataclasses.replace(o.left, pixels=project(cameras.left, points_c)),
+                right=dataclasses.replace(
+                    o.right, pixels=project(cameras.right, se3.act(se3.inverse(cameras.T_c_r), points_c))
+                ),
             )
         verdict = solved(extraction, observations=tuple(moved))
         assert verdict.level == "PASS"  # found, named and left out
@@ -249,8 +254,8 @@ class TestWithTheSolver:
 
     def test_loose_head_joints(self, seed):
         # With so much noise, a part of the head-eye transform is unobservable and needs a nominal value.
-        rig = make_rig(nominal=Nominal(T_H_C, WHEELS))
-        extraction, rng = make_extraction(seed=seed, rig=rig), np.random.default_rng(seed)
+        extraction = with_nominal(make_extraction(seed=seed), Nominal(ROBOT.T_h_c, WHEELS))
+        rng = np.random.default_rng(seed)
         loose = tuple(
             dataclasses.replace(o, joints=o.joints + rng.normal(0, math.radians(1), 2))
             for o in extraction.observations

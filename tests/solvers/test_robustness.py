@@ -9,8 +9,8 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import JointLink, Nominal, Parameters, WheelTrack
-from mobilecal_cli.report import judge
-from mobilecal_cli.report.findings import noise_rows
+from mobilecal_cli.report import Case, judge
+from mobilecal_cli.report.tables import noise
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -20,6 +20,7 @@ from mobilecal_cli.solvers.corners import gross_corners
 from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import errors, spoiled
+from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
 
@@ -118,10 +119,10 @@ def test_a_wrong_reading_of_a_prismatic_joint_is_told_in_mm():
     (error_mm,) = re.findall(r"joint lift is wrong by \+([\d.]+) mm", outlier.text)
     assert float(error_mm) == pytest.approx(40, abs=2)
     assert found.uncertainty.noise.joint_rad < 0.002
-    rows = {row.meaning: row for row in noise_rows(found, extraction)}
-    assert rows["joint reading, revolute"].unit == "deg"
-    assert rows["joint reading, prismatic"].unit == "mm"
-    mm, deg = (float(rows[f"joint reading, {kind}"].std) for kind in ("prismatic", "revolute"))
+    rows = rows_of(made(found, extraction), "uncertainty", "Measurement noise")
+    assert rows["joint reading, revolute"][1] == "deg"
+    assert rows["joint reading, prismatic"][1] == "mm"
+    mm, deg = (float(rows[f"joint reading, {kind}"][0]) for kind in ("prismatic", "revolute"))
     assert mm == pytest.approx(100 * np.radians(deg), rel=0.05)
 
 
@@ -131,7 +132,8 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     lift = JointLink("lift", np.array([0.0, 0.0, 1.0]), "prismatic")
     chain = replace(extraction.rig.chain, links=(lift,), pan="", tilt="")
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
-    assert [row.unit for row in noise_rows(found, lifted) if row.meaning == "joint reading"] == ["mm"]
+    rows = noise(Case(found, lifted, make_provenance(lifted), judge(found, lifted)))
+    assert [unit for meaning, _, unit, _ in rows if meaning == "joint reading"] == ["mm"]
     check = judge(found, lifted).checks["noise.joint"]
     assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "good")
 

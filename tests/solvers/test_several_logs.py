@@ -9,9 +9,8 @@ from scipy.special import stdtrit
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, Nominal, Provenance, WheelGeometry
-from mobilecal_cli.report import judge, report_json
-from mobilecal_cli.report.findings import log_rows
+from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
+from mobilecal_cli.report import json_text
 from mobilecal_cli.simulate.drive import Drive, Stretch
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
@@ -19,6 +18,7 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.uncertainty import motion_gaps
 from tests.bench.simulated import errors
+from tests.report.example import made, rows_of
 
 ROBOT = paper_robot()
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
@@ -87,14 +87,12 @@ def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, 
     if stations == 12:
         assert found.between.shown[poor].sum() == 9 - len(hidden)
 
-    rows = dict(log_rows(found, extraction))
+    rows = rows_of(made(found, extraction), "uncertainty", "Each recording separately")
     said = dict(zip(NINE, rows[f"recording {poor}"], strict=True))
     assert all(said[name] == "unobservable" for name in hidden)
     assert "nan" not in str(rows)
     assert rows["spread between recordings"][NINE.index(hidden[0])] == "unobservable"
-    text = report_json(
-        found, extraction, Provenance("0", "2026-01-01", "ml", (), {}), judge(found, extraction)
-    )
+    text = json_text(made(found, extraction))
     logs = json.loads(text, parse_constant=lambda name: pytest.fail(name))["logs"]
     assert logs["shift"][poor][NINE.index(hidden[0])] is None
     assert logs["shown"][poor] == found.between.shown[poor].tolist()
@@ -104,7 +102,7 @@ def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
     extraction = joined(recorded("straight", 2), recorded("straight", 3))
     found = solve(extraction, constraints=constraints_of(["t_x"], [], []))
     assert found.between.shown.tolist() == [[name not in ("separation", "t_x") for name in NINE]] * 2
-    rows = dict(log_rows(found, extraction))
+    rows = rows_of(made(found, extraction), "uncertainty", "Each recording separately")
     assert rows["recording 0"][NINE.index("separation")] == "unobservable"
     assert rows["recording 1"][NINE.index("t_x")] == "fixed"
 

@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.parameters import std_text
+from mobilecal_cli.report.wording.contradictions import contradiction_words
+from mobilecal_cli.report.wording.use import use_words
 from mobilecal_cli.report.wording.words import Words, part
 
 _SLIP = "Check for wheel slip, a moved board, and errors in the head joints or their URDF."
@@ -90,16 +92,6 @@ def _camera_info(c: Check) -> Words:
         "the same in the whole recording",
         f"{visible(c.facts['note'])}.",
         "Record again with one camera calibration, or state the correct one in rig.yaml.",
-    )
-
-
-def _contradiction(c: Check) -> Words:
-    return Words(
-        f"robot description: {visible(c.facts['part'])}, {c.facts['meaning']}",
-        f"{c.value:.1f} sigma from the stated values",
-        f"at most {c.limit:g} sigma",
-        f"{c.facts['what']} It changes the result by up to {c.facts['shift_sigmas']:.1f} standard deviations.",
-        c.facts["cure"],
     )
 
 
@@ -268,18 +260,6 @@ def _noise(c: Check) -> Words:
     )
 
 
-def _use(c: Check) -> Words:
-    meaning, limit = c.facts["meaning"], f"{c.limit:g} {c.unit}"
-    value = f"{std_text(c.value)} {c.unit}" if c.value else "fixed by the user"
-    return Words(
-        f"expected error: {meaning}",
-        value,
-        f"at most {limit}",
-        f"The expected error (1 sigma) of the {meaning} is {value} (limit {limit}). {c.facts['limiting']}",
-        c.facts["advice"],
-    )
-
-
 def _rejected(c: Check) -> Words:
     lost, often = f"{c.facts['rejected']} of {c.facts['found']}", c.facts["often"]
     return Words(
@@ -330,7 +310,7 @@ WORDS: dict[str, Callable[[Check], Words]] = {
     "motion": _motion,
     "observable": _observable,
     "camera_info": _camera_info,
-    "contradiction": _contradiction,
+    "contradiction": contradiction_words,
     "description": _description,
     "second_solution": _second_solution,
     "wheel_difference": _wheel_difference,
@@ -344,7 +324,7 @@ WORDS: dict[str, Callable[[Check], Words]] = {
     "outliers": _outliers,
     "outliers_as_noise": _outliers_as_noise,
     "noise": _noise,
-    "use": _use,
+    "use": use_words,
     "rejected": _rejected,
     "change": _change,
     "gate": _gate,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.wording.words import Words, part
@@ -73,6 +73,24 @@ def _agreement(c: Check) -> Words:
         )
         cure = "Record more stations; mobilecal suggest lists the most useful ones."
     return Words(name, f"{c.value:.2g} ± {f['sigma']:.1g} {c.unit}", limit, why, cure)
+
+
+def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
+    """A note if the calibration was made from some of the evaluated recordings."""
+    if not used:
+        return ()
+    which = "This recording was" if logs == 1 else f"{', '.join(used)} {'was' if len(used) == 1 else 'were'}"
+    return (f"{which} used for this calibration: the errors below are not independent.",)
+
+
+def agreement(checks: Sequence[Check], independent: bool) -> tuple[str, str]:
+    """Reason and next step where a calibration passes."""
+    each = (_agreement(check) for check in checks if check.id.startswith("agreement."))
+    next_step = "Use params.yaml on the robot."
+    if not independent:
+        next_step = "Evaluate a recording that was not used for this calibration."
+    said = ", ".join(f"{one.name} {one.measured}" for one in each)
+    return f"The calibration agrees with this recording: {said}.", next_step
 
 
 WORDS: dict[str, Callable[[Check], Words]] = {
