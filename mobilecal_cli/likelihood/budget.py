@@ -115,12 +115,14 @@ def _onto(lin: Linearization, base: FloatArray | None = None, own: FloatArray | 
 def _of_images(lin: Linearization) -> Influence:
     views = lin.views
     root, inverse = _roots(views.information)
-    by = (np.swapaxes(part, 1, 2) @ root for part in (views.by_base, views.by_own, views.by_shared))
-    onto = lin.normal.onto_shared(np.arange(lin.data.stations), *by)
+    by = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in (views.by_base, views.by_own))
+    shared = np.swapaxes(views.onto_shared(np.swapaxes(root, 1, 2)), 1, 2)
+    base, own = by
+    onto = lin.normal.onto_shared(np.arange(lin.data.stations), base, own, shared)
     return Influence(
         lin.conditional_covariance @ onto,
         (inverse @ views.gradient[..., None])[..., 0],
-        np.swapaxes(root, 1, 2) @ lin.marginals.views @ root,
+        np.swapaxes(root, 1, 2) @ lin.marginals.images() @ root,
         {"pixel_px": np.eye(root.shape[2])},
     )
 

@@ -225,7 +225,7 @@ class Sight:
         terms: (N, M, 4, 2) displacements by a lens correction of one, term by term.
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the left camera's frame, m.
-        by_point_c: (N, M, 2, 3) derivative of the corrected pixels by the point in the left camera's frame, px/m.
+        by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the left camera's frame, px/m.
     """
 
     side: Side
@@ -241,8 +241,8 @@ class Sight:
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
         """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the left camera's frame, m."""
         x, y, z = np.moveaxis(shift_c, -1, 0)[..., None]
-        J = self.by_point_c
-        moved: FloatArray = J[..., 0] * x + J[..., 1] * y + J[..., 2] * z
+        by_x, by_y, by_z = self.by_point_c
+        moved: FloatArray = by_x * x + by_y * y + by_z * z
         return moved
 
     def corrected(self, shift: FloatArray) -> FloatArray:
@@ -266,7 +266,7 @@ class CameraEffect(Effect, ABC):
 
 def _right_moves(sight: Sight, by_shift_c: FloatArray) -> FloatArray:
     """Derivative of the right pixels where its center moves by (3,) in the left camera's frame."""
-    return np.asarray(-sight.by_point_c @ by_shift_c)
+    return -sight.by_shift(by_shift_c)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.likelihood.views import Views, linearize_views
+from mobilecal_cli.likelihood.views import Views, linearize_views, with_stations
 from mobilecal_cli.model import Evidence, FloatArray
 
 
@@ -73,9 +73,8 @@ class Linearization:
 
     def predicted(self, step: Step) -> Linearization:
         """The likelihood after a small step: the residuals of the images to first order."""
-        views, other = self.views, self.after(step)
-        shift = views.by_base @ step.base[..., None] + views.by_own @ step.own[..., None]
-        other.__dict__["views"] = views.moved(shift[..., 0] + views.by_shared @ step.shared)
+        other = self.after(step)
+        other.__dict__["views"] = self.views.moved(step)
         return other
 
     def under(self, priors: Priors) -> Linearization:
@@ -100,6 +99,19 @@ class Linearization:
             other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
         if "legs" in self.__dict__ and (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0):
             other.__dict__["legs"] = self.legs
+        return other
+
+    def with_inliers(self, inliers: Inliers) -> Linearization:
+        """The same point with other inliers."""
+        other = replace(self, inliers=inliers)
+        for name in ("legs", "leg_covariance"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        if "views" in self.__dict__:
+            changed = np.flatnonzero((inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2)))
+            other.__dict__["views"] = with_stations(
+                self.views, self.data, self.state, inliers, self.noise, changed
+            )
         return other
 
     def of_log(self, log: int) -> Linearization:

@@ -18,7 +18,9 @@ class Marginals:
     """Posterior covariances at an optimum.
 
     Attributes:
-        views: (N, Q, Q) of each station's board pose in the camera (delta) and of the direct constants.
+        views: (N, 6, 6) of each station's board pose in the camera (delta).
+        mixed: (N, 6, D) of these with the direct constants.
+        direct: (D, D) of the direct constants.
         own: (N, J + 3, J + 3) of the joint errors and of the floor.
         legs: (L, 3, 3) of the legs' residuals.
         encoders: (N, 2) variances of the encoder errors.
@@ -27,11 +29,27 @@ class Marginals:
     """
 
     views: FloatArray
+    mixed: FloatArray
+    direct: FloatArray
     own: FloatArray
     legs: FloatArray
     encoders: FloatArray
     stamps: FloatArray
     bases: FloatArray
+
+    def leverage(self, information: FloatArray) -> float:
+        """How much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
+        of_poses = np.einsum("nqr,nrq->", information[:, :6, :6], self.views)
+        of_direct = np.sum(information[:, 6:, 6:].sum(axis=0) * self.direct)
+        return float(of_poses + 2 * np.sum(information[:, :6, 6:] * self.mixed) + of_direct)
+
+    def images(self) -> FloatArray:
+        """(N, Q, Q) of (delta, direct constants)."""
+        count, _, direct = self.mixed.shape
+        out = np.empty((count, 6 + direct, 6 + direct))
+        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
+        out[:, 6:, :6] = np.swapaxes(self.mixed, 1, 2)
+        return out
 
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
@@ -56,7 +74,8 @@ def marginals(lin: Linearization) -> Marginals:
 
     A = views.by_base + views.by_own @ by_base
     F = A @ follow + views.by_shared + views.by_own @ by_shared
-    seen = _sandwich(A, own) + _sandwich(F, C) + _sandwich(views.by_own, E_inverse)
+    FC = F @ C
+    seen = _sandwich(A, own) + FC @ np.swapaxes(F, 1, 2) + _sandwich(views.by_own, E_inverse)
     F_own = by_base @ follow + by_shared
     errors = E_inverse + _sandwich(by_base, own) + _sandwich(F_own, C)
     bases = own + _sandwich(follow, C)
@@ -67,6 +86,8 @@ def marginals(lin: Linearization) -> Marginals:
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         views=seen,
+        mixed=FC[:, :, views.direct],
+        direct=C[np.ix_(views.direct, views.direct)],
         own=errors,
         legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
         encoders=np.diagonal(bases, axis1=1, axis2=2)[:, 3:5].copy(),

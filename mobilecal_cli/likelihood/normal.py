@@ -104,12 +104,15 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     count, P, B = data.stations, data.layout.size, data.base_width
 
     own = _eliminated_own(lin, damping)
-    E_base, E_shared = own.across @ views.by_base, own.across @ views.by_shared
-    GB, GS = own.information @ views.by_base, own.information @ views.by_shared
+    E_base, E_shared = own.across[:, :, :6] @ views.by_base, views.onto_shared(own.across)
+    GS = views.onto_shared(own.information)
     Bt = np.swapaxes(views.by_base, 1, 2)
-    D, C, H = Bt @ GB, Bt @ GS, _summed(views.by_shared, GS)
+    D, C = Bt @ (own.information[:, :, :6] @ views.by_base), Bt @ GS
     b = np.einsum("nqb,nq->nb", views.by_base, own.gradient)
-    h = np.einsum("nqp,nq->p", views.by_shared, own.gradient)
+    H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, own.gradient)
+    H[views.direct] += _summed(own.information[:, :, 6:], views.by_shared)
+    H[np.ix_(views.direct, views.direct)] += own.direct_information
+    h[views.direct] += own.direct_gradient
 
     # Legs.
     off = np.zeros((count, B, B))
@@ -164,7 +167,9 @@ class _Own:
     """Joint errors and floors, eliminated station by station.
 
     Attributes:
-        information, gradient: (N, Q, Q) and (N, Q) of (delta, direct constants) without them.
+        information: (N, 6, Q) of delta with (delta, direct constants), without them.
+        gradient: (N, 6) of delta, the same way.
+        direct_information, direct_gradient: (D, D) and (D,) of the direct constants, summed over the stations.
         inverse: (N, E, E) their covariance for a known rest.
         e: (N, E) their gradient.
         across: (N, E, Q) their information with (delta, direct constants).
@@ -172,6 +177,8 @@ class _Own:
 
     information: FloatArray
     gradient: FloatArray
+    direct_information: FloatArray
+    direct_gradient: FloatArray
     inverse: FloatArray
     e: FloatArray
     across: FloatArray
@@ -185,25 +192,28 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
     matrices that agree to all digits where the corners are much better than joints and floor.
     """
     views, sigma = lin.views, lin.own_sigmas
-    J, G = views.by_own[:, :6], views.information
+    J, G = views.by_own, views.information
     P = sigma**2 / (1 + damping)
     A = (J * P[:, None, :]) @ np.swapaxes(J, 1, 2)
     shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
-    information, back = np.empty_like(G), G[:, 6:, :6] @ A
-    information[:, :6] = shrink @ G[:, :6]
-    information[:, 6:, :6] = np.swapaxes(information[:, :6, 6:], 1, 2)
-    information[:, 6:, 6:] = G[:, 6:, 6:] - back @ information[:, :6, 6:]
+    information, forth = shrink @ G[:, :6], A @ G[:, :6, 6:]
     # With the present errors o the gradient is that of delta - J o: moved back by them.
     wanted = views.gradient - (G[:, :, :6] @ (J @ lin.own_errors[..., None]))[..., 0]
-    gradient = np.empty_like(wanted)
-    gradient[:, :6] = (shrink @ wanted[:, :6, None])[..., 0]
-    gradient[:, 6:] = wanted[:, 6:] - (back @ gradient[:, :6, None])[..., 0]
+    gradient = (shrink @ wanted[:, :6, None])[..., 0]
     root = np.sqrt(P)
     across = np.swapaxes(J, 1, 2) @ G[:, :6]
     M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
     inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
     e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / P
-    return _Own(information, gradient, inverse, e, across)
+    return _Own(
+        information,
+        gradient,
+        G[:, 6:, 6:].sum(axis=0) - _summed(forth, information[:, :, 6:]),
+        wanted[:, 6:].sum(axis=0) - _summed(forth, gradient[..., None])[:, 0],
+        inverse,
+        e,
+        across,
+    )
 
 
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:

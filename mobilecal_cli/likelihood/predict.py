@@ -38,7 +38,7 @@ def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
 
 def gradients_at(lin: Linearization) -> Mapping[str, FloatArray]:
     """Field of `AtWork` → (k, named) derivatives by the named parameters; their variances add up to the figure's."""
-    camera = -lin.views.by_shared[:, :6, : lin.data.layout.named]  # the board moves the other way
+    camera = -lin.views.by_shared[..., : lin.data.layout.named]  # the board moves the other way
     return gradients(lin.state.parameters, camera)
 
 

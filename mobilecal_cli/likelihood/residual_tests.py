@@ -12,7 +12,7 @@ from scipy.special import fdtri
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.noise import FREE_JOINT
 from mobilecal_cli.likelihood.state import board_in_camera
-from mobilecal_cli.likelihood.views import Views, linearize_views
+from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class ResidualTests:
         """(N,) of each station's images as a whole, six degrees of freedom; 0 for outliers."""
         lin, on = self._lin, self._lin.inliers.views
         G, g = lin.views.information[on, :6, :6], lin.views.gradient[on, :6]
-        return _scattered(on, _deleted(G, g, lin.marginals.views[on][:, :6, :6]))
+        return _scattered(on, _deleted(G, g, lin.marginals.views[on]))
 
     @cached_property
     def legs(self) -> FloatArray:
@@ -79,10 +79,10 @@ class ResidualTests:
         """
         lin = self._lin
         views, off, inverse = self._apart
-        spread = inverse + lin.marginals.views[:, :6, :6]
+        spread = inverse + lin.marginals.views
         freed = np.empty_like(lin.data.joints)
         for j in range(lin.data.joints.shape[1]):
-            k = views.by_own[:, :6, j : j + 1]
+            k = views.by_own[..., j : j + 1]
             freed[:, j] = _mahalanobis(off, spread + FREE_JOINT**2 * (k @ np.swapaxes(k, 1, 2)))
         return _mahalanobis(off, spread), freed
 
@@ -93,7 +93,7 @@ class ResidualTests:
         """
         lin = self._lin
         whole = replace(lin.inliers, views=np.ones(lin.data.stations, dtype=np.bool_))
-        views = linearize_views(lin.data, lin.state, whole, lin.noise)
+        views = lin.with_inliers(whole).views
         inverse: FloatArray = np.asarray(
             np.linalg.pinv(views.information[:, :6, :6], hermitian=True), np.float64
         )

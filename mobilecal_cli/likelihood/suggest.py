@@ -177,9 +177,10 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
             legs[way] = _leg(lin, *way)
         driven, weight = legs[way]
         H = np.zeros((P + 10 + own, P + 10 + own))  # shared, last base, new base, the new stop's own errors
-        by_last = np.zeros((views.by_shared.shape[1], 5))
-        seen = [views.by_shared[c + 1], by_last, views.by_base[c + 1], views.by_own[c + 1]]
-        A = np.concatenate(seen, axis=1)
+        seen = [views.by_shared[c + 1], np.zeros((6, 5)), views.by_base[c + 1], views.by_own[c + 1]]
+        A = np.zeros((6 + len(views.direct), len(H)))
+        A[:6] = np.concatenate(seen, axis=1)
+        A[range(6, len(A)), views.direct] = 1.0
         H += A.T @ views.information[c + 1] @ A
         H[: P + 10, : P + 10] += driven.T @ weight @ driven
         encoders, errors = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + own)

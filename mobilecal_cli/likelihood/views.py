@@ -7,6 +7,7 @@ their own ("direct").
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -21,15 +22,16 @@ from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
     State,
+    Step,
     board_in_camera,
     chain_change,
     joint_clock_s,
     joints_at,
     points_at,
 )
-from mobilecal_cli.model import Camera, FloatArray, Side
+from mobilecal_cli.model import Camera, FloatArray, IntArray, Side
 
-_BLOCK = 200  # stations: 10 MB of derivatives for 54 corners
+_BLOCK = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +43,10 @@ class Views:
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, Q, B) delta by base twist (x, y, heading), encoder errors (nothing) and the stamp's error.
-        by_own: (N, Q, J + 3) delta by joint errors and by the floor.
-        by_shared: (N, Q, P) delta and direct constants by the parameters that all stations share.
+        by_base: (N, 6, B) delta by base twist (x, y, heading), encoder errors (nothing) and the stamp's error.
+        by_own: (N, 6, J + 3) delta by joint errors and by the floor.
+        by_shared: (N, 6, P) delta by the parameters that all stations share.
+        direct: (Q - 6,) columns of the direct constants among these parameters.
     """
 
     residual_px: FloatArray
@@ -53,9 +56,20 @@ class Views:
     by_base: FloatArray
     by_own: FloatArray
     by_shared: FloatArray
+    direct: IntArray
 
-    def moved(self, shift: FloatArray) -> Views:
-        """The same after shifts (N, Q) of (delta, direct constants), to first order; `residual_px` stays."""
+    def onto_shared(self, A: FloatArray) -> FloatArray:
+        """(N, k, Q) derivatives by (delta, direct constants) as derivatives by the shared parameters, (N, k, P)."""
+        out: FloatArray = A[:, :, :6] @ self.by_shared
+        out[:, :, self.direct] += A[:, :, 6:]
+        return out
+
+    def moved(self, step: Step) -> Views:
+        """The same after a step of all unknowns, to first order; `residual_px` stays."""
+        delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
+        shift = np.empty_like(self.gradient)
+        shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
+        shift[:, 6:] = step.shared[self.direct]
         change = (self.information @ shift[..., None])[..., 0]
         cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
         return replace(self, gradient=self.gradient + change, cost=cost)
@@ -71,13 +85,17 @@ class Views:
         )
 
 
-def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
-    """Corner residuals or their derivatives, (N, 2, M, 2, ...) px, by the corners' whitening, lower triangles W."""
-    W = W.reshape(*W.shape, *[1] * (values.ndim - 4))
-    result = np.empty_like(values)
-    np.multiply(W[:, :, :, 0, 0], values[:, :, :, 0], out=result[:, :, :, 0])
-    np.multiply(W[:, :, :, 1, 1], values[:, :, :, 1], out=result[:, :, :, 1])
-    result[:, :, :, 1] += W[:, :, :, 1, 0] * values[:, :, :, 0]
+def whitened(W: FloatArray, values: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """Corner residuals (N, 2, M, 2) or their derivatives (N, Q, 2, M, 2), px, by lower triangles W (N, 2, M, 2, 2).
+
+    `out` may be the values.
+    """
+    W = W if values.ndim == 4 else W[:, None]
+    x, y = values[..., 0], values[..., 1]
+    result = np.empty_like(values) if out is None else out
+    np.multiply(W[..., 1, 1], y, out=result[..., 1])
+    result[..., 1] += W[..., 1, 0] * x
+    np.multiply(W[..., 0, 0], x, out=result[..., 0])
     return result
 
 
@@ -87,56 +105,58 @@ def blocks_of(stations: int) -> Iterator[slice]:
 
 
 def corner_residuals(
-    data: Dataset, state: State, T_c_k: FloatArray, stations: slice = slice(None)
+    data: Dataset, state: State, T_c_k: FloatArray, stations: slice | IntArray = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted minus detected pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
 
     Returns:
-        The residuals, and (N, 2, M, 2, Q) derivatives by (delta, direct constants).
+        The residuals, and (N, Q, 2, M, 2) derivatives by (delta, direct constants).
     """
     change = camera_change(data.layout.constants, state.constants)
     rig = change.apply(data.cameras)
     points_c = se3.act(T_c_k, points_at(data, state))
     T_r_c = se3.inverse(rig.T_c_r)
-    points_r = se3.act(T_r_c, points_c)
     direct = data.layout.direct
-    residual = np.empty((*points_c.shape[:2], 2, 2)).swapaxes(1, 2)
-    J = np.zeros((len(points_c), 2, points_c.shape[1], 2, 6 + len(direct)))
-    sides: list[tuple[Side, Camera, FloatArray]] = [
-        ("left", rig.left, points_c),
-        ("right", rig.right, points_r),
+    sides: list[tuple[Side, Camera, Camera, FloatArray]] = [
+        ("left", data.cameras.left, rig.left, points_c),
+        ("right", data.cameras.right, rig.right, se3.act(T_r_c, points_c)),
     ]
-    for k, (side, camera, points) in enumerate(sides):
+    residual = np.empty((len(points_c), 2, points_c.shape[1], 2))
+    J = np.zeros((len(points_c), 6 + len(direct), 2, points_c.shape[1], 2))
+    x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
+    for k, (side, stated, camera, points) in enumerate(sides):
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
-        stated = data.cameras.left if k == 0 else data.cameras.right
-        terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
-        at, through, shares = pixels, None, change.lens[side]
-        if np.any(shares):
-            at = pixels + shares @ terms
-            through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
-            J_p = through @ J_p
+        at, terms, through = pixels, None, None
+        if direct:
+            terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
+            shares = change.lens[side]
+            if np.any(shares):
+                at = pixels + shares @ terms
+                through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
+                J_p = through @ J_p
         residual[:, k] = at - data.pixels[stations, k]
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
-        x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
-        by_x, by_y, by_z = np.moveaxis(J_c, -1, 0)
-        J[:, k, :, :, 0] = y * by_z - z * by_y  # point x J_c
-        J[:, k, :, :, 1] = z * by_x - x * by_z
-        J[:, k, :, :, 2] = x * by_y - y * by_x
-        J[:, k, :, :, 3:6] = J_c
-        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, J_c)
+        by_x, by_y, by_z = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+        J[:, 0, k] = y * by_z - z * by_y  # point x J_c
+        J[:, 1, k] = z * by_x - x * by_z
+        J[:, 2, k] = x * by_y - y * by_x
+        J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
+        if terms is None:
+            continue
+        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, by_point)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)
                 if by_value is not None:
-                    J[:, k, :, :, column] = by_value
+                    J[:, column, k] = by_value
             elif isinstance(row.effect, BoardEffect):
                 shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
-                J[:, k, :, :, column] = sight.by_shift(shift_c)
+                J[:, column, k] = sight.by_shift(shift_c)
     return residual, J
 
 
 def _pose_columns(
-    data: Dataset, state: State, T_c_k: FloatArray, width: int
+    data: Dataset, state: State, T_c_k: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     X, layout = state.parameters.T_h_c, data.layout
     count, joints = data.joints.shape
@@ -145,34 +165,32 @@ def _pose_columns(
     frames = JointFrames.at(chain, positions)
     T_v_c = frames.T_v_h @ X
     Ad_c_floor, Ad_c_v = se3.adjoint(se3.inverse(np.stack([state.T_floor_v @ T_v_c, T_v_c])))
-    by_base = np.zeros((count, width, data.base_width))
-    by_base[:, :6, 0], by_base[:, :6, 1], by_base[:, :6, 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
+    by_base = np.zeros((count, 6, data.base_width))
+    by_base[..., 0], by_base[..., 1], by_base[..., 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
     by_base[data.first] = 0.0  # the world is the base at its first station
-    by_own = np.zeros((count, width, data.own_width))
-    by_own[:, :6, :joints] = -Ad_c_v @ frames.by_joints()
-    by_own[:, :6, joints:] = -Ad_c_floor @ _floor_twists(state)
+    by_own = np.empty((count, 6, data.own_width))
+    by_own[..., :joints] = -Ad_c_v @ frames.by_joints()
+    by_own[..., joints:] = -Ad_c_floor @ _floor_twists(state)
     if data.base_width > 5:
         rates = data.joint_rates(joint_clock_s(data, state))
-        by_base[:, :6, 5] = (by_own[:, :6, :joints] @ rates[..., None])[..., 0]
+        by_base[..., 5] = (by_own[..., :joints] @ rates[..., None])[..., 0]
 
-    by_shared = np.zeros((count, width, layout.size))
+    by_shared = np.zeros((count, 6, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
     of_chain = [
         (k, row.effect) for k, row in enumerate(layout.constants, 9) if isinstance(row.effect, ChainEffect)
     ]
     if of_chain:
         twists = np.stack([effect.twist(frames, change) for _, effect in of_chain], axis=2)
-        by_shared[:, :6, [column for column, _ in of_chain]] = -Ad_c_v @ twists
+        by_shared[..., [column for column, _ in of_chain]] = -Ad_c_v @ twists
     for column, row in enumerate(layout.constants, 9):
         if isinstance(row.effect, JointEffect):
             rate = row.effect.rate(data, state.value(row.name))
-            by_shared[:, :6, column] = (by_own[:, :6, :joints] @ rate[:, :, None])[..., 0]
-    for pixel_row, (column, _) in enumerate(layout.direct, 6):
-        by_shared[:, pixel_row, column] = 1.0
+            by_shared[..., column] = (by_own[..., :joints] @ rate[:, :, None])[..., 0]
     Ad_c_k = se3.adjoint(T_c_k)
     for b in range(layout.boards):
         mine = data.board == b
-        by_shared[mine, :6, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
+        by_shared[mine, :, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
     return by_base, by_own, by_shared
 
 
@@ -192,21 +210,37 @@ def _floor_twists(state: State) -> FloatArray:
 def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise) -> Views:
     """Residuals and information of all stations' images."""
     T_c_k = board_in_camera(data, state)
-    root_weight = np.where(inliers.used_corners, 1 / noise.pixel_px, 0.0)
-    parts = []
-    for block in blocks_of(data.stations):
-        residual, J = corner_residuals(data, state, T_c_k[block], block)
-        width = J.shape[-1]
-        W = data.whitening[block] * root_weight[block, ..., None, None]
-        A = whitened(W, J).reshape(len(J), -1, width)
-        r = whitened(W, residual).reshape(len(J), -1)
-        At = np.swapaxes(A, 1, 2)
-        parts.append((residual, At @ A, (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)))
+    root_weight = _root_weight(inliers, noise)
+    parts = [_measured(data, state, T_c_k, root_weight, block) for block in blocks_of(data.stations)]
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Views(
-        residuals,
-        information,
-        gradient,
-        cost,
-        *_pose_columns(data, state, T_c_k, width),
-    )
+    direct = np.array([column for column, _ in data.layout.direct], dtype=np.int64)
+    return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), direct)
+
+
+def with_stations(
+    views: Views, data: Dataset, state: State, inliers: Inliers, noise: Noise, stations: IntArray
+) -> Views:
+    """The same with the images of some stations taken anew, for inliers that differ there."""
+    T_c_k, root_weight = board_in_camera(data, state), _root_weight(inliers, noise)
+    fields = ("residual_px", "information", "gradient", "cost")
+    parts = {name: getattr(views, name).copy() for name in fields}
+    for name, values in zip(fields, _measured(data, state, T_c_k, root_weight, stations), strict=True):
+        parts[name][stations] = values
+    return replace(views, **parts)
+
+
+def _root_weight(inliers: Inliers, noise: Noise) -> FloatArray:
+    """(N, 2, M) inverse sigma of each corner, 0 for outliers."""
+    return np.where(inliers.used_corners, 1 / noise.pixel_px, 0.0)
+
+
+def _measured(
+    data: Dataset, state: State, T_c_k: FloatArray, root_weight: FloatArray, stations: slice | IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Residuals, information, gradient and cost of some stations' images, see `Views`."""
+    residual, J = corner_residuals(data, state, T_c_k[stations], stations)
+    W = data.whitening[stations] * root_weight[stations, ..., None, None]
+    each = math.prod(residual.shape[1:])
+    At = whitened(W, J, out=J).reshape(*J.shape[:2], each)
+    r = whitened(W, residual).reshape(len(J), each)
+    return residual, At @ np.swapaxes(At, 1, 2), (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)

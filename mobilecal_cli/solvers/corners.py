@@ -14,7 +14,7 @@ from mobilecal_cli.model import BoolArray, FloatArray
 _CORNER_SIGMAS = 5.5
 _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
-_LOCAL_STEPS, _STILL = 12, 1e-7  # steps of a board pose, rad and m: the last ones move no corner visibly
+_LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
 
 
 def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
@@ -28,14 +28,14 @@ def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(data, state, T, stations)
         W = data.whitening[stations]
-        residual, J = whitened(W, residual), whitened(W, J)
+        residual, J = whitened(W, residual), whitened(W, J[:, :6])
         size = np.linalg.norm(residual, axis=-1)
         scale = np.maximum(_median(size, seen), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
         root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
-        A = (J[..., :6] * root[..., None]).reshape(len(T), -1, 6)
+        At = (J * root[:, None]).reshape(len(T), 6, -1)
         r = (residual * root).reshape(len(T), -1)
-        At = np.swapaxes(A, 1, 2)
+        A = np.swapaxes(At, 1, 2)
         step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
         T = se3.exp(step) @ T
         if np.abs(step).max() < _STILL:

@@ -46,22 +46,20 @@ class Tolerances:
     """Accuracy of a fit.
 
     Attributes:
-        levels: relative tolerance of the noise levels before the last fit.
-        enough: within this, levels need no other fit; None: a last fit is made in any case.
+        levels: relative tolerance of the noise levels that are found to first order; after a fit, `_HELD` times it.
         near: end of an optimization, see `optimize`.
     """
 
     levels: float
-    enough: float | None
     near: float
 
 
 #: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
 #: that their cost does not grow with the recording.
 LONG_RECORDING = 100
-_WHILE_LEVELS_MOVE = 1e-3  # end of an optimization between two changes of the noise levels, see `optimize`
-_COARSE, _QUICK = Tolerances(0.1, None, NEAR), Tolerances(0.1, 0.02, 1e-3)
-FINE = Tolerances(0.03, None, NEAR)
+_COARSE, _QUICK = Tolerances(0.1, NEAR), Tolerances(0.1, 1e-3)
+FINE = Tolerances(0.015, NEAR)
+_HELD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,24 +290,39 @@ class Fitter:
     def _fitted(self, lin: Linearization, costs: FloatArray, shown: Directions) -> Fit:
         return Fit(lin, costs, components(lin), shown, self.given)
 
+    def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
+        """A fit of other inliers, with noise levels of its own, to first order: residuals follow the parameters.
+
+        Raises:
+            SolveError: a singular matrix.
+        """
+        lin = fit.lin.with_inliers(inliers)
+        lin = lin.predicted(proposed(lin)[0])
+        lin, found, _ = self._levels_near(lin, components(lin), self.coarse.levels)
+        return replace(fit, lin=lin, components=found)
+
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
         tolerances = tolerances or self.coarse
+        fitted = self.coarse.near <= tolerances.near
         for _ in range(_NOISE_FITS):
-            noise = self._levels_near(fit, tolerances.levels)
-            if tolerances.enough is not None and converged(fit.noise, noise, tolerances.enough):
+            _, _, noise = self._levels_near(fit.lin, fit.components, tolerances.levels)
+            if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
-            done = converged(fit.noise, noise, tolerances.levels)
-            near = tolerances.near if done else max(tolerances.near, _WHILE_LEVELS_MOVE)
             lin = fit.lin.with_noise(noise)
-            fit = self._fit_from(lin.under(self.priors(lin.state.parameters)), near)
-            if done:
-                break
+            fit = self._fit_from(lin.under(self.priors(lin.state.parameters)), tolerances.near)
+            fitted = True
         return fit
 
-    def _levels_near(self, fit: Fit, tolerance: float) -> Noise:
-        """Noise levels that agree with the residuals, which follow the parameters to first order from a fit."""
-        lin, found, search = fit.lin, fit.components, LevelSearch(self.given)
+    def _levels_near(
+        self, lin: Linearization, found: Mapping[str, Component], tolerance: float
+    ) -> tuple[Linearization, Mapping[str, Component], Noise]:
+        """Noise levels that agree with the residuals, which follow the parameters to first order.
+
+        Returns:
+            The last point, what its residuals show, and the levels that follow from them.
+        """
+        search = LevelSearch(self.given)
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(lin.noise, found, self.given, self._guess)
             if converged(lin.noise, noise, tolerance):
@@ -317,7 +330,7 @@ class Fitter:
             lin = lin.with_noise(search.next(lin.noise, noise))
             lin = lin.predicted(proposed(lin)[0])
             found = components(lin)
-        return noise
+        return lin, found, noise
 
 
 def _same_space(a: FloatArray, b: FloatArray) -> bool:

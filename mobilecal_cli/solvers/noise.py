@@ -58,9 +58,9 @@ class Component:
 def components(lin: Linearization) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views, marginal, state = lin.views, lin.marginals, lin.state
-    taken = np.einsum("nqr,nrq->", views.information, marginal.views)
+    taken = marginal.leverage(views.information)
     corners = 2 * int(lin.inliers.used_corners.sum())
-    result = {"pixel_px": Component(float(views.cost.sum()), corners - float(taken))}
+    result = {"pixel_px": Component(float(views.cost.sum()), corners - taken)}
 
     e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
     left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight

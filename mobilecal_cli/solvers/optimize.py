@@ -100,7 +100,9 @@ def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], Non
             return Optimum(lin, np.array(history))
         trial = lin.after(step)
         before = lin.cost
-        if trial.cost <= before * (1 + 1e-13) and trial.state.parameters.wheels.separation_m > 0:
+        with np.errstate(over="ignore", invalid="ignore"):  # far off, the cost may overflow: no improvement
+            better = trial.cost <= before * (1 + 1e-13)
+        if better and trial.state.parameters.wheels.separation_m > 0:
             converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
             lin = trial
             history.append(lin.cost)

@@ -196,14 +196,15 @@ class OutlierSearch:
             if without.views.sum() < _FEWEST_VIEWS:
                 continue
             try:
-                trial = self._refitted(fit, without)
-                beyond = self._external(trial, kind)
+                beyond = self._external(self._fitter.refit_near(fit, without), kind)
                 wrong = [at for at in places if beyond[at] > 1]
-                if wrong and len(wrong) < len(places):
-                    trial = self._refitted(trial, _changed(inliers, kind, wrong, to=False))
+                if not wrong:
+                    continue
+                trial = self._refitted(fit, _changed(inliers, kind, wrong, to=False))
+                beyond = self._external(trial, kind)
             except SolveError:
                 continue  # the other measurements alone do not determine all parameters
-            if wrong:
+            if any(beyond[at] > 1 for at in wrong):
                 return trial
         return None
 
