@@ -64,14 +64,7 @@ def route_of(stations: int, number: int, motion: Motion = "standard") -> Route:
 
 def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
     """(9,) found minus true: small rotation vector in the head's frame (rad), translation and wheels (m)."""
-    X, a, b = robot.T_h_c, found.wheels, robot.wheels
-    wheels = [
-        a.radius_right_m - b.radius_right_m,
-        a.radius_left_m - b.radius_left_m,
-        a.separation_m - b.separation_m,
-    ]
-    turn = se3.log_so3(found.T_h_c[:3, :3] @ X[:3, :3].T)
-    return np.concatenate([turn, found.T_h_c[:3, 3] - X[:3, 3], wheels])
+    return found.minus(Parameters(robot.T_h_c, robot.wheels))
 
 
 def as_described(extraction: Extraction) -> Extraction:

@@ -1,12 +1,8 @@
-"""Copies of a sample log with something wrong in them, and a way to run the real command on them."""
+"""Copies of a sample log with something wrong in them."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,30 +32,3 @@ def edited(source: Path, target: Path, edit: Edit) -> Path:
             writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
         writer.finish()
     return target
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-    left: list[str]
-
-
-def run(*arguments: object, cwd: Path) -> Run:
-    """The real command in a process of its own, in a directory of its own."""
-    before = set(cwd.rglob("*"))
-    result = subprocess.run(
-        [sys.executable, "-m", "mobilecal_cli", *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        stdin=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        check=False,
-    )
-    left = sorted(str(path.relative_to(cwd)) for path in set(cwd.rglob("*")) - before)
-    return Run(result.returncode, result.stdout, result.stderr, left)

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 
 IMAGES = ("/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed")
 

@@ -19,7 +19,8 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import NINE, LogSource, NoiseLevels
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 
 OUTPUTS = ["extraction.npz", "params.yaml", "report.html", "report.json"]
 

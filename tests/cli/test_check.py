@@ -9,7 +9,8 @@ import pytest
 
 from mobilecal_cli import pipeline
 from mobilecal_cli.report import checklist, checklist_text
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 
 EVERY = ("rig.yaml", "cameras", "camera infos", "wheels", "head chain", "joints", "time", "motion", "board")
 

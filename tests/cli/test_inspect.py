@@ -11,7 +11,8 @@ import pytest
 
 from mobilecal_cli import pipeline
 from mobilecal_cli.report import inspection_json, inspection_text
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 from tests.readers import recordings as r
 
 

@@ -7,8 +7,8 @@ import re
 
 import pytest
 
-from tests.cli.edited import run
 from tests.cli.test_calibrate import errors, load
+from tests.command import run
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import time
 import pytest
 
 from mobilecal_cli.terminal import open_page, verdict_text
-from tests.cli.edited import run
+from tests.command import run
 
 
 class Terminal(io.StringIO):

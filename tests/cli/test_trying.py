@@ -1,22 +1,16 @@
-"""evaluate and compare, gates and hold-out: the real command."""
+"""evaluate and compare, gates and hold-out, with the command."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 
 import pytest
 
+from tests.command import run
+
 SAMPLE_STD = 0.02  # m; far above what the sample's separation has
-
-
-def run(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "mobilecal_cli", *map(str, arguments)], capture_output=True, text=True, cwd=cwd
-    )
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +22,13 @@ def made(sample_logs, tmp_path_factory):
         "--gate", f"std.wheels.separation_m={SAMPLE_STD}", "--gate", "hold_out.translation_rms_mm=50",
         "--set", "gates.stations=9", "--junit", folder / "junit.xml",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     return folder, done
 
 
 def test_hold_out_gates_and_json(made):
     folder, done = made
-    printed = json.loads(done.stdout)
+    printed = json.loads(done.out)
     assert printed == json.loads((folder / "out" / "report.json").read_text(encoding="utf-8"))
     assert printed["quality"]["stations"] == 9
     assert printed["hold_out"]["stations"] == 3
@@ -51,26 +45,26 @@ def test_hold_out_gates_and_json(made):
 def test_the_extraction_keeps_what_was_held_out(made):
     folder, _ = made
     found = run("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
-    assert found.returncode == 0, found.stderr
-    assert json.loads(found.stdout)["stations"] == 12
+    assert found.code == 0, found.err
+    assert json.loads(found.out)["stations"] == 12
 
 
 def test_evaluate_with_gates(made):
     folder, _ = made
     npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
     kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
-    assert kept.returncode == 0, kept.stderr
-    assert "pass        gate drift_deg_per_turn" in kept.stdout
-    assert "PASS: The calibration agrees with this recording" in kept.stdout
+    assert kept.code == 0, kept.err
+    assert "pass        gate drift_deg_per_turn" in kept.out
+    assert "PASS: The calibration agrees with this recording" in kept.out
     junit = folder / "evaluate.xml"
     broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
-    assert broken.returncode == 6
-    assert "fail        gate rotation_rms_deg" in broken.stdout
-    assert "FAIL: Gate failed: rotation_rms_deg = " in broken.stdout
-    assert broken.stderr == ""
+    assert broken.code == 6
+    assert "fail        gate rotation_rms_deg" in broken.out
+    assert "FAIL: Gate failed: rotation_rms_deg = " in broken.out
+    assert broken.err == ""
     assert ET.parse(junit).getroot().get("failures") == "1"
     again = run("evaluate", npz, params, "--junit", junit)
-    assert again.returncode == 7
+    assert again.code == 7
     assert ET.parse(junit).getroot().get("failures") == "1"
 
 
@@ -95,12 +89,12 @@ def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
     shutil.copyfile(sample_logs / "paper_robot.mcap", copy)
     note = "This recording was used for this calibration: the errors below are not independent."
     found = run("evaluate", copy, folder / "out" / "params.yaml", "--json", "--quiet")
-    assert found.returncode == 0, found.stderr
-    data = json.loads(found.stdout)
+    assert found.code == 0, found.err
+    data = json.loads(found.out)
     assert [path.rpartition("/")[2] for path in data["used_for_calibration"]] == [copy.name]
     assert data["notes"][0] == note
     other = run("evaluate", sample_logs / "head_fixed.mcap", folder / "out" / "params.yaml", "--json", "-q")
-    data = json.loads(other.stdout)
+    data = json.loads(other.out)
     assert data["used_for_calibration"] == []
     assert note not in data["notes"]
 
@@ -117,22 +111,22 @@ def test_evaluate_gives_a_verdict_without_gates(made, tmp_path, key, factor, lev
     folder, _ = made
     params = changed_params(folder / "out" / "params.yaml", tmp_path / "params.yaml", key, factor)
     found = run("evaluate", folder / "out" / "extraction.npz", params, "--json")
-    assert found.returncode == (0 if level == "PASS" else 6), found.stderr
-    verdict = json.loads(found.stdout)["verdict"]
+    assert found.code == (0 if level == "PASS" else 6), found.err
+    verdict = json.loads(found.out)["verdict"]
     assert verdict["level"] == level
     assert verdict["reason"]
     assert verdict["next_step"]
     if level == "FAIL":
-        assert f"FAIL: {verdict['reason']}" in joined(found.stderr)
-        assert verdict["next_step"] in joined(found.stderr)
+        assert f"FAIL: {verdict['reason']}" in joined(found.err)
+        assert verdict["next_step"] in joined(found.err)
 
 
 def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_logs):
     folder, _ = made
     found = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--quiet")
-    assert found.returncode == 6
-    assert "NOT ENOUGH: The wheel separation is unobservable in this recording." in joined(found.stdout)
-    assert "Turn the base" in joined(found.stdout)
+    assert found.code == 6
+    assert "NOT ENOUGH: The wheel separation is unobservable in this recording." in joined(found.out)
+    assert "Turn the base" in joined(found.out)
 
 
 @pytest.mark.long
@@ -141,15 +135,15 @@ def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
     found = {}
     moving = ("--motion", "moving", "--stations", "8", "--quiet")
     made = run("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
-    assert made.returncode == 0, made.stderr
+    assert made.code == 0, made.err
     made = run("calibrate", tmp_path / "made.mcap", "-o", tmp_path / "made", "--quiet")
-    assert made.returncode in (0, 6), made.stderr
+    assert made.code in (0, 6), made.err
     for late in (0.0, 0.03):
         log = tmp_path / f"late_{late}.mcap"
         done = run("simulate", log, "--seed", "7", "--camera-late", late, *moving)
-        assert done.returncode == 0, done.stderr
+        assert done.code == 0, done.err
         done = run("evaluate", log, tmp_path / "made" / "params.yaml", "--json", "--quiet")
-        found[late] = json.loads(done.stdout)
+        found[late] = json.loads(done.out)
     for key in ("reprojection_px", "rotation_deg", "translation_mm"):
         assert found[0.03][key]["rms"] < 1.2 * found[0.0][key]["rms"]
     for offset_s in found[0.03]["clock_offsets_s"].values():
@@ -162,17 +156,17 @@ def test_evaluate_another_robot(made, tmp_path):
     text = (folder / "out" / "params.yaml").read_text(encoding="utf-8")
     params.write_text(text.replace("head_link", "neck_link"), encoding="utf-8")
     found = run("evaluate", folder / "out" / "extraction.npz", params)
-    assert found.returncode == 2
-    assert "neck_link" in found.stderr
+    assert found.code == 2
+    assert "neck_link" in found.err
     missing = run("evaluate", folder / "out" / "extraction.npz", tmp_path / "none.yaml")
-    assert missing.returncode == 2
-    assert "none.yaml: cannot be read" in missing.stderr
+    assert missing.code == 2
+    assert "none.yaml: cannot be read" in missing.err
 
 
 def test_an_error_reaches_junit(tmp_path):
     (tmp_path / "log.mcap").write_bytes(b"nothing")
     done = run("calibrate", tmp_path / "log.mcap", "--junit", tmp_path / "junit.xml", cwd=tmp_path)
-    assert done.returncode == 3
+    assert done.code == 3
     error = ET.parse(tmp_path / "junit.xml").getroot().find("testsuite/testcase/error")
     assert error.get("type") == "recording"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["junit.xml", "log.mcap"]
@@ -184,16 +178,16 @@ def test_compare(made, tmp_path):
     same = run(
         "compare", first, first, "--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01"
     )
-    assert same.returncode == 0, same.stderr
-    assert "share a recording" in same.stdout
+    assert same.code == 0, same.err
+    assert "share a recording" in same.out
     moved = tmp_path / "moved.yaml"
     text = first.read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("  separation_m:"))
     moved.write_text(text.replace(line, "  separation_m: 0.6"), encoding="utf-8")
     apart = run("compare", first, moved, "--max-sigma", "4", "--json")
-    assert apart.returncode == 6
-    assert "separation by" in apart.stderr
-    found = json.loads(apart.stdout)["against_first"][0]
+    assert apart.code == 6
+    assert "separation by" in apart.err
+    found = json.loads(apart.out)["against_first"][0]
     assert found["sigmas"][8] > 4
     assert found["heading_deg_per_turn"] < -1
 
@@ -205,8 +199,8 @@ def test_a_history_is_drawn(made, tmp_path):
         files.append(tmp_path / f"{number}.yaml")
         shutil.copyfile(folder / "out" / "params.yaml", files[-1])
     done = run("compare", *files, "--plot", tmp_path / "drift.svg")
-    assert done.returncode == 0, done.stderr
-    assert "All 3 calibrations" in done.stdout
+    assert done.code == 0, done.err
+    assert "All 3 calibrations" in done.out
     ET.parse(tmp_path / "drift.svg")
-    assert run("compare", *files, "--plot", tmp_path / "drift.svg").returncode == 7
-    assert run("compare", files[0]).returncode == 2
+    assert run("compare", *files, "--plot", tmp_path / "drift.svg").code == 7
+    assert run("compare", files[0]).code == 2

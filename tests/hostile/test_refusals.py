@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 
+from tests.command import run
 from tests.conftest import REPOSITORY
 from tests.hostile.refusals import CASES, table
 
@@ -18,24 +15,17 @@ EXISTING = ("out: already exists",)
 def test_the_command_says_what_is_wrong(case, tmp_path):
     case.make(tmp_path)
     before = sorted(tmp_path.iterdir())
-    result = subprocess.run(
-        [sys.executable, "-m", "mobilecal_cli", *map(str, case.arguments)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, **case.environment},
-    )
-    assert result.returncode == case.code, result.stderr
-    assert "Traceback" not in result.stderr
-    assert "Warning" not in result.stderr
+    result = run(*case.arguments, cwd=tmp_path, environment=case.environment)
+    assert result.code == case.code, result.err
+    assert "Traceback" not in result.err
+    assert "Warning" not in result.err
     if case.code == 0:
-        assert case.says in result.stdout
+        assert case.says in result.out
         return
-    assert result.stderr.startswith("error: ")
-    assert case.says in result.stderr.splitlines()[0]
-    assert "\nhint: " in result.stderr
-    assert len(result.stderr) < 4000
+    assert result.err.startswith("error: ")
+    assert case.says in result.err.splitlines()[0]
+    assert "\nhint: " in result.err
+    assert len(result.err) < 4000
     assert sorted(tmp_path.iterdir()) == before
 
 

@@ -136,7 +136,13 @@ MISTAKES |= {
 }
 
 
-@pytest.mark.parametrize("name", MISTAKES)
+#: These take most time; the same mistake of the other joint, or of one wheel, is in every run.
+SLOW = ("pan in degrees", "pan frozen", "both unplugged")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in MISTAKES]
+)
 def test_the_mistake_is_named(recorded, name):
     spoil, cause = MISTAKES[name]
     spoilt = spoil(recorded)

@@ -116,11 +116,17 @@ def test_radii_that_differ_by_20_mm():
     )
 
 
-@pytest.mark.parametrize("off_m", [0.0, -0.001, 0.004])
-def test_a_prior_weighs_against_the_spread_between_recordings(off_m):
-    """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
+@pytest.fixture(scope="module")
+def apart():
+    """Two recordings whose radii differ by 4 mm, and their solution."""
     extraction = joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.004))
-    free = solve(extraction)
+    return extraction, solve(extraction)
+
+
+@pytest.mark.parametrize("off_m", [0.0, -0.001, 0.004])
+def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
+    """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
+    extraction, free = apart
     value, std = free.parameters.vector[RADIUS], free.uncertainty.std[RADIUS]
     stated, sigma = ROBOT.wheels.radius_right_m + off_m, 0.0003
     found = solve(extraction, constraints=constraints_of([], [f"radius_right={stated!r}±{sigma}"], []))
