@@ -218,7 +218,8 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
 
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
-    product: FloatArray = A.reshape(-1, A.shape[2]).T @ B.reshape(-1, B.shape[2])
+    rows = A.shape[0] * A.shape[1]
+    product: FloatArray = A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
     return product
 
 
