@@ -24,6 +24,8 @@ class Difference:
         std: (9,) standard deviation of `change` for independent recordings; 0 where `known` is false.
         known: (9,) whether the parameter can be compared: both determine it, with a standard deviation.
         unobservable: (9,) whether the parameter is unobservable in one of them.
+        nominal_sigmas: (9,) change of the unobservable parameters in standard deviations, which are then those of
+            nominal values; 0 for the others.
         chi2: squared Mahalanobis distance of the known parameters; None if there are none.
         chance: probability of a chi-squared this large if the robot did not change; None if there is none.
         shared: both use a common recording, so they are not independent and the test is weak.
@@ -37,6 +39,7 @@ class Difference:
     std: FloatArray
     known: BoolArray
     unobservable: BoolArray
+    nominal_sigmas: FloatArray
     chi2: float | None
     chance: float | None
     shared: bool
@@ -46,7 +49,7 @@ class Difference:
     heading_rad_per_turn: float
 
     def __post_init__(self) -> None:
-        freeze(self, change=(9,), std=(9,))
+        freeze(self, change=(9,), std=(9,), nominal_sigmas=(9,))
         freeze(self, np.bool_, known=(9,), unobservable=(9,))
 
     @property
@@ -90,6 +93,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         std=std,
         known=known,
         unobservable=_unobservable(first) | _unobservable(second),
+        nominal_sigmas=_nominal_sigmas(first, second, change),
         chi2=chi2,
         chance=chance,
         shared=bool({log.sha256 for log in first.logs} & {log.sha256 for log in second.logs}),
@@ -123,6 +127,16 @@ def _unobservable(robot: CalibratedRobot) -> BoolArray:
     if robot.knowledge is None:
         return np.zeros(9, dtype=np.bool_)
     return np.asarray(~robot.knowledge.observable)
+
+
+def _nominal_sigmas(first: CalibratedRobot, second: CalibratedRobot, change: FloatArray) -> FloatArray:
+    """(9,) change of the unobservable parameters in standard deviations; 0 for the others, and where there is none."""
+    a, b = first.knowledge, second.knowledge
+    if a is None or b is None:
+        return np.zeros(9)
+    std = np.sqrt(np.diag(a.covariance + b.covariance))
+    asked = (_unobservable(first) | _unobservable(second)) & (std > 0)
+    return np.where(asked, np.abs(change) / np.where(asked, std, 1.0), 0.0)
 
 
 def _chance(chi2: float, freedom: int) -> float:

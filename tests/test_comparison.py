@@ -57,6 +57,18 @@ def test_rotation_is_in_the_heads_frame():
     assert difference(robot(T), robot(turned)).change[:3] == pytest.approx([0, 0.02, 0])
 
 
+@pytest.mark.parametrize(("radius_m", "broken"), [(0.101, 0), (0.2, 1)])
+def test_an_unobservable_radius_that_no_nominal_value_explains(radius_m, broken):
+    std = np.array([*STD[:6], 3e-3, *STD[7:]])
+    blind = robot(
+        observable=(True,) * 6 + (False, True, True), wheels=WheelGeometry(radius_m, 0.1, 0.5), std=std
+    )
+    found = Limits().broken_by(difference(robot(), blind))
+    assert len(found) == broken
+    if broken:
+        assert found[0] == "radius_right, which is unobservable, by 33.3 sigma of its nominal value (limit 5)"
+
+
 def test_no_conclusion_about_an_unobservable_parameter():
     wide = np.array([*STD[:8], 0.1])
     blind = robot(observable=(True,) * 8 + (False,), wheels=WheelGeometry(0.1, 0.1, 1.0), std=wide)

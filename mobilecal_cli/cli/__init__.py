@@ -11,6 +11,9 @@ from mobilecal_cli.cli.app import app
 from mobilecal_cli.errors import MobilecalError, QualityError, RecordingError, ResourceError
 from mobilecal_cli.source_date import source_date
 
+#: Error code of OpenCV.
+_OPENCV_NO_MEMORY = -4
+
 __all__ = ["app", "calibrating", "fleet", "looking", "main", "printing", "simulating", "using"]
 
 #: The order of `mobilecal --help`: the everyday commands first.
@@ -42,10 +45,18 @@ def main() -> None:
     except PermissionError as error:  # of a directory on the way to a file
         hint = "check the permissions of the file and of its directories"
         _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
-    except MemoryError:
+    except Exception as error:
+        if not _is_out_of_memory(error):
+            raise
         _fail(
             ResourceError("out of memory", "use --jobs 1, a shorter recording, or a machine with more memory")
         )
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Whether memory could not be allocated; OpenCV has its own error for it."""
+    opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
+    return opencv or isinstance(error, MemoryError)
 
 
 def _fail(error: MobilecalError) -> NoReturn:

@@ -9,9 +9,13 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig, listed
+from mobilecal_cli.ranges import Range
 
 _SIDES: tuple[Side, Side] = ("left", "right")
-_LEAST_BASELINE_M = 1e-4
+#: Distance between the cameras of a stereo pair.
+BASELINE = Range(1e-4, 5.0, "m")
+#: Relative difference of the focal lengths of both rectified images, which are the same.
+_SAME_FOCAL = 0.01
 _CALIBRATE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
@@ -91,7 +95,7 @@ def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> s
     """
     topic = _info_topic(side, image, config, prelude)
     if topic in prelude.unusable:
-        raise RecordingError(prelude.unusable[topic], _CALIBRATE)
+        raise prelude.unusable[topic]
     return topic
 
 
@@ -149,7 +153,13 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
         RecordingError: no baseline, or left and right are exchanged.
     """
     offset = _rectified_origin(left) - _rectified_origin(right)
-    if abs(offset[0]) < _LEAST_BASELINE_M and np.linalg.norm(offset) < _LEAST_BASELINE_M:
+    if abs(left.P[0, 0] / right.P[0, 0] - 1) > _SAME_FOCAL:
+        raise RecordingError(
+            f"P[0, 0] is {left.P[0, 0]:g} in {left.frame_id or 'left'} and {right.P[0, 0]:g} in "
+            f"{right.frame_id or 'right'}: these are not the camera infos of one stereo pair",
+            "calibrate both cameras together, as a stereo pair",
+        )
+    if np.linalg.norm(offset) < BASELINE.low:
         raise RecordingError(
             f"the stereo pair has no baseline: P[0, 3] is {left.P[0, 3]:g} in {left.frame_id or 'left'} and "
             f"{right.P[0, 3]:g} in {right.frame_id or 'right'}",
@@ -160,11 +170,26 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
             f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left camera, according to camera_info",
             "exchange cameras.left and cameras.right",
         )
+    check_baseline(offset)
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
     return StereoRig(
         _camera(left, rectified), _camera(right, rectified), T_c_r, rectified, left.R, right.R, reference
     )
+
+
+def check_baseline(offset_m: FloatArray) -> None:
+    """Check that the distance between the cameras, (3,), is possible.
+
+    Raises:
+        RecordingError: it is not.
+    """
+    baseline_m = float(np.linalg.norm(offset_m))
+    if baseline_m not in BASELINE:
+        raise RecordingError(
+            f"the stereo baseline in camera_info is {baseline_m:g} m (range {BASELINE})",
+            "calibrate the stereo pair with a board whose squares are stated in meters: P[0, 3] is -fx * baseline",
+        )
 
 
 def check_sizes(infos: dict[Side, CameraInfo]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.rig import CameraInfo
 
@@ -54,4 +55,4 @@ class Prelude:
     joint_names: Mapping[str, tuple[str, ...]]
     urdfs: Mapping[str, str]
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
-    unusable: Mapping[str, str] = field(default_factory=dict)
+    unusable: Mapping[str, RecordingError] = field(default_factory=dict)

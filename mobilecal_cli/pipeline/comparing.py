@@ -16,6 +16,9 @@ from mobilecal_cli.model import NINE, CalibratedRobot
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.report import history_plot
 
+#: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
+MOST_NOMINAL_SIGMAS = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -32,8 +35,12 @@ class Limits:
     heading_deg: float | None = None
 
     def broken_by(self, found: Difference) -> list[str]:
-        """The limits that a difference exceeds, as text."""
-        broken = []
+        """The limits that a difference exceeds, as text; the one of unobservable parameters always applies."""
+        broken = [
+            f"{NINE[k]}, which is unobservable, by {found.nominal_sigmas[k]:.1f} sigma of its nominal value "
+            f"(limit {MOST_NOMINAL_SIGMAS:g})"
+            for k in np.flatnonzero(found.nominal_sigmas > MOST_NOMINAL_SIGMAS)
+        ]
         if self.sigma is not None:
             if not found.known.any():
                 broken.append("no standard deviations for the limit in sigma")

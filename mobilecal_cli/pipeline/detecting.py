@@ -12,6 +12,7 @@ from mobilecal_cli.model import (
     GrayImage,
     PictureIndex,
     Rejection,
+    Rig,
     Shot,
     Side,
     Sources,
@@ -108,20 +109,51 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
         )
 
 
-def first_pictures(recording: Recording, sources: Sources, plans: Sequence[Plan]) -> Iterator[GrayImage]:
-    """Some images of both cameras, spread over the recording, to estimate the board's size."""
+def first_pictures(
+    recording: Recording, rig: Rig, plans: Sequence[Plan], rejections: list[Rejection]
+) -> Iterator[GrayImage]:
+    """Some images of both cameras, spread over the recording, to estimate the board's size.
+
+    Args:
+        recording: the open recording.
+        rig: its topics and cameras.
+        plans: its stations.
+        rejections: receives those that cannot be decoded.
+
+    Raises:
+        RecordingError: an image has another size than stated.
+    """
     stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
     for plan in plans:
         firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
         wanted = images_of(firsts, plan.images)
-        for _, _, picture in read_images(recording, sources.image, wanted, sources.layout):
-            if not isinstance(picture, Rejection):
-                yield picture
+        for side, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
+            if isinstance(picture, Rejection):
+                rejections.append(picture)
+                continue
+            check_picture(picture, side, rig.cameras)
+            yield picture
 
 
-def board_size(recording: Recording, sources: Sources, plans: Sequence[Plan]) -> tuple[int, int] | None:
-    """Inner corners (columns, rows) of the board in some images, None if none shows it."""
-    return identify_size(first_pictures(recording, sources, plans), SIZE_VOTES).size
+def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[int, int] | None:
+    """Inner corners (columns, rows) of the board in some images, None if none shows it.
+
+    Raises:
+        RecordingError: none of them can be decoded, or one has another size than stated.
+    """
+    rejections: list[Rejection] = []
+    vote = identify_size(first_pictures(recording, rig, plans, rejections), SIZE_VOTES)
+    if not vote.pictures and rejections:
+        raise undecodable(rejections)
+    return vote.size
+
+
+def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
+    """The error for images of which none can be decoded."""
+    return RecordingError(
+        f"none of {len(rejections)} images can be decoded: {rejections[0].detail}",
+        "record JPEG or PNG images, or raw ones (sensor_msgs/Image)",
+    )
 
 
 def segments_of(plan: Plan, thorough: bool) -> list[Segment]:

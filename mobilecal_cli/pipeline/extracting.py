@@ -26,7 +26,13 @@ from mobilecal_cli.model import (
     Snapshot,
     WheelTrack,
 )
-from mobilecal_cli.pipeline.detecting import Scene, StationDetections, board_size, first_pairs
+from mobilecal_cli.pipeline.detecting import (
+    Scene,
+    StationDetections,
+    board_size,
+    first_pairs,
+    undecodable,
+)
 from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
 from mobilecal_cli.pipeline.planning import WORTH_BYTES, plan_recording
 from mobilecal_cli.pipeline.progress import Progress, silent
@@ -94,7 +100,7 @@ def _see(
                 refuse_same(one.name, name, "wheel and joint readings")
     if board is None:
         progress("finding the board's size", 0, None)
-        size = board_size(recording, rig.sources, plans)
+        size = board_size(recording, rig, plans)
         if size is None:
             raise ObservationError(
                 f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
@@ -104,12 +110,12 @@ def _see(
         board = Board(*size, config.board.square_m)
     scene = Scene(rig.sources, rig.cameras, board)
     detected = detect_all(workers, scene, plans, not everything, progress)
-    found = any(
-        isinstance(d, Detection)
-        for detections, _ in detected
-        for s in detections
-        for d in s.found["left"].values()
-    )
+    stations = [station for detections, _ in detected for station in detections]
+    for side, topic in rig.sources.image.items():
+        lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
+        if lost and not any(station.found[side] for station in stations):
+            raise undecodable(lost)
+    found = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
@@ -131,7 +137,7 @@ def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], bo
     Raises:
         ObservationError: a board of another size was found.
     """
-    size = board_size(recording, rig.sources, plans)
+    size = board_size(recording, rig, plans)
     if size is not None and set(size) != {board.columns, board.rows}:
         raise ObservationError(
             f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import islice
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from mobilecal_cli.errors import RecordingError
@@ -28,6 +27,8 @@ T = TypeVar("T")
 JOINT_MESSAGES = 50
 #: Messages tried on other topics until one can be decoded.
 TRIES = 5
+#: Topics of one type that are read separately, each only as far as needed; more are read in one pass.
+SEPARATE = 16
 
 
 def read_prelude(recording: Recording) -> Prelude:
@@ -35,8 +36,8 @@ def read_prelude(recording: Recording) -> Prelude:
 
     Each topic is read separately and only as far as needed (one message; 50 joint states). With an index, or after
     the scan that replaces it, blocks without the topic are skipped, so a huge file is not read to its end. An SQLite
-    file is scanned to the topic's first (50th) message. If no topic contains a URDF, transforms are sampled over the
-    recording.
+    file is scanned to the topic's first (50th) message. More than 16 topics of a type are read in one pass. If no topic
+    contains a URDF, transforms are sampled over the recording.
 
     Raises:
         RecordingError: the recording is empty.
@@ -47,24 +48,16 @@ def read_prelude(recording: Recording) -> Prelude:
     for info in recording.topics:
         names.setdefault(info.type, []).append(info.name)
     images = [topic for kind in IMAGES for topic in names.get(kind, [])]
-    urdfs = {
-        topic: text
-        for topic in names.get(STRING, [])
-        if "robot_description" in topic
-        for text in _first(recording, topic, lambda message: str(message.data))
-        if text.strip()
-    }
+    described = [topic for topic in names.get(STRING, []) if "robot_description" in topic]
+    texts = _first(recording, described, lambda message: str(message.data))
+    urdfs = {topic: text for topic, text in texts.items() if text.strip()}
     infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
     return Prelude(
         topics=recording.topics,
         infos=infos,
         unusable=unusable,
-        image_frames={
-            topic: frame
-            for topic in images
-            for frame in _first(recording, topic, lambda message: str(message.header.frame_id))
-        },
-        joint_names={topic: _joint_names(recording, topic) for topic in names.get(JOINT_STATE, [])},
+        image_frames=_first(recording, images, lambda message: str(message.header.frame_id)),
+        joint_names=_joint_names(recording, names.get(JOINT_STATE, [])),
         urdfs=urdfs,
         transforms={} if urdfs else _transforms(recording, names.get(TRANSFORMS, [])),
     )
@@ -78,51 +71,87 @@ def _transforms(recording: Recording, topics: list[str]) -> dict[tuple[str, str]
         return {}
 
 
-def _first(recording: Recording, topic: str, read: Callable[[Any], T]) -> list[T]:
-    """Value read from the first message of a topic that has it, among the first few."""
-    return _read(recording, topic, TRIES, 1, read)
+def _first(recording: Recording, topics: Sequence[str], read: Callable[[Any], T]) -> dict[str, T]:
+    """Value read from the first message of each topic that has it, among the first few."""
+    found = _read(recording, topics, TRIES, 1, read)
+    return {topic: values[0] for topic, values in found.items() if values}
 
 
-def _read(recording: Recording, topic: str, most: int, enough: int, read: Callable[[Any], T]) -> list[T]:
-    """Values read from at most `enough` of a topic's first `most` messages; empty if the topic cannot be read.
+def _read(
+    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Any], T]
+) -> dict[str, list[T]]:
+    """Values read from at most `enough` of each topic's first `most` messages; none if a topic cannot be read.
 
     The reason is noted, not raised, because the calibration may not use the topic.
     """
-    result: list[T] = []
-    reason = ""
-    try:
-        for message in islice(recording.messages([topic]), most):
-            try:
-                decoded = message.decode()
-                result.append(read(decoded))
-            except RecordingError as error:
-                reason = error.message
-            except NOT_ITS_TYPE as error:
-                reason = f"{topic}: not a valid {message.type}: {error}"
-            if len(result) == enough:
-                break
-    except RecordingError as error:
-        reason = error.message
-    if reason and not result:
-        recording.note(reason)
-    return result
-
-
-def _joint_names(recording: Recording, topic: str) -> tuple[str, ...]:
-    messages = _read(
-        recording, topic, JOINT_MESSAGES, JOINT_MESSAGES, lambda message: [str(name) for name in message.name]
-    )
-    return tuple(dict.fromkeys(name for names in messages for name in names))
-
-
-def _infos(recording: Recording, topics: list[str]) -> tuple[dict[str, CameraInfo], dict[str, str]]:
-    """Usable calibrations by topic, and why the others are not: zero, not finite, or of an unknown model."""
-    infos: dict[str, CameraInfo] = {}
-    unusable: dict[str, str] = {}
+    found: dict[str, list[T]] = {topic: [] for topic in topics}
+    reasons: dict[str, str] = {}
+    readable = []
     for topic in topics:
-        for message in _first(recording, topic, lambda message: message):
-            try:
-                infos[topic] = camera_info(message, topic)
-            except RecordingError as error:
-                unusable[topic] = error.message
+        try:
+            recording.raw([topic])  # checks its type
+            readable.append(topic)
+        except RecordingError as error:
+            reasons[topic] = error.message
+    together = [readable] if len(readable) > SEPARATE else [[topic] for topic in readable]
+    for group in together:
+        left = {topic: min(most, recording.topic(topic).count or most) for topic in group}
+        try:
+            for message in recording.messages(group):
+                topic = message.topic
+                if topic not in left:
+                    continue
+                left[topic] -= 1
+                try:
+                    found[topic].append(read(message.decode()))
+                except RecordingError as error:
+                    reasons[topic] = error.message
+                except NOT_ITS_TYPE as error:
+                    reasons[topic] = f"{topic}: not a valid {message.type}: {error}"
+                if not left[topic] or len(found[topic]) == enough:
+                    del left[topic]
+                    if not left:
+                        break
+        except RecordingError as error:
+            reasons.update(dict.fromkeys(left, error.message))
+    for topic, reason in reasons.items():
+        if not found[topic]:
+            recording.note(reason)
+    return found
+
+
+def _joint_names(recording: Recording, topics: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    found = _read(
+        recording,
+        topics,
+        JOINT_MESSAGES,
+        JOINT_MESSAGES,
+        lambda message: [str(name) for name in message.name],
+    )
+    return {
+        topic: tuple(dict.fromkeys(name for names in messages for name in names))
+        for topic, messages in found.items()
+    }
+
+
+def _infos(
+    recording: Recording, topics: Sequence[str]
+) -> tuple[dict[str, CameraInfo], dict[str, RecordingError]]:
+    """Usable calibrations by topic, and why the others are not: unreadable, zero, not finite, of an unknown model."""
+    infos: dict[str, CameraInfo] = {}
+    unusable: dict[str, RecordingError] = {}
+    found = _first(recording, topics, lambda message: message)
+    for topic in topics:
+        count = recording.topic(topic).count
+        try:
+            if topic in found:
+                infos[topic] = camera_info(found[topic], topic)
+            elif count:
+                reason = next((note for note in recording.damage if topic in note), "log times are invalid")
+                raise RecordingError(
+                    f"{topic}: none of its {count} messages can be read ({reason})",
+                    "copy the recording again, or record a new one",
+                )
+        except RecordingError as error:
+            unusable[topic] = error
     return infos, unusable

@@ -242,7 +242,8 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
     why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"
     poor = prelude(
-        infos={"/stereo/left/camera_info": info("left")}, unusable={"/stereo/right/camera_info": why}
+        infos={"/stereo/left/camera_info": info("left")},
+        unusable={"/stereo/right/camera_info": RecordingError(why, "calibrate the camera")},
     )
     with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
         resolve_rig(RigConfig(), poor)

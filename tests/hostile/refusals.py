@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import os
+import shutil
+import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from PIL import Image
+from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from tests.cli.edited import edited
+from tests.cli.edited import STORE, edited
 from tests.conftest import REPOSITORY
 
 LOGS = REPOSITORY / "sample_logs"
@@ -105,6 +113,76 @@ def positions(**values: float) -> Make:
     return log(edit)
 
 
+def infos(**changes: Callable[[Any], Any]) -> Make:
+    """The sample recording with other fields in the camera infos."""
+
+    def edit(topic: str, message: Any) -> Any:
+        if not hasattr(message, "k"):
+            return message
+        return replace(message, **{name: change(getattr(message, name)) for name, change in changes.items()})
+
+    return log(edit)
+
+
+def at(place: int, value: float) -> Callable[[Any], Any]:
+    """An array with another value at one place."""
+    return lambda was: np.where(np.arange(len(was)) == place, value, was)
+
+
+def database(statement: str) -> Make:
+    """The sample recording as rosbag2 SQLite, changed by a statement."""
+
+    def make(folder: Path) -> None:
+        connections: dict[str, Any] = {}
+        with LOG.open("rb") as stream, Writer(folder / "bag", version=9) as writer:
+            for schema, channel, message in make_reader(stream).iter_messages():
+                assert schema is not None
+                if channel.topic not in connections:
+                    connections[channel.topic] = writer.add_connection(
+                        channel.topic, schema.name, typestore=STORE
+                    )
+                writer.write(connections[channel.topic], message.log_time, message.data)
+        (path,) = (folder / "bag").glob("*.db3")
+        with closing(sqlite3.connect(path)) as connection, connection:
+            connection.execute(statement)
+
+    return make
+
+
+def far_future(folder: Path) -> None:
+    """The sample recording with log times beyond 2^63 ns."""
+    with LOG.open("rb") as stream, (folder / "log.mcap").open("wb") as out:
+        writer = McapWriter(out)
+        writer.start("ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(channels[channel.id], message.log_time + 2**63, message.data, 0)
+        writer.finish()
+
+
+def repeated_metadata(folder: Path) -> None:
+    """A rosbag2 directory whose metadata.yaml names its one file 6,000 times."""
+    (folder / "bag").mkdir()
+    shutil.copy(LOG, folder / "bag/log.mcap")
+    names = ", ".join(["log.mcap"] * 6000)
+    text("bag/metadata.yaml", f"rosbag2_bagfile_information:\n  relative_file_paths: [{names}]\n")(folder)
+
+
+def encoded(kind: str) -> Callable[[], bytes]:
+    """A gray image as Pillow writes it."""
+
+    def data() -> bytes:
+        stream = io.BytesIO()
+        Image.new("L", (640, 480), 120).save(stream, kind)
+        return stream.getvalue()
+
+    return data
+
+
 def fifo(folder: Path) -> None:
     """A named pipe."""
     os.mkfifo(folder / "fifo.mcap")
@@ -115,8 +193,14 @@ def tall_jpeg() -> bytes:
     return bytes(cv2.imencode(".jpg", np.zeros((65500, 1), np.uint8))[1])
 
 
+def large_png() -> bytes:
+    """A PNG of 8190 x 8190 pixels."""
+    return bytes(cv2.imencode(".png", np.zeros((8190, 8190), np.uint8))[1])
+
+
 SOLVE = ("calibrate", "e.npz", "-o", "out")
 READ = ("calibrate", "log.mcap", "-o", "out")
+BAG = ("calibrate", "bag", "-o", "out")
 RIG = ("calibrate", LOG, "--config", "rig.yaml", "-o", "out")
 RADII = "{radius_left_m: %s, radius_right_m: 0.1, separation_m: 0.5}"
 
@@ -157,7 +241,27 @@ CASES = (
     Case("a URDF with a wheel radius of 1e-300 m", READ, 2, "cylinder radius: 1e-300 m is not possible", urdf('radius="0.225"', 'radius="1e-300"')),
     Case("a URDF with a negative wheel radius", READ, 2, "cylinder radius: -0.1 m is not possible", urdf('radius="0.225"', 'radius="-0.1"')),
     Case("a URDF with an origin at 1e300 m", READ, 2, "origin xyz: 1e+300 m is not possible", urdf('xyz="0.04 0.0', 'xyz="1e300 0.0')),
-    Case("JPEG images of 1 x 65500 pixels", READ, 4, "no checkerboard found", pictures(tall_jpeg)),
+    Case("JPEG images of 1 x 65500 pixels", READ, 3, "images are 1 x 65500 pixels, but their camera_info states 640 x 480", pictures(tall_jpeg)),
+    Case("PNG images of 8190 x 8190 pixels", READ, 3, "image size 8190x8190 exceeds the limit", pictures(large_png)),
+    Case("WebP images", READ, 3, "the image is WebP, not JPEG or PNG", pictures(encoded("WEBP"))),
+    Case("WebP images, with `--board`", (*READ, "--board", "8x6"), 3, "the image is WebP, not JPEG or PNG", pictures(encoded("WEBP"))),
+    Case("TIFF images", READ, 3, "the image is TIFF, not JPEG or PNG", pictures(encoded("TIFF"))),
+    Case("SVG images", READ, 3, "the image is SVG, not JPEG or PNG", pictures(lambda: b"<?xml version='1.0'?>\n<svg width='640'/>")),
+    Case("log times beyond 2^63 ns", READ, 3, "/stereo/left/camera_info: none of its 24 messages can be read", far_future),
+    Case("text for times in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET timestamp='late'")),
+    Case("text for messages in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET data='text'")),
+    Case("metadata.yaml names one file 6,000 times: read once", BAG, 0, "PASS", repeated_metadata),
+    Case("camera_info: distortion model `double_sphere`", READ, 3, "unknown distortion model 'double_sphere'", infos(distortion_model=lambda _: "double_sphere")),
+    Case("camera_info: distortion model `omni`", READ, 3, "unknown distortion model 'omni'", infos(distortion_model=lambda _: "omni")),
+    Case("camera_info: a focal length of 1e-9 px", READ, 3, "K: fx is 1e-09 (range 1 to 1e+06 px)", infos(k=at(0, 1e-9))),
+    Case("camera_info: fy 10 times fx", READ, 3, "K: fx / fy is 0.1", infos(k=lambda k: at(4, 10 * k[0])(k))),
+    Case("camera_info: principal point at -5000 px", READ, 3, "K: principal point cx over the image size 640 is -7.8125", infos(k=at(2, -5000.0))),
+    Case("camera_info: skew of 500 px", READ, 3, "K is not of the form", infos(k=at(1, 500.0))),
+    Case("camera_info: k1 = 50", READ, 3, "D moves a point half way to the edge", infos(d=lambda _: np.array([50.0, 0, 0, 0, 0]))),
+    Case("camera_info: R is no rotation", READ, 3, "R is not a rotation matrix", infos(r=lambda r: 2 * r)),
+    Case("camera_info: P with a tenth of the focal length of K", READ, 3, "focal length fx in P over that in K is 0.1", infos(p=lambda p: at(0, 0.1 * p[0])(at(5, 0.1 * p[5])(p)))),
+    Case("camera_info: a baseline in millimeters", READ, 3, "the stereo baseline in camera_info is 120 m (range 0.0001 to 5 m)", infos(p=lambda p: at(3, 1e3 * p[3])(p))),
+    Case("camera_info: image size 0", READ, 2, "the image size is 0 x 0 pixels", infos(width=lambda _: 0, height=lambda _: 0)),
     Case("a named pipe as the recording", ("calibrate", "fifo.mcap"), 3, "fifo.mcap: not a regular file", fifo),
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
     Case("the output exists", (*SOLVE,), 7, "out: already exists", lambda folder: (extraction(folder), (folder / "out").mkdir(), None)[-1]),

@@ -223,14 +223,14 @@ def test_a_compressed_picture_of_60000_by_60000(make):
         decode_image(message)
 
 
-@pytest.mark.parametrize("kind", [".tiff", ".bmp"])
-def test_other_kinds_of_pictures_are_not_tried(kind):
+@pytest.mark.parametrize(("kind", "name"), [(".tiff", "TIFF"), (".bmp", "BMP"), (".webp", "WebP")])
+def test_other_kinds_of_pictures_are_named_and_not_tried(kind, name):
     """What OpenCV would open beside JPEG and PNG is more than a robot's camera sends."""
     import cv2
 
     message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
     message.data = cv2.imencode(kind, np.zeros((8, 8), np.uint8))[1].ravel()
-    with pytest.raises(RecordingError, match="not a readable JPEG or PNG"):
+    with pytest.raises(RecordingError, match=f"^the image is {name}, not JPEG or PNG$"):
         decode_image(message)
 
 
@@ -311,6 +311,16 @@ def test_metadata_cannot_name_files_outside_its_directory(tmp_path, escape):
         assert [part.path for part in recording.parts] == [inside]
         assert secret not in [part.path for part in recording.parts]
         assert "this part is skipped" in " ".join(recording.damage)
+
+
+def test_metadata_that_names_one_file_thousands_of_times(tmp_path):
+    folder = tmp_path / "log"
+    folder.mkdir()
+    inside = r.write_mcap(folder / "log.mcap", r.world(6))
+    names = ", ".join(["log.mcap", "../log/log.mcap"] * 3000)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths: [{names}]\n")
+    with bounded(), open_recording([folder]) as recording:
+        assert [part.path for part in recording.parts] == [inside]
 
 
 LAUGHS = "a0: &a0 [lol, lol]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))

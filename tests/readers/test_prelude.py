@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_prelude
+from mobilecal_cli.readers.containers.mcap import McapStorage
 from mobilecal_cli.readers.messages.camera_info import camera_info
 
 from . import recordings as r
@@ -91,7 +92,28 @@ def test_uncalibrated_third_camera_does_not_stop_the_pair(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", infos([K, np.zeros((3, 3)), K]))
     with open_recording([path]) as recording:
         assert set(read_prelude(recording).infos) == {"/camera0", "/camera2"}
-        assert "/camera1: K is all zeros" in read_prelude(recording).unusable["/camera1"]
+        assert "/camera1: K is all zeros" in read_prelude(recording).unusable["/camera1"].message
+
+
+def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
+    """Each topic has fewer messages than are wanted."""
+    items = [
+        r.Item(f"/robot{n}/joint_states", "sensor_msgs/msg/JointState", r.START_NS + k, r.joint_state([f"a{n}", f"b{k}"], [1.0, 2.0]))
+        for k in range(3)
+        for n in range(40)
+    ]  # fmt: skip
+    path = r.write_mcap(tmp_path / "log.mcap", items, chunk_size=1000)
+    loads = []
+    load = McapStorage.load
+    monkeypatch.setattr(McapStorage, "load", lambda self, block: loads.append(block) or load(self, block))
+    with open_recording([path]) as recording:
+        (storage,) = recording.parts
+        blocks = len(storage.blocks)
+        assert blocks > 10
+        loads.clear()
+        names = read_prelude(recording).joint_names
+    assert names == {f"/robot{n}/joint_states": (f"a{n}", "b0", "b1", "b2") for n in range(40)}
+    assert len(loads) == blocks
 
 
 def test_uncalibrated_pair_can_be_looked_at(tmp_path):

@@ -207,6 +207,8 @@ class BlockStorage(Storage):
             for item in self._counted(block):
                 found += 1
                 yield item
+        except MemoryError:
+            raise
         except Exception as error:  # damaged bytes may raise anything
             self._note_block(block, found, error)
 
@@ -239,6 +241,8 @@ class BlockStorage(Storage):
             for number, time_ns, _ in self._counted(block):
                 counts[number] += 1
                 start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
+        except MemoryError:
+            raise
         except Exception as error:  # damaged bytes may raise anything
             if not cut:
                 self._note_block(block, counts.total(), error)

@@ -56,6 +56,8 @@ class McapStorage(BlockStorage):
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, records.Schema] = {}
         self._profile = ""
+        #: Channels whose messages rosbag2 may have compressed separately.
+        self._packable: set[int] = set()
         super().__init__(path)
 
     def find_blocks(self) -> None:
@@ -147,7 +149,6 @@ class McapStorage(BlockStorage):
         """Channel id, log time and payload of every message; registers channels found on the way."""
         view = memoryview(data)
         at = definitions = 0
-        packable = self._packable()
         while at < len(data):
             opcode, length = _HEAD.unpack_from(data, at)
             at += _HEAD.size
@@ -157,20 +158,15 @@ class McapStorage(BlockStorage):
             if opcode == _MESSAGE_RECORD:
                 number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
                 payload: Payload = view[at + _MESSAGE.size : end]
-                if number in packable and data.startswith(ZSTD_MAGIC, at + _MESSAGE.size):
+                if number in self._packable and data.startswith(ZSTD_MAGIC, at + _MESSAGE.size):
                     payload = message_payload(payload)
                 yield number, time_ns, payload
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
                 definitions += 1
                 self.define(opcode, bytes(view[at:end]))
-                packable = self._packable()
             else:
                 raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
             at = end
-
-    def _packable(self) -> set[int]:
-        """Channels whose messages rosbag2 may have compressed separately."""
-        return {number for number, channel in self.channels.items() if channel.encoding == "cdr"}
 
     def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
         """Channel id and log times of a chunk's messages, from the message indexes after it."""
@@ -202,6 +198,8 @@ class McapStorage(BlockStorage):
         if isinstance(definition, bytes) and kind != "protobuf":
             definition = definition.decode(errors="replace")
         encoding = channel.message_encoding or {"ros2": "cdr", "ros1": "ros1"}.get(self._profile, "")
+        if encoding == "cdr":
+            self._packable.add(channel.id)
         self.channels[channel.id] = Channel(
             channel.id,
             channel.topic,

@@ -124,7 +124,7 @@ class _Opened:
             information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))[
                 "rosbag2_bagfile_information"
             ]
-            names = [PurePath(name).name for name in information["relative_file_paths"]]
+            names = dict.fromkeys(PurePath(name).name for name in information["relative_file_paths"])
             stated = {
                 str(entry["topic_metadata"]["name"]): int(entry["message_count"])
                 for entry in information.get("topics_with_message_count") or ()

@@ -57,7 +57,7 @@ def boundary(path: Path) -> Iterator[None]:
     """Convert what third-party readers raise on damaged files to `RecordingError`."""
     try:
         yield
-    except MobilecalError:
+    except (MobilecalError, MemoryError):
         raise
     except OSError as error:
         raise RecordingError(
@@ -95,6 +95,7 @@ class Recording:
         self._notes = dict.fromkeys(notes)
         self._resources = resources
         self.topics = self._list_topics()
+        self._by_name = {info.name: info for info in self.topics}
 
     def __enter__(self) -> Self:
         return self
@@ -155,9 +156,8 @@ class Recording:
         Raises:
             RecordingError: the topic is not in the recording; the message lists those present.
         """
-        for info in self.topics:
-            if info.name == name:
-                return info
+        if name in self._by_name:
+            return self._by_name[name]
         present = listed(f"{info.name} ({info.type})" for info in self.topics)
         raise RecordingError(
             f"{self.name}: no topic {name}; topics present: {present}", "set one of them in rig.yaml"

@@ -18,10 +18,23 @@ from PIL import Image
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, listed
 
-#: Maximum number of pixels of an image, five times those of a large stereo camera.
-LARGEST_PIXELS = 2**26
+#: Maximum number of pixels of an image, three times those of a large stereo camera.
+LARGEST_PIXELS = 2**25
 _COMPRESSIONS = ("JPEG", "PNG")
+#: Code of OpenCV's error.
+_NO_MEMORY = -4
 _JPEG = b"\xff\xd8"
+#: First bytes of formats that are not read, after some bytes that differ.
+_OTHERS = {
+    "WebP": rb"RIFF....WEBP",
+    "TIFF": rb"II\*\x00|MM\x00\*",
+    "GIF": rb"GIF8",
+    "BMP": rb"BM",
+    "JPEG 2000": rb"\x00\x00\x00\x0cjP|\xff\x4f\xff\x51",
+    "JPEG XL": rb"\xff\x0a|\x00\x00\x00\x0cJXL",
+    "HEIF or AVIF": rb"....ftyp",
+    "SVG": rb"\s*<(\?xml.{,500}<)?svg",
+}
 #: The encoding of the original image, which compressed_image_transport states before its own: "bayer_rggb8; png".
 _BAYER_FORMAT = re.compile(r"\s*(bayer_\w+?)\s*;")
 
@@ -102,6 +115,8 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
     except (AttributeError, TypeError, ValueError) as error:
         raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
     except cv2.error as error:
+        if error.code == _NO_MEMORY:
+            raise MemoryError(error.err) from error
         raise RecordingError(f"image damaged: {error.err}", "") from error
 
 
@@ -121,7 +136,7 @@ def _decompressed(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | No
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION if is_jpeg else cv2.IMREAD_UNCHANGED
     pixels = cv2.imdecode(data, flags)
     if pixels is None:
-        raise _not_a_picture(data.size, kind)
+        raise _not_a_picture(data.tobytes(), kind)
     if pixels.ndim == 3:
         return pixels, _BGR if pixels.shape[2] == 3 else _BGRA
     original = _BAYER_FORMAT.match(kind.lower()) if mode[0] in "LI" else None
@@ -129,8 +144,13 @@ def _decompressed(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | No
     return pixels, encoding.to_gray if encoding else None
 
 
-def _not_a_picture(size: int, kind: str) -> RecordingError:
-    return RecordingError(f"image damaged: {size} bytes of {kind!r} are not a readable JPEG or PNG", "")
+def _not_a_picture(stored: bytes, kind: str) -> RecordingError:
+    for other, begin in _OTHERS.items():
+        if re.match(begin, stored[:1000], re.DOTALL):
+            return RecordingError(f"the image is {other}, not JPEG or PNG", "")
+    return RecordingError(
+        f"image damaged: {len(stored)} bytes of {kind!r} are not a readable JPEG or PNG", ""
+    )
 
 
 def _check_header(stored: bytes, kind: str) -> str:
@@ -146,8 +166,10 @@ def _check_header(stored: bytes, kind: str) -> str:
                 (width, height), mode = picture.size, str(picture.mode)
     except Image.DecompressionBombError as error:  # far above the limit below
         raise RecordingError(f"invalid image size: {error}", "") from error
+    except MemoryError:
+        raise
     except Exception as error:  # damaged headers may raise anything
-        raise _not_a_picture(len(stored), kind) from error
+        raise _not_a_picture(stored, kind) from error
     if width * height > LARGEST_PIXELS:
         raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels", "")
     return mode

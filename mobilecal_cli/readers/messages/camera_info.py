@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CameraInfo, Distortion, FloatArray
+from mobilecal_cli.model import Camera, CameraInfo, Distortion, FloatArray
+from mobilecal_cli.ranges import FOCAL_LENGTH, Range
 from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
@@ -32,6 +34,14 @@ _NAMES: dict[str, Distortion] = {
     "opencv_fisheye": "equidistant",
     "none": "none",
 }
+#: Of the focal lengths fx / fy, and of those in P / those in K.
+_ASPECT, _RECTIFIED = Range(0.2, 5.0), Range(0.2, 5.0)
+#: Of the principal point, in image sizes from the first pixel.
+_PRINCIPAL = Range(-2.0, 3.0)
+#: Of the distance of a point half way to the edge from the principal point, with distortion / without.
+_DISTORTION = Range(0.4, 2.5)
+#: Largest difference of R from a rotation matrix.
+_ROTATION = 1e-3
 _ADVICE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
@@ -46,7 +56,7 @@ def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the t
         topic: its topic, for error messages.
 
     Raises:
-        RecordingError: K or P is zero, a value is not finite, or the distortion model is unknown.
+        RecordingError: K or P is zero, a value is not finite or not possible, or the distortion model is unknown.
     """
     try:
         return _converted(message, topic)
@@ -65,6 +75,10 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
     if not R.any():  # omitted by some drivers, meaning no rotation
         R = np.eye(3)
     distortion, D = _distortion(message, topic)
+    frame_id, size = str(message.header.frame_id), (int(message.width), int(message.height))
+    problem = _impossible(Camera(frame_id, *size, K, D, distortion), R, P)
+    if problem:
+        raise RecordingError(f"{topic}: {problem}", _ADVICE)
 
     roi = message.roi
     width, height = int(roi.width) or int(message.width), int(roi.height) or int(message.height)
@@ -74,7 +88,7 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
         matrix[0] /= max(int(message.binning_x), 1)
         matrix[1] /= max(int(message.binning_y), 1)
     return CameraInfo(
-        frame_id=str(message.header.frame_id),
+        frame_id=frame_id,
         width=width // max(int(message.binning_x), 1),
         height=height // max(int(message.binning_y), 1),
         K=K,
@@ -83,6 +97,43 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
         R=R,
         P=P,
     )
+
+
+def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
+    """A value that no camera has, with its name and range; "" if there is none.
+
+    Args:
+        camera: with the whole sensor.
+        R: (3, 3) rectification.
+        P: (3, 4) projection of the rectified images.
+    """
+    K = camera.K
+    values = []
+    for name, matrix in (("K", K), ("P", P)):
+        fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
+        values += [(f"{name}: fx", fx, FOCAL_LENGTH), (f"{name}: fy", fy, FOCAL_LENGTH)]
+        values.append((f"{name}: fx / fy", fx / fy, _ASPECT))
+    for k, (axis, length) in enumerate(zip("xy", (camera.width, camera.height), strict=True)):
+        ratio = float(P[k, k] / K[k, k])
+        values.append((f"focal length f{axis} in P over that in K", ratio, _RECTIFIED))
+        if length:
+            share = float(K[k, 2]) / length
+            values.append((f"K: principal point c{axis} over the image size {length}", share, _PRINCIPAL))
+    for name, value, possible in values:
+        if value not in possible:
+            return f"{name} is {value:.6g} (range {possible})"
+    if abs(K[0, 1]) > _ROTATION * K[0, 0] or K[1, 0] or K[2, :2].any():
+        return "K is not of the form [fx 0 cx; 0 fy cy; 0 0 1]"
+    if np.abs(R @ R.T - np.eye(3)).max() > _ROTATION or np.linalg.det(R) < 0:
+        return "R is not a rotation matrix"
+    half = np.array([camera.width / K[0, 0], camera.height / K[1, 1]]) / 4
+    for at in np.diag(half):
+        if at.any():
+            seen = project(camera, np.array([*at, 1.0])) - K[:2, 2]
+            share = float(np.linalg.norm(seen) / np.linalg.norm(K[[0, 1], [0, 1]] * at))
+            if share not in _DISTORTION:
+                return f"D moves a point half way to the edge to {share:.3g} of its distance (range {_DISTORTION})"
+    return ""
 
 
 def _field(message: Any, name: str) -> FloatArray:  # noqa: ANN401

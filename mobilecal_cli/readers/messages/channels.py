@@ -75,6 +75,8 @@ class Channel:
         decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
         try:
             return decoder(payload)
+        except MemoryError:
+            raise
         except Exception as error:  # damaged payloads may raise anything
             raise RecordingError(
                 f"{self.topic}: a message does not match its type {self.type}: {error}",
@@ -106,6 +108,8 @@ def _decoder(
 def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     try:
         return protobuf_decoder(definition.encode() if isinstance(definition, str) else definition, type_name)
+    except MemoryError:
+        raise
     except Exception as error:  # a damaged definition may raise anything
         raise RecordingError(
             f"the definition of the protobuf type {type_name} cannot be used: {error}",
