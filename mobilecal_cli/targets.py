@@ -17,6 +17,7 @@ class Target(StrEnum):
     camera_info_right = "camera_info_right"
     camchain = "camchain"
     odometry_covariance = "odometry_covariance"
+    foxglove = "foxglove"
     json = "json"
 
 

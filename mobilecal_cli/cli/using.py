@@ -10,6 +10,7 @@ import typer
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Force
 from mobilecal_cli.cli.verdict import conclude, written_line
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Target
 
 
@@ -90,6 +91,10 @@ def export(
             help="For --to odometry_covariance: length of straight drives. [default: legs of the recording]",
         ),
     ] = None,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(help="For --to foxglove: recording of the calibration, for its images. Repeatable."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
     ] = None,
@@ -105,15 +110,23 @@ def export(
     from mobilecal_cli.model.text import visible
 
     given = {"left": left_joint, "right": right_joint}
-    if output is not None:
-        pipeline.check_file(output, force)
+    layout = None
+    if to == Target.foxglove:
+        if output is None:
+            raise ConfigError("--to foxglove writes two files", "name the first with --output scene.mcap")
+        layout = output.with_suffix(".layout.json")
+    for path in (output, layout):
+        if path is not None:
+            pipeline.check_file(path, force)
     joints = {side: name for side, name in given.items() if name}
-    made = pipeline.export(params, to, urdf, joints, with_chain, rate, distance)  # type: ignore[arg-type]
+    made = pipeline.export(params, to, urdf, joints, with_chain, rate, distance, log or [])  # type: ignore[arg-type]
     if output is None:
         typer.echo(made.content, nl=False)
     else:
         pipeline.write_file(output, made.content, force)
+    if layout is not None:
+        pipeline.write_file(layout, made.layout.encode(), force)
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if output is not None:
-        typer.echo(written_line(output))
+        typer.echo(written_line(output, *([layout] if layout is not None else [])))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,10 +45,12 @@ class Exported:
     Attributes:
         content: the bytes of the file.
         notes: changes and notes, whole sentences.
+        layout: text of a second file, the layout for Foxglove; "" for none.
     """
 
     content: bytes
     notes: tuple[str, ...] = ()
+    layout: str = ""
 
 
 def export(
@@ -59,18 +61,20 @@ def export(
     with_chain: bool = False,
     rate_hz: float | None = None,
     distance_m: float | None = None,
+    logs: Sequence[Path] = (),
 ) -> Exported:
     """A calibration in another format.
 
     Args:
-        params: params.yaml; camera_info, camchain, the head chain and odometry_covariance also need extraction.npz next
-            to it.
+        params: params.yaml; camera_info, camchain, the head chain, odometry_covariance and foxglove also need
+            extraction.npz next to it.
         target: the format.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target urdf, also write the estimated head chain.
         rate_hz: for the target odometry_covariance, messages per second; 50 by default.
         distance_m: for the target odometry_covariance, length of straight drives, m; the recording's legs by default.
+        logs: for the target foxglove, recordings of the calibration, for the images.
 
     Raises:
         ConfigError: a file is missing or invalid, or an option does not apply to the format.
@@ -83,12 +87,15 @@ def export(
             "--with-chain": (with_chain, Target.urdf),
             "--rate": (rate_hz is not None, Target.odometry_covariance),
             "--distance": (distance_m is not None, Target.odometry_covariance),
+            "--log": (bool(logs), Target.foxglove),
         },
     )
     if target == Target.urdf:
         return _urdf(robot, urdf, joints, _chain(params, robot) if with_chain else None)
     if target in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
         return _cameras(params, robot, target)
+    if target == Target.foxglove:
+        return _foxglove(robot, params, logs)
     if target == Target.odometry_covariance:
         rate = ODOMETRY_RATE.check("--rate", 50.0 if rate_hz is None else rate_hz)
         if distance_m is not None:
@@ -111,6 +118,15 @@ def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -
     for name, (given, own) in options.items():
         if given and target != own:
             raise ConfigError(f"{name} applies only to --to {own.value}", "leave it out")
+
+
+def _foxglove(robot: CalibratedRobot, params: Path, logs: Sequence[Path]) -> Exported:
+    from mobilecal_cli.export.foxglove import foxglove_layout, foxglove_mcap
+    from mobilecal_cli.pipeline.showing import scene_of
+
+    scene = scene_of(robot, _beside(params), params, logs)
+    notes = () if logs else ("The file contains no images. Give the recording with --log to add them.",)
+    return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene))
 
 
 def _chain(params: Path, robot: CalibratedRobot) -> ImprovedChain:

@@ -232,6 +232,7 @@ def export_to(
     with_chain: bool = False,
     rate_hz: float | None = None,
     distance_m: float | None = None,
+    logs: AnyPath | Iterable[AnyPath] = (),
 ) -> Exported:
     """A calibration in the format of another program, as `mobilecal export --to`.
 
@@ -242,6 +243,7 @@ def export_to(
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target "urdf", also write the estimated head chain.
         rate_hz, distance_m: for the target "odometry_covariance", see `--rate` and `--distance`.
+        logs: for the target "foxglove", recordings of the calibration, for the images.
 
     Raises:
         ConfigError: an unknown format, or a file that is missing or invalid.
@@ -250,7 +252,7 @@ def export_to(
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
     return export(
         Path(params), Target(target), None if urdf is None else Path(urdf), wheel_joints, with_chain, rate_hz,
-        distance_m,
+        distance_m, paths_of(logs),
     )  # fmt: skip
 
 

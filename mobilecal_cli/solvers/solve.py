@@ -13,9 +13,7 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
 from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
-from mobilecal_cli.likelihood.legs import wheel_clock_s
 from mobilecal_cli.likelihood.predict import predicted_at
-from mobilecal_cli.likelihood.state import cameras_at, head_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
@@ -29,6 +27,7 @@ from mobilecal_cli.model import (
     Solution,
     Uncertainty,
 )
+from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.diagnosis import diagnose
 from mobilecal_cli.solvers.findings import (
@@ -46,7 +45,7 @@ from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from mobilecal_cli.solvers.residuals import residuals_of, triangulated_again
+from mobilecal_cli.solvers.residuals import residuals_of
 from mobilecal_cli.solvers.signs import check_signs
 from mobilecal_cli.solvers.transfer import point_rms_m
 
@@ -177,19 +176,6 @@ def _initial_estimate(pairs: MotionPairs, initial: Parameters) -> LinearEstimate
     return LinearEstimate(initial, (initial,), 1, rms, ratios_of(initial.wheels), "nominal", math.inf)
 
 
-def _corrected(extraction: Extraction, pairs: MotionPairs, fit: Fit) -> tuple[Extraction, MotionPairs]:
-    """The cameras and the pairs with the fit's constants applied: cameras, time offsets, head chain and joints."""
-    data, state = fit.data, fit.lin.state
-    cameras = cameras_at(data, state)
-    as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    return replace(extraction, rig=replace(extraction.rig, cameras=cameras)), replace(
-        pairs,
-        points_c=triangulated_again(extraction, cameras),
-        T_v_h=head_at(data, as_read),
-        steps=data.steps(wheel_clock_s(data, state)),
-    )
-
-
 def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
     pairs = solver.data.pairs
     if solver.full_motion:
@@ -210,7 +196,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
     if not inliers.any():
         inliers[:] = True
-    seen, corrected = _corrected(extraction, pairs, fit)
+    seen, corrected = at_state(extraction, data, state)
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))

@@ -1,0 +1,380 @@
+"""A scene as an MCAP file with Foxglove's messages, and a layout that shows it."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.Point2_pb2 import Point2
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer
+
+from mobilecal_cli import __version__, se3
+from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, dark_squares
+from mobilecal_cli.model import Camera, FloatArray, Side
+
+_SIDES: tuple[Side, Side] = ("left", "right")
+_MOST_POSES = 2000  # of a path
+_FRUSTUM_M = 0.15
+_GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85, 0.2, 1.0)
+_DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
+_RESIDUALS = {"station": _TEXT, "to_station": _TEXT, "reprojection_px": _NUMBER, "point_mm": _NUMBER}
+_MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
+
+
+def foxglove_mcap(scene: Scene) -> bytes:
+    """An MCAP file with Foxglove's protobuf messages; two JSON topics have numbers for plots.
+
+    Message times are the stations' and the wheels' times. Images come with annotations of the same time.
+    """
+    messages = _Messages()
+    for motion, stations in zip(scene.motions, scene.stations, strict=True):
+        _add_frames(messages, scene, motion)
+        _add_surroundings(messages, scene, motion, stations)
+        for station in stations:
+            _add_station(messages, scene, station)
+    _add_unused(messages, scene)
+    return messages.written()
+
+
+class _Messages:
+    """Messages of all topics, written in order of time."""
+
+    def __init__(self) -> None:
+        self._found: list[tuple[int, str, str, bytes]] = []
+        self._schemas: dict[str, tuple[str, str, bytes]] = {}
+
+    def add(self, topic: str, time_ns: int, message: Any) -> None:  # noqa: ANN401  (any protobuf message)
+        """A protobuf message."""
+        name = message.DESCRIPTOR.full_name
+        if topic not in self._schemas:
+            self._schemas[topic] = (name, "protobuf", _with_dependencies(message.DESCRIPTOR.file))
+        self._found.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
+
+    def add_json(self, topic: str, time_ns: int, properties: Mapping[str, Any], values: object) -> None:
+        """A message with named texts and numbers."""
+        schema = {"title": topic.strip("/"), "type": "object", "properties": properties}
+        self._schemas[topic] = (f"mobilecal.{topic.strip('/')}", "jsonschema", json.dumps(schema).encode())
+        self._found.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
+
+    def written(self) -> bytes:
+        stream = io.BytesIO()
+        writer = Writer(stream)
+        writer.start(profile="", library=f"mobilecal {__version__}")
+        channels = {}
+        encodings = {topic: encoding for _, topic, encoding, _ in self._found}
+        for topic, schema in self._schemas.items():
+            number = writer.register_schema(*schema)
+            channels[topic] = writer.register_channel(topic, encodings[topic], number)
+        for time_ns, topic, _, data in sorted(self._found, key=lambda found: found[0]):
+            writer.add_message(channels[topic], log_time=time_ns, publish_time=time_ns, data=data)
+        writer.finish()  # type: ignore[no-untyped-call]
+        return stream.getvalue()
+
+
+def _with_dependencies(file: Any) -> bytes:  # noqa: ANN401  (a protobuf FileDescriptor)
+    """A FileDescriptorSet with a definition and all that it imports, each after what it needs."""
+    found, done = FileDescriptorSet(), set()
+
+    def add(one: Any) -> None:  # noqa: ANN401
+        if one.name not in done:
+            done.add(one.name)
+            for needed in one.dependencies:
+                add(needed)
+            one.CopyToProto(found.file.add())
+
+    add(file)
+    return bytes(found.SerializeToString(deterministic=True))
+
+
+# -- frames and surroundings ----------------------------------------------------------------------
+
+
+def _add_frames(messages: _Messages, scene: Scene, motion: Motion) -> None:
+    """World, base and head over time; the cameras, which are fixed to the head, on a topic of their own."""
+    names, start_ns = scene.names, int(motion.time_ns[0])
+    fixed = [_transform(start_ns, *frame) for frame in scene.fixed_frames()]
+    messages.add("/tf_static", start_ns, FrameTransforms(transforms=fixed))
+    for time_ns, T_w_v, T_v_h in zip(motion.time_ns.tolist(), motion.T_w_v, motion.T_v_h, strict=True):
+        moving = [
+            _transform(time_ns, names.world, names.base, T_w_v),
+            _transform(time_ns, names.base, names.head, T_v_h),
+        ]
+        messages.add("/tf", time_ns, FrameTransforms(transforms=moving))
+
+
+def _add_surroundings(
+    messages: _Messages, scene: Scene, motion: Motion, stations: tuple[StationView, ...]
+) -> None:
+    """Path of the base, camera poses and the board: one message each, valid for the whole recording."""
+    start_ns, names = int(motion.time_ns[0]), scene.names
+    stride = max(1, -(-len(motion.time_ns) // _MOST_POSES))
+    path = [_pose(T) for T in motion.T_w_v[::stride]]
+    messages.add("/path", start_ns, PosesInFrame(timestamp=_time(start_ns), frame_id=names.world, poses=path))
+    entities = [_camera_entity(scene, station, start_ns) for station in stations]
+    messages.add("/cameras", start_ns, SceneUpdate(entities=entities))
+    for side, camera in (("left", scene.cameras.left), ("right", scene.cameras.right)):
+        info = _calibration(camera, getattr(names, side), start_ns)
+        messages.add(f"/camera/{side}/calibration", start_ns, info)
+    if stations:
+        board = SceneEntity(
+            timestamp=_time(start_ns),
+            frame_id=names.board,
+            id="board",
+            frame_locked=True,
+            triangles=[_board_triangles(scene)],
+        )
+        messages.add("/board", start_ns, SceneUpdate(entities=[board]))
+
+
+def _board_triangles(scene: Scene) -> TriangleListPrimitive:
+    """Both sides of the dark squares."""
+    squares = dark_squares(scene.board)
+    one = np.array([0, 1, 2, 0, 2, 3])
+    order = np.concatenate([one, one[::-1]])
+    indices = (4 * np.arange(len(squares))[:, None] + order).ravel()
+    points = _points3(squares.reshape(-1, 3))
+    return TriangleListPrimitive(
+        pose=_pose(np.eye(4)), points=points, color=_color(_DARK), indices=indices.tolist()
+    )
+
+
+def _camera_entity(scene: Scene, station: StationView, time_ns: int) -> SceneEntity:
+    """The left camera at one station as a small pyramid, in the world."""
+    camera = scene.cameras.left
+    half = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
+    x, y = half
+    tip = np.zeros(3)
+    rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
+    segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
+    lines = LinePrimitive(
+        type=LinePrimitive.LINE_LIST,
+        pose=_pose(station.T_w_c),
+        thickness=1.5,
+        scale_invariant=True,
+        points=_points3(np.array(segments)),
+        color=_color(_BLUE),
+    )
+    label = TextPrimitive(
+        pose=_pose(station.T_w_c),
+        billboard=True,
+        font_size=12,
+        scale_invariant=True,
+        color=_color(_BLUE),
+        text=station.name,
+    )
+    return SceneEntity(
+        timestamp=_time(time_ns),
+        frame_id=scene.names.world,
+        id=f"station {station.name}",
+        lines=[lines],
+        texts=[label],
+    )
+
+
+def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
+    """One camera in its own frame, for the images as recorded."""
+    D = camera.D.tolist() if camera.distortion != "none" else [0.0] * 5
+    P = np.hstack([camera.K, np.zeros((3, 1))])
+    return CameraCalibration(
+        timestamp=_time(time_ns),
+        frame_id=frame,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=_MODELS.get(camera.distortion, camera.distortion),
+        D=D,
+        K=camera.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=P.ravel().tolist(),
+    )
+
+
+# -- stations -------------------------------------------------------------------------------------
+
+
+def _add_station(messages: _Messages, scene: Scene, station: StationView) -> None:
+    time_ns, names = station.time_ns, scene.names
+    board = _transform(time_ns, names.world, names.board, station.T_w_k)
+    messages.add("/tf_board", time_ns, FrameTransforms(transforms=[board]))
+    for side in _SIDES:
+        view = station.corners[side]
+        messages.add(f"/camera/{side}/corners", time_ns, _annotations(view, time_ns))
+        if view.jpeg:
+            image = CompressedImage(
+                timestamp=_time(time_ns), frame_id=getattr(names, side), data=view.jpeg, format="jpeg"
+            )
+            messages.add(f"/camera/{side}/image", time_ns, image)
+    if station.to_station:
+        values = {
+            "station": station.name,
+            "to_station": station.to_station,
+            "reprojection_px": station.reprojection_px,
+            "point_mm": 1e3 * station.point_m,
+        }
+        messages.add_json("/residuals", time_ns, _RESIDUALS, values)
+    messages.add_json("/station", time_ns, {"state": _TEXT}, {"state": f"station {station.name}: used"})
+
+
+def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
+    """Detected corners green, predicted ones red, and yellow lines between them."""
+
+    def marks(pixels: FloatArray, color: tuple[float, ...], kind: Any, thickness: float) -> PointsAnnotation:  # noqa: ANN401
+        return PointsAnnotation(
+            timestamp=_time(time_ns),
+            type=kind,
+            points=[
+                Point2(x=x + 0.5, y=y + 0.5) for x, y in pixels.tolist()
+            ],  # from the first pixel's corner
+            outline_color=_color(color),
+            thickness=thickness,
+        )
+
+    detected = view.detected[view.seen]
+    found = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
+    if view.predicted is not None:
+        predicted = view.predicted[view.seen]
+        pairs = np.stack([detected, predicted], axis=1).reshape(-1, 2)
+        found.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
+        found.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
+    return ImageAnnotations(points=found)
+
+
+def _add_unused(messages: _Messages, scene: Scene) -> None:
+    """Rejected images, stations and intervals as log messages, and as states at their start and end."""
+    for item in scene.unused:
+        end = f" ({(item.end_ns - item.start_ns) * 1e-9:.2f} s)" if item.end_ns > item.start_ns else ""
+        log = Log(
+            timestamp=_time(item.start_ns),
+            level=Log.WARNING,
+            name="mobilecal",
+            message=f"{item.what}{end}: {item.text}",
+        )
+        messages.add("/rejected", item.start_ns, log)
+        messages.add_json("/station", item.start_ns, {"state": _TEXT}, {"state": f"rejected: {item.what}"})
+        if item.end_ns > item.start_ns:
+            messages.add_json(
+                "/station", item.end_ns, {"state": _TEXT}, {"state": "end of the rejected interval"}
+            )
+
+
+# -- values ---------------------------------------------------------------------------------------
+
+
+def _time(time_ns: int) -> Timestamp:
+    return Timestamp(seconds=time_ns // 10**9, nanos=time_ns % 10**9)
+
+
+def _color(rgba: Iterable[float]) -> Color:
+    r, g, b, a = rgba
+    return Color(r=r, g=g, b=b, a=a)
+
+
+def _vector(p: FloatArray) -> Vector3:
+    x, y, z = p.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(R: FloatArray) -> Quaternion:
+    x, y, z, w = se3.quaternion_xyzw(R).tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _pose(T: FloatArray) -> Pose:
+    return Pose(position=_vector(T[:3, 3]), orientation=_quaternion(T[:3, :3]))
+
+
+def _points3(points: FloatArray) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+
+
+def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray) -> FrameTransform:
+    return FrameTransform(
+        timestamp=_time(time_ns),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=_vector(T_parent_child[:3, 3]),
+        rotation=_quaternion(T_parent_child[:3, :3]),
+    )
+
+
+# -- layout ---------------------------------------------------------------------------------------
+
+
+def foxglove_layout(scene: Scene) -> str:
+    """A layout file for Foxglove: both images with corners, the 3D view, plots, states and the log."""
+
+    def image(side: Side) -> dict[str, Any]:
+        annotations = {f"/camera/{side}/corners": {"visible": True}}
+        mode = {
+            "imageTopic": f"/camera/{side}/image",
+            "calibrationTopic": f"/camera/{side}/calibration",
+            "synchronize": False,
+            "annotations": annotations,
+        }
+        return {"imageMode": mode, "topics": {}, "layers": {}}
+
+    def plot(field: str, label: str) -> dict[str, Any]:
+        path = {
+            "value": f"/residuals.{field}",
+            "label": label,
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+        }
+        return {"paths": [path], "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
+
+    def split(first: Any, second: Any, direction: str, share: float) -> dict[str, Any]:  # noqa: ANN401
+        return {"first": first, "second": second, "direction": direction, "splitPercentage": share}
+
+    panels: dict[str, Any] = {
+        "Image!left": image("left"),
+        "Image!right": image("right"),
+        "3D!scene": {
+            "followTf": scene.names.world,
+            "followMode": "follow-none",
+            "topics": {topic: {"visible": True} for topic in ("/board", "/cameras", "/path")},
+            "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "frameId": scene.names.world}},
+        },
+        "Plot!px": plot("reprojection_px", "reprojection error, px"),
+        "Plot!mm": plot("point_mm", "point error, mm"),
+        "StateTransitions!station": {
+            "paths": [{"value": "/station.state", "timestampMethod": "receiveTime"}],
+            "isSynced": True,
+        },
+        "RosOut!rejected": {"topicToRender": "/rejected", "minLogLevel": 1, "searchTerms": []},
+    }
+    images = split("Image!left", "Image!right", "row", 50)
+    plots = split("Plot!px", "Plot!mm", "column", 50)
+    events = split("StateTransitions!station", "RosOut!rejected", "column", 45)
+    below = split(plots, events, "row", 55)
+    layout = split(split(images, "3D!scene", "row", 55), below, "column", 62)
+    data = {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": layout,
+    }
+    return json.dumps(data, indent=1) + "\n"

@@ -1,0 +1,177 @@
+"""A calibration as a scene over time: frames, images with corners, and what was rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import (
+    Board,
+    BoolArray,
+    CalibratedRobot,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    Side,
+    StereoRig,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion of base and head in one recording.
+
+    Attributes:
+        time_ns: (n,) increasing.
+        T_w_v: (n, 4, 4) base in the world (the base at the first station), by dead reckoning.
+        T_v_h: (n, 4, 4) head in the base.
+    """
+
+    time_ns: IntArray
+    T_w_v: FloatArray
+    T_v_h: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerView:
+    """The board in one image.
+
+    Attributes:
+        detected: (M, 2) px, (0, 0) the center of the first pixel.
+        seen: (M,) corners that were detected.
+        predicted: (M, 2) px, from the next station; None at the end of a recording and beside outliers.
+        jpeg: the image; b"" without one.
+    """
+
+    detected: FloatArray
+    seen: BoolArray
+    predicted: FloatArray | None
+    jpeg: bytes = b""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationView:
+    """One station.
+
+    Attributes:
+        name: for people.
+        time_ns: its time.
+        T_w_k: (4, 4) board in the world, as measured here.
+        T_w_c: (4, 4) left camera in the world.
+        corners: of each image.
+        to_station: name of the station whose corners are predicted here; "" for none.
+        point_m, reprojection_px: rms error of the prediction; 0 without one.
+    """
+
+    name: str
+    time_ns: int
+    T_w_k: FloatArray
+    T_w_c: FloatArray
+    corners: Mapping[Side, CornerView]
+    to_station: str = ""
+    point_m: float = 0.0
+    reprojection_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Unused:
+    """Something that was not used, with the interval that it concerns.
+
+    Attributes:
+        start_ns, end_ns: the same for a moment.
+        what: a few words, the same for all of a kind.
+        text: a whole sentence, or the numbers.
+    """
+
+    start_ns: int
+    end_ns: int
+    what: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Everything that a viewer shows.
+
+    Attributes:
+        robot: the calibration.
+        chain: for the names of base and head.
+        cameras: the stereo pair as estimated, lens corrections as part of the distortion models.
+        board: with its square size.
+        motions: of each recording.
+        stations: of each recording, in order of time.
+        unused: in order of time.
+    """
+
+    robot: CalibratedRobot
+    chain: HeadChain
+    cameras: StereoRig
+    board: Board
+    motions: tuple[Motion, ...]
+    stations: tuple[tuple[StationView, ...], ...]
+    unused: tuple[Unused, ...] = ()
+    names: Frames = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", Frames.of(self.chain, self.cameras))
+
+    def fixed_frames(self) -> list[tuple[str, str, FloatArray]]:
+        """Parent, child and child coordinates to parent coordinates (4, 4) of the frames on the head.
+
+        The reference camera is on the head, exactly as in params.yaml; the other camera is on it.
+        """
+        names, T_c_r = self.names, self.cameras.T_c_r
+        first, second, T = names.left, names.right, T_c_r
+        if self.cameras.reference == "right":
+            first, second, T = names.right, names.left, se3.inverse(T_c_r)
+        return [(names.head, first, self.robot.T_parent_child), (first, second, T)]
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Names of the frames. All differ."""
+
+    world: str
+    base: str
+    head: str
+    left: str
+    right: str
+    board: str
+
+    @classmethod
+    def of(cls, chain: HeadChain, cameras: StereoRig) -> Frames:
+        """The robot's own names; "world" and "board", or longer ones if the robot has these.
+
+        Raises:
+            ConfigError: base and head have the same name.
+        """
+        if chain.base_frame == chain.head_frame:
+            raise ConfigError(
+                f"base and head frame are both {chain.base_frame!r}",
+                "name them in rig.yaml and calibrate again",
+            )
+        taken = [chain.base_frame, chain.head_frame]
+
+        def free(name: str, other: str) -> str:
+            taken.append(other if name in taken else name)
+            return taken[-1]
+
+        left = free(cameras.left.frame_id, "left_camera")
+        right = free(cameras.right.frame_id, "right_camera")
+        world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
+        return cls(world, chain.base_frame, chain.head_frame, left, right, board)
+
+
+def dark_squares(board: Board) -> FloatArray:
+    """(n, 4, 3) corners of the dark squares (aprilgrid: of the tags) in the board's frame, m."""
+    square_m = board.square_m or 0.0
+    if board.markers is not None and board.markers.kind == "aprilgrid":
+        return np.asarray(board.grid().reshape(-1, 4, 3) * square_m)
+    row, column = np.divmod(np.arange((board.columns + 1) * (board.rows + 1)), board.columns + 1)
+    dark = (row + column) % 2 == 0
+    low = np.stack([column[dark] - 1, row[dark] - 1, np.zeros(int(dark.sum()))], axis=1)
+    return np.asarray((low[:, None] + np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])) * square_m)
