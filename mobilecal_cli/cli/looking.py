@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.cli.options import AsJson, Config, Force, Logs, NoBar, Settings, flags_of
+from mobilecal_cli.cli.options import AsJson, Config, Force, Logs, NoBar, Quiet, Settings, flags_of
 from mobilecal_cli.cli.verdict import written_line
 
 
@@ -66,20 +67,37 @@ def check(
 
 @app.command()
 def init(
-    log: Annotated[Path, typer.Argument(help="Recording to read.")],
+    logs: Logs,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File to write; - for standard output.")
     ] = Path("rig.yaml"),
+    urdf: Annotated[
+        Path | None, typer.Option(help="URDF of the robot. [default: robot_description in the recording]")
+    ] = None,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a commented draft of rig.yaml from a recording.
 
-    Example: mobilecal init log.mcap --output rig.yaml
+    Fills in what the topics, a few images and the URDF tell, each with its source. What is missing, or has two possible
+    answers, is left to you as TODO, and listed.
+
+    Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
     """
     from mobilecal_cli import pipeline
+    from mobilecal_cli.report import draft_text
+    from mobilecal_cli.terminal import progress_bar
 
-    if str(output) == "-":
-        typer.echo(pipeline.draft(log), nl=False)
-        return
-    pipeline.write_draft(log, output, force)
-    typer.echo(written_line(output))
+    stdout = str(output) == "-"
+    with progress_bar(quiet) as progress:
+        if stdout:
+            made = pipeline.draft(logs, urdf, progress=progress)
+        else:
+            made = pipeline.write_draft(logs, output, force, urdf, progress)
+    if stdout:
+        typer.echo(made.text, nl=False)
+    if not quiet:
+        typer.echo(draft_text(made), nl=False, err=stdout)
+        if not stdout:
+            typer.echo(f"\n{written_line(output)}")
+            typer.echo(f"Next: mobilecal check {shlex.join(map(str, (output, *logs)))}")

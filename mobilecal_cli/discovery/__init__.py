@@ -1,6 +1,7 @@
 """Discovery of cameras, joints, wheels and head chain by message type and name, where not configured."""
 
 from mobilecal_cli.discovery.chain import nominal_of
+from mobilecal_cli.discovery.counters import may_be_a_reading
 from mobilecal_cli.discovery.draft import draft_rig
 from mobilecal_cli.discovery.priors import prior_sigmas, shown_priors
 from mobilecal_cli.discovery.resolve import (
@@ -20,6 +21,7 @@ __all__ = [
     "complete_rig",
     "draft_rig",
     "layout_of",
+    "may_be_a_reading",
     "nominal_of",
     "prior_sigmas",
     "resolve_rig",

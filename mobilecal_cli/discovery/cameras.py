@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery.names import pairs, side_of, words
+from mobilecal_cli.discovery.names import mirrored, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig, listed
 from mobilecal_cli.ranges import Range
@@ -16,6 +18,11 @@ _SIDES: tuple[Side, Side] = ("left", "right")
 BASELINE = Range(1e-4, 5.0, "m")
 #: Relative difference of the focal lengths of both rectified images, which are the same.
 _SAME_FOCAL = 0.01
+#: Words in the name of an image topic that name the form of the images, not the camera.
+_FORMS = {
+    "image", "raw", "color", "colour", "mono", "gray", "grey", "compressed", "video", "ffmpeg", "h264", "h265",
+    "theora",
+}  # fmt: skip
 _CALIBRATE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
@@ -36,6 +43,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
 
     Raises:
         RecordingError: no such pair; the hint lists the topics present.
+        ConfigError: several stereo cameras.
     """
     present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
     configured: dict[Side, str | None] = {
@@ -81,10 +89,33 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
             f"set cameras.left.image and cameras.right.image; topics present: {_present(prelude)}",
         )
 
+    if configured["left"] is None and configured["right"] is None:
+        _refuse_several_cameras(candidates)
+
     def preference(pair: dict[Side, str]) -> tuple[bool, bool, str]:
         return is_rectified(pair["left"]), "CompressedImage" in present[pair["left"]].type, pair["left"]
 
     return min(candidates, key=preference)
+
+
+def _refuse_several_cameras(pairs_: Sequence[dict[Side, str]]) -> None:
+    """Refuse pairs that differ in more than the form of their images.
+
+    Raises:
+        ConfigError: naming one pair of each camera.
+    """
+    cameras: dict[tuple[str, ...], dict[Side, str]] = {}
+    for pair in pairs_:
+        forms = (
+            word for word in mirrored(pair["left"]) if word not in _FORMS and not word.startswith("rect")
+        )
+        cameras.setdefault(tuple(forms), pair)
+    if len(cameras) > 1:
+        several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in cameras.values())
+        raise ConfigError(
+            f"several pairs of image topics could be the stereo pair: {several}",
+            "set cameras.left.image and cameras.right.image in rig.yaml",
+        )
 
 
 def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:

@@ -83,14 +83,27 @@ def chain_from_urdf(
     if len(wheels) < 2:
         return head_chain(urdf, base, head, pan, tilt), []
     T_base_v = vehicle_frame(*wheel_centres(urdf, base, wheels["left"], wheels["right"]))
+    notes = _moving_wheels(urdf, base, wheels)
     shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
     if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
-        return head_chain(urdf, base, head, pan, tilt), []
+        return head_chain(urdf, base, head, pan, tilt), notes
     note = (
         f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
         f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
     )
-    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note]
+    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
+
+
+def _moving_wheels(urdf: Urdf, base: str, wheels: dict[Side, str]) -> list[str]:
+    """A note if the wheels move against the base, as on a robot that steers its axle."""
+    path = urdf.path(base, urdf.joints[wheels["left"]].parent)
+    moving = [joint.name for joint in path if joint.kind != "fixed"]
+    if not moving:
+        return []
+    return [
+        f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
+        "calibrated, with these joints at zero."
+    ]
 
 
 def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:

@@ -14,6 +14,8 @@ from mobilecal_cli.model import TRANSFORMS, HeadChain, JointField, JointLink, Jo
 _HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 _PAN_WORDS = {"pan", "yaw"}
 _TILT_WORDS = {"tilt", "pitch"}
+#: Words in the name of a joint that moves the head.
+HEAD_JOINT_WORDS = _PAN_WORDS | _TILT_WORDS
 
 
 def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:

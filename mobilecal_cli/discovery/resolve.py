@@ -122,10 +122,11 @@ def _head_of_transforms(
     """The head of a recording without a URDF, from the motion of its transforms."""
     urdf = urdf_of_transforms(prelude.transforms)
     if camera_frame not in urdf.links:
+        to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
         raise RecordingError(
-            "the head chain is unknown: no robot_description in the recording, no transforms to the camera frame "
-            f"{camera_frame!r}, and no head.urdf or head.chain in the configuration",
-            "set head.urdf or head.chain in rig.yaml (mobilecal init LOG writes a draft)",
+            f"the head chain is unknown: no robot_description in the recording, {to}and no head.urdf or head.chain in "
+            "the configuration",
+            "set head.urdf or head.chain in rig.yaml; mobilecal init LOG --urdf FILE drafts it",
         )
     base = config.head.base_frame or next(
         (name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root

@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
 from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource, listed
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-_COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
+COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
 _AS_THE_DRIVER = "nominal.wheels in rig.yaml to the exact values of the robot's driver"
 
 
@@ -110,12 +110,12 @@ def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, Whe
 
 def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
     odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
-    if odometry and not any(_COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
+    if odometry and not any(COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
         return RecordingError(
             f"wheels.{side}: no joint is named as a wheel; odometry is present on {listed(odometry)}",
             f"set wheels.odometry to {odometry[0]}, and {_AS_THE_DRIVER}",
         )
-    counters = [t.name for t in prelude.topics if _COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
+    counters = [t.name for t in prelude.topics if COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
     if counters:
         return RecordingError(
             f"wheels.{side}: no joint is named as a wheel; {listed(counters)} look like tick counters",
@@ -143,15 +143,22 @@ def urdf_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> dict
     return found[0] if len(found) == 1 else {}
 
 
-def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
-    """Nominal wheels of the URDF: separation from the wheel joints, radii from the wheels' cylinders."""
+def wheel_distance_m(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> float | None:
+    """Distance of the URDF's wheel joints, m; None if it has no pair of them."""
     wheels = urdf_wheels(urdf, sources, base)
     if len(wheels) < 2:
         return None
-    radii = {side: urdf.cylinder_radius_m.get(urdf.joints[name].child) for side, name in wheels.items()}
     left, right = wheel_centres(urdf, base, wheels["left"], wheels["right"])
-    separation = float(np.linalg.norm(left - right))
-    if not radii["left"] or not radii["right"] or separation <= 0:
+    return float(np.linalg.norm(left - right)) or None
+
+
+def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
+    """Nominal wheels of the URDF: separation from the wheel joints, radii from the wheels' cylinders."""
+    wheels, separation = urdf_wheels(urdf, sources, base), wheel_distance_m(urdf, sources, base)
+    if separation is None:
+        return None
+    radii = {side: urdf.cylinder_radius_m.get(urdf.joints[name].child) for side, name in wheels.items()}
+    if not radii["left"] or not radii["right"]:
         return None
     for side, name in wheels.items():
         where = f"URDF: link {urdf.joints[name].child!r}, cylinder radius"

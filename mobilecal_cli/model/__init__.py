@@ -3,6 +3,7 @@
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
 from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.draft import Draft, Filled, NumberField, Todo
 from mobilecal_cli.model.evaluation import Drift, Evaluation
 from mobilecal_cli.model.findings import (
     AtWork,
@@ -99,11 +100,13 @@ __all__ = [
     "Corners",
     "Diagnosis",
     "Distortion",
+    "Draft",
     "Drift",
     "EstimatedConstant",
     "Evaluation",
     "Evidence",
     "Extraction",
+    "Filled",
     "FixedLink",
     "FleetJob",
     "FleetRow",
@@ -128,6 +131,7 @@ __all__ = [
     "MotionView",
     "NoiseLevels",
     "Nominal",
+    "NumberField",
     "Observation",
     "Outlier",
     "Parameters",
@@ -150,6 +154,7 @@ __all__ = [
     "Station",
     "StereoRig",
     "Suggestion",
+    "Todo",
     "TopicInfo",
     "TopicView",
     "Track",

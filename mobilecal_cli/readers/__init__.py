@@ -12,6 +12,7 @@ from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.pixels import decode_image
 from mobilecal_cli.readers.images.selection import pictures_near, read_images
 from mobilecal_cli.readers.prelude import read_prelude
+from mobilecal_cli.readers.signals.numbers import number_fields
 from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read_stamps
 from mobilecal_cli.readers.signals.reading import read_signals
 
@@ -23,6 +24,7 @@ __all__ = [
     "decode_image",
     "find_pictures",
     "join_splits",
+    "number_fields",
     "open_recording",
     "pictures_near",
     "read_images",

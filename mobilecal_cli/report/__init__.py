@@ -8,6 +8,7 @@ from mobilecal_cli.report.check import Check, Checks
 from mobilecal_cli.report.checklist import checklist, checklist_json, checklist_text
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
+from mobilecal_cli.report.draft import draft_text
 from mobilecal_cli.report.drawn import Drawings, draw_all
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
@@ -54,6 +55,7 @@ __all__ = [
     "comparison_json",
     "comparison_text",
     "dependence",
+    "draft_text",
     "draw_all",
     "evaluated_figures",
     "evaluation_data",

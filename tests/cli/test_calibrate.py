@@ -355,7 +355,7 @@ def test_help_and_version(tmp_path):
         assert command in shown.out
         assert "Example: mobilecal" in run(command, "--help", cwd=tmp_path).out
     summaries = shown.out.partition("Commands:\n")[2].splitlines()
-    assert [line.split()[0] for line in summaries][:3] == ["calibrate", "inspect", "init"]
+    assert [line.split()[0] for line in summaries][:3] == ["calibrate", "init", "check"]
     assert all(line.endswith(".") and "..." not in line and len(line) <= 80 for line in summaries)
     assert run("--version", cwd=tmp_path).out.startswith("mobilecal 0.")
 

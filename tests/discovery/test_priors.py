@@ -101,7 +101,7 @@ def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
 
 
 def test_the_draft_lists_every_kind_with_its_default():
-    text = draft_rig(prelude(), "log.mcap")
+    text = draft_rig(prelude(), "log.mcap").text
     section = text[text.index("# priors:") :]
     active = "\n".join(line.removeprefix("# ") for line in section.splitlines())
     priors = RigConfig.model_validate(yaml.safe_load(active)).priors

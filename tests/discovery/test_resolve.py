@@ -157,6 +157,33 @@ def test_flag_file_and_log_are_told_apart():
     assert rig.settled_by["reference camera left"] == "default"
 
 
+def test_two_stereo_cameras_are_not_guessed():
+    front = tuple(f"/front/{side}/image_{kind}" for side in ("left", "right") for kind in ("raw", "rect"))
+    rear = tuple(name.replace("front", "rear") for name in front)
+    with pytest.raises(ConfigError, match="several pairs of image topics") as told:
+        resolve_rig(RigConfig(), prelude((*front, *rear)))
+    assert "/front/left/image_raw and /front/right/image_raw; /rear/left" in told.value.message
+    one = config(cameras={"left": {"image": "/rear/left/image_raw"}})
+    infos = {f"/rear/{side}/camera_info": info(side) for side in ("left", "right")}
+    rig = resolve_rig(one, prelude((*front, *rear), infos=infos)).rig
+    assert rig.sources.image["right"] == "/rear/right/image_raw"
+
+
+def test_wheels_on_a_moving_part_are_noted():
+    steered = AT_BASE.replace(
+        '<joint name="head_pan',
+        '<joint name="roll" type="revolute"><parent link="base_link"/><child link="axle"/></joint>\n<joint name="head_pan',
+    )
+    for side in ("left", "right"):
+        steered = steered.replace(
+            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="base_link"/>',
+            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="axle"/>',
+        )
+    (note,) = resolve_rig(RigConfig(), prelude(urdf=steered)).notes
+    assert "the wheels move against base_link with roll" in note
+    assert resolve_rig(RigConfig(), prelude()).notes == ()
+
+
 def test_tick_counters():
     ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
     head_only = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
@@ -248,9 +275,11 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
         resolve_rig(RigConfig(), poor)
     assert "calibrate the camera" in told.value.hint
-    text = draft_rig(poor, "log")
-    assert f"# not determined: {why}" in text
-    assert '  left: {image: "/stereo/left/image_raw"' in text
+    draft = draft_rig(poor, "log")
+    assert [(todo.key, todo.why.split(";")[0]) for todo in draft.todo if todo.needed] == [
+        ("cameras", why.split(";")[0])
+    ]
+    assert '  left: {image: "/stereo/left/image_raw"' in draft.text
 
 
 def test_hints_list_ten_topics_at_most():
@@ -268,26 +297,6 @@ def test_names():
     assert side_of("/left/right") is None
     assert pairs(["/a/left", "/a/right", "/b/left", "/c"]) == [{"left": "/a/left", "right": "/a/right"}]
     assert pairs(["/d400/infra1/image", "/d400/infra2/image"])[0]["right"] == "/d400/infra2/image"
-
-
-def test_a_draft_loads_and_settles_the_same_rig():
-    from ruamel.yaml import YAML
-
-    text = draft_rig(prelude(), "some log.mcap")
-    loaded = RigConfig.model_validate(YAML(typ="safe").load(text))
-    again, first = resolve_rig(loaded, prelude()).rig, resolve_rig(RigConfig(), prelude()).rig
-    assert again.sources == first.sources
-    assert again.chain.joints == first.chain.joints
-    assert "# image topics in the recording" in text
-
-
-def test_a_draft_of_a_poor_log_says_what_is_not_settled():
-    from ruamel.yaml import YAML
-
-    text = draft_rig(prelude(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
-    assert "# not determined: no stereo pair" in text
-    assert "or the chain here" in text
-    RigConfig.model_validate(YAML(typ="safe").load(text))
 
 
 def test_joints_in_other_messages_than_joint_states():

@@ -302,7 +302,7 @@ def targets(folder: Path) -> dict[str, Target]:
     sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
     found["draft.yaml"] = Target(
-        {"rig.yaml": pipeline.draft(sample / "paper_robot.mcap").encode()}, "rig.yaml", _rig
+        {"rig.yaml": pipeline.draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
     )
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()
