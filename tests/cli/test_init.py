@@ -9,7 +9,8 @@ import pytest
 from mobilecal_cli import pipeline
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.urdf import urdf_text
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 
 
 @pytest.fixture
