@@ -23,6 +23,7 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
@@ -135,7 +136,8 @@ def _add_surroundings(
     path = [_pose(T) for T in motion.T_w_v[::stride]]
     messages.add("/path", start_ns, PosesInFrame(timestamp=_time(start_ns), frame_id=names.world, poses=path))
     entities = [_camera_entity(scene, station, start_ns) for station in stations]
-    messages.add("/cameras", start_ns, SceneUpdate(entities=entities))
+    earlier = SceneEntityDeletion(timestamp=_time(start_ns), type=SceneEntityDeletion.ALL)  # another world
+    messages.add("/cameras", start_ns, SceneUpdate(deletions=[earlier], entities=entities))
     for side, camera in (("left", scene.cameras.left), ("right", scene.cameras.right)):
         info = _calibration(camera, getattr(names, side), start_ns)
         messages.add(f"/camera/{side}/calibration", start_ns, info)

@@ -11,6 +11,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import (
     Improved,
     ImprovedChain,
+    OdometryCovariance,
     camchain_yaml,
     camera_constants,
     camera_info_yaml,
@@ -35,6 +36,8 @@ from mobilecal_cli.targets import Target
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1
+#: Shorter legs are those between images in motion, or hardly a drive.
+_LEAST_LEG_M = 0.25
 _SIDES: tuple[Side, Side] = ("left", "right")
 
 
@@ -101,7 +104,7 @@ def export(
         if distance_m is not None:
             DISTANCE.check("--distance", distance_m)
         found = odometry_covariance(robot, _beside(params), rate, distance_m)
-        return Exported(odometry_yaml(found).encode())
+        return Exported(odometry_yaml(found).encode(), _short(found) if distance_m is None else ())
     text: dict[Target, Callable[[], str]] = {
         Target.xacro: lambda: xacro_properties(robot),
         Target.ros2_control: lambda: diff_drive_yaml(robot, joints, robot.nominal_wheels),
@@ -118,6 +121,16 @@ def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -
     for name, (given, own) in options.items():
         if given and target != own:
             raise ConfigError(f"{name} applies only to --to {own.value}", "leave it out")
+
+
+def _short(found: OdometryCovariance) -> tuple[str, ...]:
+    """A note where the legs are too short to represent the drives of a robot, as in a recording without stops."""
+    if found.path_m >= _LEAST_LEG_M:
+        return ()
+    return (
+        f"The legs of the recording are {found.path_m:.2f} m long on average, and the covariance applies to such "
+        "drives. Give the length of your drives with --distance.",
+    )
 
 
 def _foxglove(robot: CalibratedRobot, params: Path, logs: Sequence[Path]) -> Exported:

@@ -9,12 +9,14 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import odometry_covariance, odometry_yaml
+from mobilecal_cli.export import extraction_to_npz, odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, WheelGeometry
+from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.targets import Target
 
 SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
 LEVELS = {
@@ -137,3 +139,14 @@ def test_refusals(extraction):
     still = ideal_extraction(robot, plan_route(robot, "base_fixed", stations=5, seed=1), Noise(pixel_px=0.1))
     with pytest.raises(ConfigError, match="does not drive in the recording"):
         odometry_covariance(robot_with(), still, RATE_HZ)
+
+
+@pytest.mark.parametrize(("distance_m", "noted"), [(None, True), (3.0, False)])
+def test_a_note_on_short_legs(extraction, tmp_path, monkeypatch, distance_m, noted):
+    """Legs of a few centimeters, as between images in motion, do not represent a robot's drives."""
+    monkeypatch.setattr(exporting, "read_params", lambda _: robot_with())
+    monkeypatch.setattr(exporting, "_LEAST_LEG_M", 1.0)
+    (tmp_path / "extraction.npz").write_bytes(extraction_to_npz(extraction))
+    made = exporting.export(tmp_path / "params.yaml", Target.odometry_covariance, distance_m=distance_m)
+    assert any("--distance" in note for note in made.notes) == noted
+    assert yaml.safe_load(made.content)["diff_drive_controller"]

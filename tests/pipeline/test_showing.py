@@ -178,6 +178,7 @@ def test_the_scene_shows_board_cameras_and_path(messages, extraction):
     square_m = np.median([o.square_m for o in extraction.observations])  # not stated: measured
     assert np.ptp(points, axis=0) == pytest.approx(np.array(size) * square_m)
     assert len(cameras.entities) == len(extraction.observations)
+    assert [one.type for one in cameras.deletions] == [1]  # all: an earlier recording has another world
     assert len(path.poses) == len(messages["/tf"])
     assert path.frame_id == "world"
 
