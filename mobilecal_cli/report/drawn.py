@@ -23,7 +23,7 @@ class Figure:
     Attributes:
         section: where the page shows it.
         parts: title ("" for none) and SVG element of each.
-        caption: sentences below it; its braces are filled in with `report`.
+        caption: sentences below it; its braces are filled in by `report_html`.
         half: half as wide as the page, side by side.
     """
 

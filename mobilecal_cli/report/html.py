@@ -35,7 +35,11 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     from markupsafe import Markup, escape  # SVG made here, with every text escaped
 
     script, style = _asset("page.js"), _asset("page.css") + STYLE
-    filled = {"report": report, "refinement": _REFINEMENTS.get(report.quality.method, report.quality.method)}
+    filled: dict[str, object] = {
+        side: f"{100 * share:.0f} %" for side, share in report.image_coverage.items()
+    }
+    method = report.quality.method
+    filled |= {"linear": report.linear, "refinement": _REFINEMENTS.get(method, method)}
     figures = [
         {
             "section": figure.section,

@@ -22,7 +22,7 @@ _LEAST_SPAN_DEG = 20.0
 @plot(
     "convergence",
     "Iterations of the linear method. Good: constant after a few iterations. Dashed line: iteration "
-    "{report.linear.iterations_to_tolerance}, after which no parameter changed by more than 0.1 %.",
+    "{linear.iterations_to_tolerance}, after which no parameter changed by more than 0.1 %.",
 )
 def wheel_convergence(solution: Solution, _: Extraction) -> str:
     """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
@@ -52,7 +52,7 @@ def all_convergence(solution: Solution, _: Extraction) -> str:
     R = np.stack([reference_pose(parameters, cameras)[:3, :3] for parameters in history])
     turned = np.degrees([se3.log_so3(each @ R[-1].T) for each in R])
     apart = np.abs(np.concatenate([turned, numbers - numbers[-1]], axis=1))
-    names = (*"xyzxyz", *(parameter.label.partition(" ")[0] for parameter in PARAMETERS[6:]))
+    names = (*"xyzxyz", *(parameter.name.removeprefix("radius_") for parameter in PARAMETERS[6:]))
     rounds = np.arange(1, len(numbers) + 1)
     canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
     for k, title in enumerate(("rotation [deg]", "translation [mm]", "wheels [mm]")):
@@ -145,7 +145,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
         if len(picked) <= _MOST_LABELS:
             x, y = axes.at(at[None])[0]
-            canvas.text(float(x), float(y) + 16, names[i], anchor="middle")
+            canvas.label(float(x), float(y), names[i])
     entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
     canvas.legend(entries, 8.0, 16.0)
     return canvas.svg
@@ -184,7 +184,7 @@ def head_angles(_: Solution, extraction: Extraction) -> str:
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
         if len(seen) <= _MOST_LABELS:
             at = axes.at(np.array([[x, y]]))[0]
-            canvas.text(float(at[0]) + 6, float(at[1]) - 5, name)
+            canvas.label(float(at[0]), float(at[1]), name)
     return canvas.svg
 
 
@@ -218,9 +218,8 @@ def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, 
 
 @plot(
     "coverage",
-    "Outlines of the board in the images: corners in {report.image_coverage[left]:.0%} and "
-    "{report.image_coverage[right]:.0%} of the image cells. Good: many positions and sizes, some near the "
-    "edges.",
+    "Outlines of the board in the images: corners in {left} and {right} of the image cells. Good: many positions and "
+    "sizes, some near the edges.",
     half=True,
     each="side",
 )

@@ -15,6 +15,7 @@ from mobilecal_cli.report.plots import image_axes
 from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits, number
 
 _MOST_DOTS = 4000  # corners in one scatter
+_LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 # Error budget: dark shades for measurements, light ones for what the robot description states.
 _FAMILY_CLASSES = {
     "corners": "blue dark",
@@ -141,6 +142,8 @@ def station_residuals(_: Solution, extraction: Extraction) -> str:
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
     axes.names(names, "")
     size = Limits.of([*square_mm, *stated], margin=0.3)
+    room = max(0.0, _LEAST_SPAN_SHARE * square_mm[0] - (size.high - size.low)) / 2
+    size = Limits(size.low - room, size.high + room)
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)
     for value in stated:

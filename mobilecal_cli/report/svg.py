@@ -116,12 +116,14 @@ class Canvas:
         width, height: of its coordinates.
         title: for screen readers.
         parts: its content.
+        taken: boxes (left, top, right, bottom) of the labels beside marks.
     """
 
     width: float
     height: float
     title: str
     parts: list[str] = field(default_factory=list)
+    taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def text(
         self, x: float, y: float, text: str, kind: str = "small", anchor: str = "start", turn: float = 0
@@ -132,6 +134,20 @@ class Canvas:
             f'<text x="{number(x)}" y="{number(y)}" class="{kind}" text-anchor="{anchor}"{turned}>'
             f"{escape(visible(text))}</text>"
         )
+
+    def label(self, x: float, y: float, text: str) -> None:
+        """A small label beside a mark, on the first side where it covers no other; none where there is no room."""
+        wide = _CHARACTER * len(visible(text))
+        sides = ((0.0, 16.0, "middle"), (0.0, -7.0, "middle"), (7.0, 4.0, "start"), (-7.0, 4.0, "end"))
+        for dx, dy, anchor in sides:
+            left = x + dx - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
+            box = (left, y + dy - 10, left + wide, y + dy + 2)
+            if not any(
+                box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in self.taken
+            ):
+                self.taken.append(box)
+                self.text(x + dx, y + dy, text, anchor=anchor)
+                return
 
     def shape(
         self, tag: str, kind: str, attributes: str, stations: Sequence[int] = (), tip: str = ""

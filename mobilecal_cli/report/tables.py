@@ -111,7 +111,7 @@ def _shown_std(case: Case) -> list[float | None]:
 
 
 @table(
-    "sigmas", "", "code:", "parameter", "number:1 sigma", "number:change", "unit", "number:change in sigma",
+    "sigmas", "", "name:", "parameter", "number:1 sigma", "number:change", "unit", "number:change in sigma",
     "number:change in %",
 )  # fmt: skip
 def sigmas(case: Case) -> Rows:
@@ -232,7 +232,7 @@ def separately(case: Case) -> Rows:
     "constants",
     "",
     "part",
-    "code:",
+    "name:",
     "constant",
     "number:difference",
     "number:1 sigma",
@@ -379,7 +379,7 @@ def recordings(case: Case) -> Rows:
     return [(log.path, log.sha256) for log in case.provenance.logs]
 
 
-@table("settings", "", "code:", "code:")
+@table("settings", "", "name:", "code:")
 def settings(case: Case) -> Rows:
     """All settings."""
     return list(_flat({k: v for k, v in case.provenance.config.items() if k != "setting_sources"}))

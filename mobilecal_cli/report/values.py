@@ -373,12 +373,12 @@ class ProvenanceData:
 
 @_value
 class TableData:
-    """A table of the page, formatted; a column is text, a number, code, the result ("strong") or a tag."""
+    """A table of the page, formatted; a column is text, a number, code, a name, the result ("strong") or a tag."""
 
     section: str
     title: str
     note: str
-    heads: tuple[tuple[str, Literal["text", "number", "code", "strong", "tag"]], ...]
+    heads: tuple[tuple[str, Literal["text", "number", "code", "name", "strong", "tag"]], ...]
     rows: tuple[tuple[str, ...], ...]
 
 

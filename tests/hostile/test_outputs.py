@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import html.parser
 import json
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import pytest
 from ruamel.yaml import YAML
 
-from tests.cli.edited import edited, run
+from tests.cli.edited import edited
+from tests.command import run
 from tests.conftest import REPOSITORY
 
 
@@ -49,17 +48,6 @@ def test_killed_where_directories_cannot_change_places(tmp_path):
     moments = killed_everywhere(tmp_path / "w", "existing", "no exchange")
     assert {line[1] for line in moments} == {"old", "none", "new"}
     assert all(line[2:] == ["aside"] for line in moments if line[1] == "none")
-
-
-@pytest.mark.parametrize("after_s", [2.0, 7.0])
-def test_killed_outright(sample_logs, tmp_path, after_s):
-    command = [sys.executable, "-m", "mobilecal_cli", "calibrate", sample_logs / "straight.mcap", "-o", "out"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    time.sleep(after_s)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    held = sorted(path.name for path in (tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else []
-    assert held in ([], ["extraction.npz", "params.yaml", "report.html", "report.json"])
 
 
 EVIL = "x</script><img src=x onerror=alert(1)>\x1b[2J\u202e$\\frac{1}{$ {{7*7}} 'q' \"dq\""

@@ -161,7 +161,7 @@ def test_no_label_lies_over_another(browser, page):
       const boxes = [...plot.querySelectorAll('text:not([transform])')].map(t => [t.textContent, t.getBoundingClientRect()]);
       return boxes.flatMap(([a, p], i) => boxes.slice(i + 1).filter(([b, q]) =>
         Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1 && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 3
-        && p.width && q.width && !/^[0-9:]+$/.test(a + b)).map(([b]) => `${plot.getAttribute('aria-label')}: ${a} | ${b}`));
+        && p.width && q.width).map(([b]) => `${plot.getAttribute('aria-label')}: ${a} | ${b}`));
     })"""
     for width in (390, 1200):
         browser.open(page, width=width)

@@ -146,21 +146,38 @@ def painted(
     near = (np.hypot(rays[..., 0] * z - x, rays[..., 1] * z - y) < 1.6 * radius)[1:-1, 1:-1]
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     (v0, v1), (u0, u1) = (rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1)
-    paint = np.full((camera.height, camera.width), float(light))
-    cover = np.zeros((camera.height, camera.width))
-    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
-    for dv, du in product(offset, offset):
+
+    lifted = np.ascontiguousarray(np.moveaxis(rays @ H[:, :2].T + H[:, 2], -1, 0))
+
+    def on_board(at: tuple[Any, Any], du: float, dv: float) -> tuple[np.ndarray, ...]:
+        """Dark or light, and covered or not, at an offset in pixels (rows, columns); and the square's numbers."""
+        v, u = at[0] + 1, at[1] + 1
         a, b = int(np.sign(du)), int(np.sign(dv))
-        window = [rays[v0 + 1 + j : v1 + 1 + j, u0 + 1 + i : u1 + 1 + i] for j in (0, b) for i in (0, a)]
         p, q = abs(du), abs(dv)
-        ray = (1 - q) * ((1 - p) * window[0] + p * window[1]) + q * ((1 - p) * window[2] + p * window[3])
-        h = ray @ H[:, :2].T + H[:, 2]
-        X, Y = h[..., 0] / h[..., 2] / square_m, h[..., 1] / h[..., 2] / square_m
+        weights = ((0, 0, (1 - q) * (1 - p)), (0, a, (1 - q) * p), (b, 0, q * (1 - p)), (b, a, q * p))
+        x, y, z = sum(weight * lifted[:, v + j, u + i] for j, i, weight in weights)
+        X, Y = x / z / square_m, y / z / square_m
         squares = (-outer < X) & (board.columns - 1 + outer > X) & (-outer < Y) & (board.rows - 1 + outer > Y)
         margin = (-outer - 1 < X) & (board.columns + outer > X) & (-outer - 1 < Y) & (board.rows + outer > Y)
         is_dark = squares & ((np.floor(X) + np.floor(Y)) % 2 == 0)
-        paint[v0:v1, u0:u1] += np.where(is_dark, dark - light, 0.0) / supersample**2
-        cover[v0:v1, u0:u1] += (margin & (h[..., 2] > 0)) / supersample**2
+        return is_dark, margin & (z > 0), squares, np.floor(X), np.floor(Y)
+
+    paint = np.full((camera.height, camera.width), float(light))
+    cover = np.zeros((camera.height, camera.width))
+    offset = (np.arange(supersample) + 0.5) / supersample - 0.5
+    inside = np.ix_(np.arange(v0, v1), np.arange(u0, u1))
+    corners = [on_board(inside, du, dv) for dv, du in product(offset[[0, -1]], repeat=2)]
+    paint[inside] += np.where(corners[0][0], dark - light, 0.0)
+    cover[inside] += corners[0][1]
+    # Where its corners lie in one square, so does the whole pixel.
+    cut = np.any(
+        [values != first for c in corners[1:] for values, first in zip(c, corners[0], strict=True)], axis=0
+    )
+    rows, columns = np.nonzero(cut)
+    edge = (rows + v0, columns + u0)
+    parts = [on_board(edge, du, dv)[:2] for dv, du in product(offset, offset)]
+    paint[edge] = light + (dark - light) * np.mean([is_dark for is_dark, _ in parts], axis=0)
+    cover[edge] = np.mean([covered for _, covered in parts], axis=0)
     # Light mixes in a pixel in proportion to the area: exact because paint is constant where cover is not 1.
     base = np.full(paint.shape, background) if picture is None else picture.astype(np.float64)
     return cover * np.where(cover > 1 - 1e-9, paint, light) + (1 - cover) * base
