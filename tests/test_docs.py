@@ -34,8 +34,13 @@ def generator():
     return generator_of("errors")
 
 
-def test_the_error_catalogue_is_up_to_date(generator):
-    assert generator.TARGET.read_text(encoding="utf-8") == generator.catalogue(), "run: make docs"
+@pytest.fixture(scope="module")
+def catalogue(generator):
+    return generator.catalogue()
+
+
+def test_the_error_catalogue_is_up_to_date(generator, catalogue):
+    assert generator.TARGET.read_text(encoding="utf-8") == catalogue, "run: make docs"
 
 
 def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
@@ -45,9 +50,9 @@ def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
     assert issubclass(errors.QualityError, errors.MobilecalError)
 
 
-def test_every_error_says_what_to_do(generator):
+def test_every_error_says_what_to_do(catalogue):
     """Except for errors of the readers about a single image, which become rejections with their own cure."""
-    lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
+    lines = [line.split(" | ") for line in catalogue.splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/images/pixels", "readers/images/video"}
 
@@ -104,6 +109,7 @@ def test_the_readme_links_to_every_page_for_users():
     assert {page for page in pages if f"({page})" not in linked} == others
 
 
+@pytest.mark.long
 def test_the_pages_are_built_without_a_warning(tmp_path):
     command = [
         sys.executable,

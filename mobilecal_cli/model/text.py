@@ -10,6 +10,8 @@ _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogat
 
 def visible(text: str) -> str:
     """The text with characters that could control a terminal or a page written as escapes."""
+    if text.isprintable():
+        return text
     return "".join(
         character.encode("unicode_escape").decode("ascii")
         if unicodedata.category(character) in _HIDDEN

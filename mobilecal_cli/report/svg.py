@@ -136,7 +136,7 @@ class Canvas:
         )
 
     def label(self, x: float, y: float, text: str) -> None:
-        """A small label beside a mark, on the first side where it covers no other; none where there is no room."""
+        """A small label beside a mark, on the first side where it covers no other; none if it covers one on each."""
         wide = _CHARACTER * len(visible(text))
         sides = ((0.0, 16.0, "middle"), (0.0, -7.0, "middle"), (7.0, 4.0, "start"), (-7.0, 4.0, "end"))
         for dx, dy, anchor in sides:

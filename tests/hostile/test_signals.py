@@ -126,8 +126,15 @@ def test_simulate(tmp_path, number):
     assert [path.name for path in tmp_path.iterdir()] == ["tmp"]
 
 
-@pytest.mark.parametrize("everyone", [False, True], ids=["one process", "process group"])
-@pytest.mark.parametrize("number", [TERM, HUP])
+@pytest.mark.parametrize(
+    ("number", "everyone"),
+    [
+        (TERM, True),
+        (HUP, False),
+        pytest.param(TERM, False, marks=pytest.mark.long),
+        pytest.param(HUP, True, marks=pytest.mark.long),
+    ],
+)
 def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
     logs = tmp_path_factory.mktemp("logs")
     for name in ("straight", "paper_robot"):

@@ -136,8 +136,8 @@ MISTAKES |= {
 }
 
 
-#: These take most time; the same mistake of the other joint, or of one wheel, is in every run.
-SLOW = ("pan in degrees", "pan frozen", "both unplugged")
+#: These take most time; the same mistake of the other joint, of one wheel, or the other way round is in every run.
+SLOW = ("pan in degrees", "pan frozen", "both unplugged", "radians")
 
 
 @pytest.mark.parametrize(
