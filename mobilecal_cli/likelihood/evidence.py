@@ -52,7 +52,7 @@ def evidence(lin: Linearization) -> Iterator[Evidence]:
         shift = np.abs(follow[std > 0]) / std[std > 0]
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
         stated = dict(zip(names, prior.tolist(), strict=True))
-        yield Evidence(kind, part, found, stated, chi2, sigmas, float(shift.max(initial=0.0)))
+        yield Evidence(kind, part, found, stated, chi2, dof, sigmas, float(shift.max(initial=0.0)))
 
 
 def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray, FloatArray]:

@@ -38,7 +38,8 @@ class Evidence:
         values: name → (value, standard deviation) without the priors of these constants.
         priors: name → standard deviation of the stated value.
         chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
-        sigmas: the same as a number of standard deviations of a normal distribution.
+        dof: how many directions of these constants the data show.
+        sigmas: `chi2` as a number of standard deviations of a normal distribution.
         shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
     """
 
@@ -47,6 +48,7 @@ class Evidence:
     values: Mapping[str, tuple[float, float]]
     priors: Mapping[str, float]
     chi2: float
+    dof: int
     sigmas: float
     shift_sigmas: float
 

@@ -23,7 +23,12 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
             continue
         scale_done |= is_scale
         outcome: Outcome = "bad" if found.shift_sigmas > SHIFT_SIGMAS else "look"
-        facts = {"evidence": found, "scale": solution.scale, "meanings": _meanings(solution)}
+        facts = {
+            "evidence": found,
+            "scale": solution.scale,
+            "meanings": _meanings(solution),
+            "several": found is solution.contradictions[-1] and len(solution.contradictions) > 2,
+        }
         name = f"contradiction.{found.kind}.{found.part}"
         yield Check(name, found.sigmas, CONTRADICTION_SIGMAS, "sigma", outcome, facts=facts)
     if not solution.contradictions:

@@ -24,7 +24,9 @@ _LOG = logging.getLogger(__name__)
 _MOST_DECISIONS = 60
 #: Data that contradict stated constants by more than this are evidence of a wrong description.
 CONTRADICTION_SIGMAS = 4.0
-_MOST_CONTRADICTIONS = 4
+#: From so many contradictions on, the description as a whole is less exact than its priors say.
+SEVERAL_CONTRADICTIONS = 3
+_MOST_CONTRADICTIONS = 10
 _CORNER_ROUNDS = 4
 
 
@@ -60,18 +62,25 @@ class Solver:
         """A solution whose priors are wide enough for the data, and the stated constants that the data contradict.
 
         As long as the data contradict the stated values of a group of constants, its priors are widened to what was
-        found, and everything is solved again.
+        found, and everything is solved again. Where several groups are contradicted, the priors of all others are
+        widened too, by the scatter of what the data say of them.
         """
         solver, found, sigmas = self, list[Evidence](), dict(self._extraction.rig.prior_sigmas)
         fit = self.solve(start)
         while len(found) < _MOST_CONTRADICTIONS:
-            worst = max(fit.lin.evidence(), key=lambda e: e.sigmas, default=None)
+            evidence = tuple(fit.lin.evidence())
+            worst = max(evidence, key=lambda e: e.sigmas, default=None)
             if worst is None or worst.sigmas < CONTRADICTION_SIGMAS:
                 break
             found.append(worst)
             rows = {row.name: row.sigma for row in fit.data.layout.constants}
             wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
             sigmas |= {name: rows[name] * wider for name in worst.values}
+            if len(found) >= SEVERAL_CONTRADICTIONS:
+                widened = {(e.kind, e.part) for e in found}
+                others = [e for e in evidence if (e.kind, e.part) not in widened]
+                common = math.sqrt(sum(e.chi2 for e in others) / max(1, sum(e.dof for e in others)))
+                sigmas |= {name: rows[name] * max(1.0, common) for e in others for name in e.values}
             rig = replace(self._extraction.rig, prior_sigmas=sigmas)
             solver = Solver(replace(self._extraction, rig=rig), self._constraints, self._on_step, fit.data)
             fit = solver.solve(fit.lin.state.parameters)

@@ -144,11 +144,23 @@ class Run:
 def run_of(extraction: Extraction, robot: SimulatedRobot) -> Run:
     """Solve and judge one extraction."""
     try:
-        solution = solve(extraction)
+        return _judged(solve(extraction), extraction, robot)
     except MobilecalError as error:
-        nothing = np.full(9, np.nan)
-        return Run(nothing, nothing, np.full(4, np.nan), f"refused: {error.message[:60]}", (), 0)
-    return _judged(solution, extraction, robot)
+        return _refused(error)
+
+
+def run_of_case(case: Case, seed: int) -> Run:
+    """Record, solve and judge one run; a recording may be refused before it is solved."""
+    try:
+        extraction = case.extraction(seed)
+    except MobilecalError as error:
+        return _refused(error)
+    return run_of(extraction, ROBOTS[case.robot]())
+
+
+def _refused(error: MobilecalError) -> Run:
+    nothing = np.full(9, np.nan)
+    return Run(nothing, nothing, np.full(4, np.nan), f"refused: {error.message[:60]}", (), 0)
 
 
 def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.simulate.actual import Outside
 from mobilecal_cli.simulate.imperfect import PRIORS, STATION_NOISE
-from tests.bench.imperfect import PERFECT, ROBOTS, Case, Run, run_of, summary
+from tests.bench.imperfect import PERFECT, ROBOTS, Case, Run, run_of_case, summary
 from tests.bench.simulated import conditions, map_runs
 
 _FLOOR = {"floor_rad": float(np.radians(0.05)), "floor_m": 0.0005}
@@ -67,8 +67,7 @@ CASES |= {
 
 def one_run(name: str, seed: int) -> Run:
     """Noise levels estimated."""
-    case = CASES[name][0]
-    return run_of(case.extraction(seed), ROBOTS[case.robot]())
+    return run_of_case(CASES[name][0], seed)
 
 
 def study(name: str, runs: int) -> None:
@@ -78,6 +77,7 @@ def study(name: str, runs: int) -> None:
     error = np.array([r.error for r in results])
     nees = np.nanmedian(np.array([r.nees for r in results]), axis=0)
     levels = [sum(r.level == level for r in results) for level in ("PASS", "FAIL", "NOT ENOUGH")]
+    levels.append(sum(r.level.startswith("refused") for r in results))
     false = sum(r.false_pass for r in results)
     first = sum(bool(r.named) and r.named[0] in right for r in results)
     named = f"{first} of {sum(bool(r.named) for r in results)}" if right else "-"
@@ -105,8 +105,8 @@ def main() -> None:
     print(
         f"\n{runs} runs each, 20 stations or 40 images in motion, pan-tilt robot; all else as described.\n\n"
         "| not as described | rotation (deg) | translation (mm) | wheels (%) | median NEES / 3: rotation | translation | "
-        "wheels | PASS | FAIL | NOT ENOUGH | false PASS | named first, of runs with a contradiction | other causes "
-        "named |\n" + "| --- " * 13 + "|"
+        "wheels | PASS | FAIL | NOT ENOUGH | refused | false PASS | named first, of runs with a contradiction | other causes "
+        "named |\n" + "| --- " * 14 + "|"
     )
     for name in CASES:
         if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):

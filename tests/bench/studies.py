@@ -13,9 +13,10 @@ from tests.bench import (
     robust,
     samples,
     table1,
+    used,
 )
 
 exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
-for study in (table1, samples, fleet, memory, real_pairs, drawn, odometry, one_thing, *exact):
+for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, one_thing, *exact):
     print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
     study.main()

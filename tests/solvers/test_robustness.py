@@ -19,6 +19,7 @@ from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.corners import gross_corners
 from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
@@ -230,3 +231,20 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     found = solve(extraction)
     assert not found.outliers
     assert "distortion" in {e.kind for e in found.contradictions}
+
+
+def test_a_used_robot_has_true_standard_deviations():
+    """Every constant is drawn from five times its prior. With wider priors of what is contradicted alone: 2.6."""
+    worn = imperfect.Case("paper", 12, kinds=imperfect.all_kinds(False, 5.0), noise=imperfect.USUAL)
+    runs = [imperfect.run_of(worn.extraction(seed), imperfect.ROBOTS["paper"]()) for seed in range(6)]
+    assert all(len(run.named) >= 3 for run in runs)
+    assert not any(run.false_pass for run in runs)
+    assert np.mean([run.nees[3] for run in runs]) < 2
+
+
+def test_corners_are_triangulated_again_in_cameras_far_from_the_stated():
+    """Principal points many pixels off: undamped steps from far points ended in a singular matrix."""
+    off = imperfect.Case(kinds={"principal_point": 5.0})
+    run = imperfect.run_of(off.extraction(26), imperfect.ROBOTS["pan-tilt"]())
+    assert run.named == ("principal_point",)
+    assert run.nees[3] < 2

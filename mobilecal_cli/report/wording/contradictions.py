@@ -67,6 +67,7 @@ _SCALE_CURE = (
     "The recording cannot tell which of the two is wrong. Measure ten squares with a ruler. If they are as stated, "
     "recalibrate the stereo pair."
 )
+_SEVERAL = " Several stated values are contradicted, so the priors of all other constants are widened too."
 
 
 def part_text(found: Evidence) -> str:
@@ -81,11 +82,12 @@ def part_text(found: Evidence) -> str:
 def contradiction_words(c: Check) -> Words:
     """A contradiction."""
     what, cure = contradiction_sentences(c.facts["evidence"], c.facts["scale"], c.facts["meanings"])
+    widened = _SEVERAL if c.facts["several"] else ""
     return Words(
         f"robot description: {visible(c.facts['evidence'].part)}, {nuisance.kind(c.facts['evidence'].kind).meaning}",
         f"{c.value:.1f} sigma from the stated values",
         f"at most {c.limit:g} sigma",
-        f"{what} It changes the result by up to {c.facts['evidence'].shift_sigmas:.1f} standard deviations.",
+        f"{what} It changes the result by up to {c.facts['evidence'].shift_sigmas:.1f} standard deviations.{widened}",
         cure,
     )
 
