@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 import shutil
@@ -73,3 +75,25 @@ def test_every_command_of_a_page_works(page, bench, tmp_path):
         command, _, remark = line.partition("  # exit code ")
         done = shell(command, folder)
         assert done.returncode == int(remark or 0), f"{command}\n{done.stdout}{done.stderr}"
+
+
+def test_the_differences_that_the_tutorial_states(bench, tmp_path):
+    """Between the methods: no larger than stated, and not much smaller."""
+    text = (DOCS / "tutorial" / "first-calibration.md").read_text(encoding="utf-8")
+    said = re.search(
+        r"at most ([\d.]+) degrees per rotation axis, ([\d.]+) mm per translation axis and\s+([\d.]+) mm",
+        text,
+    )
+    params = bench / "result" / "params.yaml"
+    linear = tmp_path / "linear"
+    done = shell(
+        f"mobilecal calibrate {bench / 'result/extraction.npz'} --method linear --output {linear} -q",
+        tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    compared = shell(f"mobilecal compare {params} {linear / 'params.yaml'} --json", tmp_path)
+    (difference,) = json.loads(compared.stdout)["against_first"]
+    change = [abs(value) for value in difference["change"]]
+    found = math.degrees(max(change[:3])), max(change[3:6]) * 1e3, change[8] * 1e3
+    for stated, value in zip(map(float, said.groups()), found, strict=True):
+        assert 0.8 * stated < value <= stated

@@ -14,7 +14,12 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TARGET = REPOSITORY / "docs" / "explanation" / "usability-walk.md"
-MOST_LINES = 34
+MOST_LINES = 44
+
+#: The steps run without a display.
+ENVIRONMENT = {
+    key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+}
 
 STEPS: tuple[tuple[str, str], ...] = (
     (
@@ -26,8 +31,34 @@ STEPS: tuple[tuple[str, str], ...] = (
         "Simulate a robot that drives in front of a board for a minute. The true parameters are known.",
         "mobilecal simulate monday.mcap --seed 11",
     ),
+    (
+        "Print a board for a robot of your own. The line for rig.yaml goes with it.",
+        "mobilecal board --corners 8x5 --square 0.08 --output board.pdf",
+    ),
     ("Inspect the recording.", "mobilecal inspect monday.mcap | tail -n 24"),
-    ("Calibrate.", "mobilecal calibrate monday.mcap --output monday"),
+    ("Draft the configuration.", "mobilecal init monday.mcap"),
+    ("Check it against the recording.", "mobilecal check rig.yaml monday.mcap"),
+    (
+        "Draft the configuration of a robot with tick counters, whose resolution no recording contains.",
+        "mobilecal simulate ticks.mcap --robot tick --seed 13 --quiet && "
+        "mobilecal init ticks.mcap --output ticks.yaml && mobilecal check ticks.yaml ticks.mcap",
+    ),
+    (
+        "Fill in what is left, and check again.",
+        "sed -i 's/revolution: TODO/revolution: 4096/' ticks.yaml && mobilecal check ticks.yaml ticks.mcap",
+    ),
+    (
+        "Calibrate, and open the report (there is no display here).",
+        "mobilecal calibrate monday.mcap --config rig.yaml --output monday --open",
+    ),
+    (
+        "Solve again without the recording, with one wheel's sign changed by mistake.",
+        "mobilecal calibrate monday/extraction.npz --set wheels.left.sign=-1 --output wrong",
+    ),
+    (
+        "Try to change a setting that the images were read with.",
+        "mobilecal calibrate monday/extraction.npz --set board.columns=8 --output wrong",
+    ),
     ("Find out which additional stop would help.", "mobilecal suggest monday.mcap | head -n 4"),
     (
         "Evaluate the result on another recording.",
@@ -49,6 +80,22 @@ STEPS: tuple[tuple[str, str], ...] = (
     ),
     ("Export to the controller.", "mobilecal export both/params.yaml --to ros2_control"),
     (
+        "Export the covariance of the odometry.",
+        "mobilecal export both/params.yaml --to odometry_covariance",
+    ),
+    (
+        "Export to Foxglove, with the images of the recording.",
+        "mobilecal export monday/params.yaml --to foxglove --log monday.mcap --output monday.foxglove.mcap",
+    ),
+    (
+        "Calibrate a fleet.",
+        "mkdir fleet && ln monday.mcap tuesday.mcap fleet/ && mobilecal batch fleet --output all",
+    ),
+    (
+        "Check a configuration against the recording of another robot.",
+        "mobilecal check ticks.yaml monday.mcap",
+    ),
+    (
         "Try a truncated recording.",
         "head -c 600000 monday.mcap > cut.mcap; mobilecal calibrate cut.mcap",
     ),
@@ -68,6 +115,12 @@ TAIL = """\
 - On a phone, a long name from a recording made the page wider than the screen. Long words now wrap.
 - `export` refused a URDF without the optical frame of the camera. It now adds the link and prints a
   note.
+- `inspect --config` said that a board of another size than configured was found, and that the
+  recording can be calibrated. `check` and `inspect` now compare the two.
+- A wheel with the wrong sign needed the recording again. `--set wheels.left.sign=-1` now works on an
+  `extraction.npz`.
+- The draft of `init` left the board, the tick counters and the nominal values to the user, although
+  images, readings and the URDF contain them. It now fills them in.
 - The term [leg](../reference/glossary.md#leg) was not explained. The glossary now defines it.
 """
 
@@ -91,7 +144,7 @@ def main() -> None:
         for title, command in STEPS:
             done = subprocess.run(
                 command, shell=True, cwd=folder, capture_output=True, text=True, check=False,
-                env={**os.environ, "PATH": path, "PYTHONPATH": "", "COLUMNS": "100"},
+                env={**ENVIRONMENT, "PATH": path, "PYTHONPATH": "", "COLUMNS": "100"},
             )  # fmt: skip
             lines = [
                 line for line in (done.stdout + done.stderr).rstrip().splitlines() if "is ignored" not in line
