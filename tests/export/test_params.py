@@ -31,7 +31,6 @@ from tests.report.example import (
     make_extraction,
     make_hostile,
     make_provenance,
-    make_rig,
     make_solution,
 )
 
@@ -64,8 +63,13 @@ def solution(extraction):
     return make_solution(extraction)
 
 
+def rounded(text):
+    """A text with five digits of each number: further ones differ between versions of the linear algebra."""
+    return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda number: f"{float(number[0]):.5g}", text)
+
+
 def test_the_whole_file_against_its_golden_copy(extraction, solution):
-    text = params_yaml(solution, extraction, make_provenance(extraction))
+    text = rounded(params_yaml(solution, extraction, make_provenance(extraction)))
     assert text == (GOLDEN / "params.yaml").read_text(encoding="utf-8")
 
 
@@ -146,8 +150,11 @@ def test_head_eye_speaks_of_the_reference_camera(extraction, solution):
 
 
 def test_rectified_pictures_name_both_frames():
-    extraction = make_extraction(rig=make_rig(rectified=True))
-    solution = make_solution(extraction)
+    extraction = make_extraction()
+    R = se3.exp_so3(np.array([0.01, -0.02, 0.005]))
+    cameras = dataclasses.replace(extraction.rig.cameras, rectified=True, R_rect_c=R, R_rect_r=R)
+    extraction = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=cameras))
+    solution = dataclasses.replace(make_solution(make_extraction()), cameras=cameras)
     data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
     assert data["head_eye"]["child_frame"] == "stereo_left_optical"
     raw = data["head_eye_raw"]
@@ -212,7 +219,7 @@ def test_read_back(extraction, solution):
         (("  radius_left_m: 0", "  radius_left_m: '0.1' #"), "valid number (got '0.1')"),
         (("  radius_left_m: 0", "  radius_left_m: 1e-300 #"), "must be from 0.001 to 10 m (got 1e-300)"),
         (("translation_m: [", "translation_m: [1e200, 0, 0] #"), "must be from -100 to 100 m (got 1e+200)"),
-        (('{"x": -88', '{"x": -80'), "euler_zyx_deg and quaternion_xyzw are 8 degrees apart"),
+        (('{"x": -87.', '{"x": -79.'), "euler_zyx_deg and quaternion_xyzw are 8 degrees apart"),
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
         (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "the norm is 2.64"),
         (("head_eye:", "head_eye: ["), "not valid YAML"),

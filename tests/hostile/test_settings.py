@@ -114,7 +114,7 @@ POINTS = "observations.points_c.npy"
 
 @pytest.fixture(scope="module")
 def members():
-    return members_of(extraction_to_npz(make_extraction()))
+    return members_of(extraction_to_npz(make_extraction(n=4)))
 
 
 def test_an_extraction_whose_zeros_fill_the_memory(tmp_path, members, monkeypatch):
