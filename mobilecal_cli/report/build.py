@@ -23,7 +23,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.changes import Change
-from mobilecal_cli.report.contradictions import told
+from mobilecal_cli.report.contradictions import each_once, told
 from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.evaluation import evaluation_data
 from mobilecal_cli.report.numbers import (
@@ -95,7 +95,7 @@ def build_report(case: Case) -> ReportData:
         constants=_constants(solution),
         error_budget=_budget(solution),
         evidence=tuple(EvidenceData(**_evidence(found)) for found in solution.evidence),
-        contradictions=tuple(_contradiction(found, solution) for found in solution.contradictions),
+        contradictions=tuple(_contradiction(found, solution) for found in each_once(solution)),
         scale=_scale(solution),
         logs=_between(solution),
         suggestions=_suggestions(solution, extraction),

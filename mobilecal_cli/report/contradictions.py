@@ -17,7 +17,7 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
     if solution.uncertainty is None:
         return
     scale_done = False
-    for found in solution.contradictions:
+    for found in each_once(solution):
         is_scale = found.kind in SCALES and solution.scale is not None
         if is_scale and scale_done:
             continue
@@ -34,6 +34,14 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
     if not solution.contradictions:
         most = max((found.sigmas for found in solution.evidence), default=0.0)
         yield Check("description", most, CONTRADICTION_SIGMAS, "sigma", "good")
+
+
+def each_once(solution: Solution) -> tuple[Evidence, ...]:
+    """The contradicted values in order, each once: a prior may have been widened several times."""
+    found: dict[tuple[str, str], Evidence] = {}
+    for one in solution.contradictions:
+        found.setdefault((one.kind, one.part), one)
+    return tuple(found.values())
 
 
 def told(found: Evidence, solution: Solution) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +18,12 @@ from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.mistakes import (
     MOVED,
     STILL,
+    Mistake,
+    delays,
+    exchanged_stations,
     interruptions,
     joint_mistakes,
+    reversals,
     wheel_mistakes,
 )
 from mobilecal_cli.solvers.transfer import point_rms_m
@@ -99,8 +104,9 @@ def _starts(extraction: Extraction) -> list[FloatArray]:
 def diagnose(extraction: Extraction) -> Diagnosis | None:
     """The mistake in the description that explains a recording which does not fit; None if none of the known does.
 
-    Signs of every joint and wheel, exchanged joints and wheels, units, and readings that stop are tried one at a time
-    with the linear method. A joint without any motion is named where nothing else explains the recording.
+    Signs of every joint and wheel, exchanged joints and wheels, units, and readings that stop, are late, change their
+    sign or belong to another station are tried one at a time with the linear method. A joint or a wheel without any
+    motion is named where nothing else explains the recording.
 
     Args:
         extraction: a recording that could not be solved, or only badly.
@@ -108,18 +114,27 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
     starts = _starts(extraction)
     as_is = _score(extraction, starts)
     base = math.inf if as_is is None else as_is.error
-    found = []
     full = _has_full_motion(extraction)
-    mistakes = (*joint_mistakes(extraction.rig.chain), *wheel_mistakes(), *interruptions(extraction))
-    for mistake in mistakes:
-        corrected = mistake.corrected(extraction)
-        if not (full or _has_full_motion(corrected)):
-            continue  # such motion does not tell mistakes apart
-        score = _score(corrected, starts)
-        if score is not None and score.error < min(_CLEARLY_BETTER * base, _FITS):
-            found.append((score, mistake))
+
+    def explaining(mistakes: Iterable[Mistake]) -> list[tuple[_Score, Mistake]]:
+        found = []
+        for mistake in mistakes:
+            corrected = mistake.corrected(extraction)
+            if not (full or _has_full_motion(corrected)):
+                continue  # such motion does not tell mistakes apart
+            score = _score(corrected, starts)
+            if score is not None and score.error < min(_CLEARLY_BETTER * base, _FITS):
+                found.append((score, mistake))
+        return found
+
+    found = explaining((*joint_mistakes(extraction.rig.chain), *wheel_mistakes(), *interruptions(extraction)))
     if not found:
-        return _of_one_log(extraction) or _frozen(extraction)
+        frozen = _frozen(extraction)
+        if frozen is not None:
+            return frozen
+        found = explaining((*delays(extraction), *exchanged_stations(), *reversals(extraction)))
+    if not found:
+        return _of_one_log(extraction)
     least = min(score.error for score, _ in found)
     equal = [(score, mistake) for score, mistake in found if score.error < _EQUAL * least]
     nearest = min(score.turned_rad for score, _ in equal)
@@ -148,9 +163,20 @@ def _of_one_log(extraction: Extraction) -> Diagnosis | None:
 
 
 def _frozen(extraction: Extraction) -> Diagnosis | None:
-    """Joints that have the same reading at all stations while others move, or both wheels."""
-    sides = [side for track in extraction.wheels for side in (track.right, track.left)]
-    if all(np.ptp(side.value) < STILL for side in sides):
+    """Joints that have the same reading at all stations while others move, or wheels."""
+    frozen = [
+        name
+        for name in ("right", "left")
+        if all(np.ptp(getattr(track, name).value) < STILL for track in extraction.wheels)
+    ]
+    if len(frozen) == 1:
+        return Diagnosis(
+            f"the reading of the {frozen[0]} wheel never changes, and that of the other wheel does",
+            "check the cable and the driver of this encoder, and record again",
+            None,
+            None,
+        )
+    if frozen:
         return Diagnosis(
             "the readings of both wheels never change, and the images do not fit a base at rest",
             "check that the wheel encoders are recorded while the base moves",

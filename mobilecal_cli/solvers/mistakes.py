@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.model import Extraction, FloatArray, HeadChain, IntArray, Observation, WheelTrack
 
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
 _FEWEST = 4  # stations with the same reading: fewer are no interruption
+#: Delays of the wheels that are tried, their step, and how many of those at which the wheels stand still.
+_LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4
+_MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
+_REVERSALS = 24  # stations of a recording at which a wheel's sign may change
+_AROUND_NS = 100_000_000
 
 Correction = Callable[[Extraction], Extraction]
 
@@ -108,6 +113,127 @@ def wheel_mistakes() -> Iterator[Mistake]:
         "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
         _with_wheels(math.pi / 180, math.pi / 180),
     )
+
+
+def delays(extraction: Extraction) -> Iterator[Mistake]:
+    """Stamps of the wheels that are late or early by so much that the wheels turn while the images show a stop.
+
+    A delay is tried if the wheels stand still at nearly all stations without it.
+    """
+    for causes, sides in (
+        ("readings of both wheels are", (0, 1)),
+        ("readings of the right wheel are", (0,)),
+        ("readings of the left wheel are", (1,)),
+    ):
+        shifts_s = np.arange(-_LONGEST_DELAY_S, _LONGEST_DELAY_S + _DELAY_STEP_S / 2, _DELAY_STEP_S)
+        moving = np.array([_moving_share(extraction, sides, shift_s) for shift_s in shifts_s])
+        if moving[len(moving) // 2] < _MOSTLY_STILL:
+            continue  # they stand still as stamped
+        edges = np.diff(np.concatenate([[False], moving < _MOSTLY_STILL, [False]]).astype(int))
+        runs = [*zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True)]
+        for first, last in sorted(runs, key=lambda run: abs(float(shifts_s[run[0]] + shifts_s[run[1]])))[
+            :_DELAYS
+        ]:
+            delay_s = float(shifts_s[first] + shifts_s[last]) / 2
+            yield Mistake(
+                f"the {causes} about {abs(delay_s):.1f} s {'late' if delay_s > 0 else 'early'}",
+                "correct the clock that stamps them, and record again",
+                _with_delay(sides, round(delay_s * 1e9)),
+            )
+
+
+def _moving_share(extraction: Extraction, sides: Sequence[int], shift_s: float) -> float:
+    """Share of the stations at which some wheels turn, if their readings are later than they should be."""
+    turning = total = 0
+    for log, track in enumerate(extraction.wheels):
+        at_ns = np.array([o.time_ns for o in extraction.observations if o.log == log]) + round(shift_s * 1e9)
+        if not len(at_ns):
+            continue
+        turned = np.zeros(len(at_ns), dtype=np.bool_)
+        for side in sides:
+            one = (track.right, track.left)[side]
+            turned |= np.abs(one.at(at_ns + _AROUND_NS) - one.at(at_ns - _AROUND_NS)) > STILL
+        turning, total = turning + int(turned.sum()), total + len(at_ns)
+    return turning / max(total, 1)
+
+
+def _with_delay(sides: Sequence[int], delay_ns: int) -> Correction:
+    """A correction that moves the readings of some wheels to earlier times."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        wheels = []
+        for track in extraction.wheels:
+            both = [track.right, track.left]
+            for side in sides:
+                both[side] = replace(both[side], time_ns=both[side].time_ns - delay_ns)
+            wheels.append(WheelTrack(*both))
+        return replace(extraction, wheels=tuple(wheels))
+
+    return corrected
+
+
+def reversals(extraction: Extraction) -> Iterator[Mistake]:
+    """A wheel whose readings change their sign at one of the stations."""
+    cure = "check the cable and the driver of this encoder, and record again, or leave this stretch out"
+    for log, track in enumerate(extraction.wheels):
+        times = [o.time_ns for o in extraction.observations if o.log == log][_FEWEST - 1 : 1 - _FEWEST]
+        for at_ns in times[:: 1 + len(times) // _REVERSALS]:
+            for side, name in enumerate(("right", "left")):
+                yield Mistake(
+                    f"the sign of the {name} wheel's readings changes at {_at_s(track, at_ns)} s",
+                    cure,
+                    _with_reversal(log, side, at_ns),
+                )
+
+
+def _with_reversal(log: int, side: int, at_ns: int) -> Correction:
+    """A correction that reverses one wheel of a recording from some time on."""
+
+    def corrected(extraction: Extraction) -> Extraction:
+        wheels = list(extraction.wheels)
+        both = [wheels[log].right, wheels[log].left]
+        one = both[side]
+        start = float(one.at(np.array([at_ns]))[0])
+        both[side] = replace(one, value=np.where(one.time_ns > at_ns, 2 * start - one.value, one.value))
+        wheels[log] = WheelTrack(*both)
+        return replace(extraction, wheels=tuple(wheels))
+
+    return corrected
+
+
+def exchanged_stations() -> Iterator[Mistake]:
+    """Images or joint readings that belong to the station before or after."""
+    cure = "check the clock that stamps them, and that the driver sends each one at once, and record again"
+    for by, which in ((1, "previous"), (-1, "next")):
+        yield Mistake(f"the images are those of the {which} station", cure, _with_images_of(by))
+        yield Mistake(f"the joint readings are those of the {which} station", cure, _with_joints_of(by))
+
+
+def _neighbors(extraction: Extraction, by: int) -> Iterator[tuple[Observation, Observation]]:
+    """Each station, and the one that is so many stations before it in the same recording."""
+    seen = extraction.observations
+    for k in range(max(by, 0), len(seen) + min(by, 0)):
+        if seen[k].log == seen[k - by].log:
+            yield seen[k], seen[k - by]
+
+
+def _with_images_of(by: int) -> Correction:
+    def corrected(extraction: Extraction) -> Extraction:
+        observations = tuple(
+            replace(own, station=other.station, time_ns=other.time_ns, joints=other.joints)
+            for own, other in _neighbors(extraction, by)
+        )
+        return replace(extraction, observations=observations, joint_tracks=())
+
+    return corrected
+
+
+def _with_joints_of(by: int) -> Correction:
+    def corrected(extraction: Extraction) -> Extraction:
+        observations = tuple(replace(own, joints=other.joints) for own, other in _neighbors(extraction, -by))
+        return replace(extraction, observations=observations, joint_tracks=())
+
+    return corrected
 
 
 def interruptions(extraction: Extraction) -> Iterator[Mistake]:

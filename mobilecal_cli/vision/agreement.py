@@ -76,24 +76,52 @@ def _judged(one: Measured, epipolar_px: float, flat_px: float) -> Measured | Rej
     return one.rejected(INCONSISTENT, detail)
 
 
-def _mirrored(rig: StereoRig, left: FloatArray, right: FloatArray) -> Pixels:
-    return [rig.left.width - 1, 0] + left * [-1, 1], [rig.right.width - 1, 0] + right * [-1, 1]
+def _exchanged(_: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    return [(right, left)]
 
 
-def _upside_down(rig: StereoRig, left: FloatArray, right: FloatArray) -> Pixels:
+def _mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    return [([rig.left.width - 1, 0] + left * [-1, 1], [rig.right.width - 1, 0] + right * [-1, 1])]
+
+
+def _left_mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    ((corners, _),) = _mirrored(rig, board, left, right)
+    return [(numbered, right) for numbered in _as_mirrored(board, corners)]
+
+
+def _right_mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    ((_, corners),) = _mirrored(rig, board, left, right)
+    return [(left, numbered) for numbered in _as_mirrored(board, corners)]
+
+
+def _as_mirrored(board: Board, corners: FloatArray) -> list[FloatArray]:
+    """Corners (M, 2) as a mirrored image may number them: from the other end of the rows, or of the columns."""
+    grid = corners.reshape(board.rows, board.columns, 2)
+    return [grid[:, ::-1].reshape(-1, 2), grid[::-1].reshape(-1, 2)]
+
+
+def _upside_down(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
     ends = [[camera.width - 1, camera.height - 1] for camera in (rig.left, rig.right)]
-    return ends[0] - left, ends[1] - right
+    return [(ends[0] - left, ends[1] - right)]
 
 
 #: What may have happened to the images, what undoes it on the corners, and the cure.
-_MISTAKES: Mapping[str, tuple[Callable[[StereoRig, FloatArray, FloatArray], Pixels], str]] = {
+_MISTAKES: Mapping[str, tuple[Callable[[StereoRig, Board, FloatArray, FloatArray], list[Pixels]], str]] = {
     "the left and the right images are exchanged": (
-        lambda _, left, right: (right, left),
+        _exchanged,
         "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
     ),
     "the images of both cameras are mirrored": (
         _mirrored,
         "switch the mirroring of the camera driver off, and record again",
+    ),
+    "the images of the left camera are mirrored": (
+        _left_mirrored,
+        "switch the mirroring of the left camera's driver off, and record again",
+    ),
+    "the images of the right camera are mirrored": (
+        _right_mirrored,
+        "switch the mirroring of the right camera's driver off, and record again",
     ),
     "the images of both cameras are upside down": (
         _upside_down,
@@ -135,7 +163,12 @@ def check_arrangement(
         return
     misfits_px = {
         mistake: float(
-            np.median([_misfit_px(rig, board, *undo(rig, a.pixels, b.pixels), (a, b)) for a, b in pairs])
+            np.median(
+                [
+                    min(_misfit_px(rig, board, *p, (a, b)) for p in undo(rig, board, a.pixels, b.pixels))
+                    for a, b in pairs
+                ]
+            )
         )
         for mistake, (undo, _) in _MISTAKES.items()
     }

@@ -16,6 +16,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
+from mobilecal_cli.discovery.cameras import check_baseline
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     Corners,
@@ -257,6 +258,7 @@ def baseline(factor: float) -> Change:
     def change(rig: StereoRig) -> StereoRig:
         T = rig.T_c_r.copy()
         T[:3, 3] *= factor
+        check_baseline(T[:3, 3])
         return replace(rig, T_c_r=T)
 
     return cameras(change)
@@ -373,7 +375,7 @@ WRONG: dict[str, Wrong] = {
     "right wheel frozen from the middle": Wrong(wheels(after(lambda v: 0 * v), same), "right wheel"),
     "both wheels frozen from the middle": Wrong(both(after(lambda v: 0 * v)), _WHEELS),
     "right wheel twice as fast from the middle": Wrong(wheels(after(lambda v: 2 * v), same), _WHEELS),
-    "right wheel reversed from the middle": Wrong(wheels(after(lambda v: -v), same), _WHEELS),
+    "right wheel reversed from the middle": Wrong(wheels(after(lambda v: -v), same), "right wheel"),
     "both wheels 10 % faster from the middle": Wrong(both(after(lambda v: 1.1 * v)), _WHEELS),
     "both counters start again": Wrong(both(reset), _WHEELS),
     "right wheel jumps by 3 rad": Wrong(wheels(after(lambda v: v + 3.0), same), _WHEELS),

@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -82,6 +82,18 @@ def pictures(data: Callable[[], bytes]) -> Make:
     content = data()
     image = np.frombuffer(content, np.uint8)
     return log(lambda topic, m: replace(m, data=image) if topic in IMAGES else m)
+
+
+def pixels(topics: Sequence[str], change: Callable[[Any], Any]) -> Make:
+    """The sample recording with changed pixels."""
+
+    def edit(topic: str, message: Any) -> Any:
+        if topic not in topics:
+            return message
+        image = change(cv2.imdecode(np.asarray(message.data), cv2.IMREAD_GRAYSCALE))
+        return replace(message, data=cv2.imencode(".jpg", np.ascontiguousarray(image))[1].reshape(-1))
+
+    return log(edit)
 
 
 def urdf(old: str, new: str) -> Make:
@@ -242,6 +254,8 @@ CASES = (
     Case("a URDF with a negative wheel radius", READ, 2, "cylinder radius: -0.1 m is not possible", urdf('radius="0.225"', 'radius="-0.1"')),
     Case("a URDF with an origin at 1e300 m", READ, 2, "origin xyz: 1e+300 m is not possible", urdf('xyz="0.04 0.0', 'xyz="1e300 0.0')),
     Case("JPEG images of 1 x 65500 pixels", READ, 3, "images are 1 x 65500 pixels, but their camera_info states 640 x 480", pictures(tall_jpeg)),
+    Case("the left images are mirrored", READ, 4, "the images of the left camera are mirrored", pixels(IMAGES[:1], lambda p: p[:, ::-1])),
+    Case("the right images are mirrored", READ, 4, "the images of the right camera are mirrored", pixels(IMAGES[1:], lambda p: p[:, ::-1])),
     Case("PNG images of 8190 x 8190 pixels", READ, 3, "image size 8190x8190 exceeds the limit", pictures(large_png)),
     Case("WebP images", READ, 3, "the image is WebP, not JPEG or PNG", pictures(encoded("WEBP"))),
     Case("WebP images, with `--board`", (*READ, "--board", "8x6"), 3, "the image is WebP, not JPEG or PNG", pictures(encoded("WEBP"))),

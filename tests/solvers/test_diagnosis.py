@@ -136,6 +136,53 @@ MISTAKES |= {
 }
 
 
+def late(extraction, right_s, left_s):
+    """Wheel readings with delayed stamps."""
+    (track,) = extraction.wheels
+    sides = (
+        replace(side, time_ns=side.time_ns + round(seconds * 1e9))
+        for side, seconds in ((track.right, right_s), (track.left, left_s))
+    )
+    return replace(extraction, wheels=(WheelTrack(*sides),))
+
+
+def reversed_from(extraction, station):
+    """A left wheel whose readings change their sign at one station."""
+    (track,) = extraction.wheels
+    left, at = track.left, extraction.observations[station].time_ns
+    start = left.at(np.array([at]))[0]
+    value = np.where(left.time_ns <= at, left.value, 2 * start - left.value)
+    return replace(extraction, wheels=(WheelTrack(track.right, replace(left, value=value)),))
+
+
+def with_joints_of_previous(extraction):
+    """Joint readings of the station before."""
+    seen = extraction.observations
+    moved = (replace(o, joints=seen[max(k - 1, 0)].joints) for k, o in enumerate(seen))
+    return replace(extraction, observations=tuple(moved), joint_tracks=())
+
+
+def with_images_of_previous(extraction):
+    """Images of the station before."""
+    seen = extraction.observations
+    fields = ("left", "right", "points_c", "points_cov", "T_c_k", "T_c_k_cov")
+    moved = (
+        replace(o, **{name: getattr(seen[max(k - 1, 0)], name) for name in fields})
+        for k, o in enumerate(seen)
+    )
+    return replace(extraction, observations=tuple(moved), joint_tracks=())
+
+
+MISTAKES |= {
+    "wheels late": (lambda e: late(e, 3.0, 3.0), "the readings of both wheels are about 3.0 s late"),
+    "left late": (lambda e: late(e, 0.0, 3.0), "the readings of the left wheel are about 3.0 s late"),
+    "reversed": (lambda e: reversed_from(e, 6), "the sign of the left wheel's readings changes at"),
+    "one frozen": (lambda e: with_wheels(e, 0, 1), "the reading of the right wheel never changes"),
+    "old joints": (with_joints_of_previous, "the joint readings are those of the previous station"),
+    "old images": (with_images_of_previous, "the images are those of the previous station"),
+}
+
+
 #: These take most time; the same mistake of the other joint, of one wheel, or the other way round is in every run.
 SLOW = ("pan in degrees", "pan frozen", "both unplugged", "radians")
 
