@@ -62,7 +62,8 @@ class Solver:
         """A solution whose priors are wide enough for the data, and the stated constants that the data contradict.
 
         As long as the data contradict the stated values of a group of constants, its priors are widened to what was
-        found, and everything is solved again. Where several groups are contradicted, the priors of all others are
+        found, also those of the same kind in other parts, which come from the same drawing or calibration, and
+        everything is solved again. Where several groups are contradicted, the priors of all others are
         widened too, by the scatter of what the data say of them.
         """
         solver, found, sigmas = self, list[Evidence](), dict(self._extraction.rig.prior_sigmas)
@@ -75,10 +76,11 @@ class Solver:
             found.append(worst)
             rows = {row.name: row.sigma for row in fit.data.layout.constants}
             wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
-            sigmas |= {name: rows[name] * wider for name in worst.values}
+            alike = (e for e in evidence if e.kind == worst.kind)
+            sigmas |= {name: rows[name] * wider for e in alike for name in e.values}
             if len(found) >= SEVERAL_CONTRADICTIONS:
-                widened = {(e.kind, e.part) for e in found}
-                others = [e for e in evidence if (e.kind, e.part) not in widened]
+                widened = {e.kind for e in found}
+                others = [e for e in evidence if e.kind not in widened]
                 common = math.sqrt(sum(e.chi2 for e in others) / max(1, sum(e.dof for e in others)))
                 sigmas |= {name: rows[name] * max(1.0, common) for e in others for name in e.values}
             rig = replace(self._extraction.rig, prior_sigmas=sigmas)
