@@ -27,7 +27,7 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
             "evidence": found,
             "scale": solution.scale,
             "meanings": _meanings(solution),
-            "several": found is solution.contradictions[-1] and len(solution.contradictions) > 2,
+            "several": found is solution.contradictions[-1] and len(solution.contradictions) > 1,
         }
         name = f"contradiction.{found.kind}.{found.part}"
         yield Check(name, found.sigmas, CONTRADICTION_SIGMAS, "sigma", outcome, facts=facts)

@@ -26,7 +26,7 @@ _MOST_DECISIONS = 60
 #: Data that contradict stated constants by more than this are evidence of a wrong description.
 CONTRADICTION_SIGMAS = 4.0
 #: From so many contradictions on, the description as a whole is less exact than its priors say.
-SEVERAL_CONTRADICTIONS = 3
+SEVERAL_CONTRADICTIONS = 2
 _MOST_CONTRADICTIONS = 10
 #: A kind of constants, all parts together, that is less probable than this gets the prior that its scatter suggests.
 _DOUBTFUL_SIGMAS = 3.0

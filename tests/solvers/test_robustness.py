@@ -237,7 +237,7 @@ def test_a_used_robot_has_true_standard_deviations():
     """Every constant is drawn from five times its prior. With wider priors of what is contradicted alone: 2.6."""
     worn = imperfect.Case("paper", 12, kinds=imperfect.all_kinds(False, 5.0), noise=imperfect.USUAL)
     runs = [imperfect.run_of(worn.extraction(seed), imperfect.ROBOTS["paper"]()) for seed in range(6)]
-    assert all(len(run.named) >= 3 for run in runs)
+    assert all(len(run.named) >= 2 for run in runs)
     assert not any(run.false_pass for run in runs)
     assert np.mean([run.nees[3] for run in runs]) < 2
 
