@@ -357,7 +357,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         data = load_yaml(read_text(path, LARGEST_BYTES))
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}", "check the path given to --config"
+            f"{path}: cannot be read: {error.strerror}", "check the path of the configuration"
         ) from error
     except ValueError as error:
         where = " ".join(str(error).split())

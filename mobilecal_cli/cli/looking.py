@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import AsJson, Config, Force, Logs, NoBar, Quiet, Settings, flags_of
 from mobilecal_cli.cli.verdict import written_line
+
+if TYPE_CHECKING:
+    from mobilecal_cli.model import Inspection
 
 
 @app.command()
@@ -33,10 +37,9 @@ def inspect(
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        found = pipeline.inspect(logs, config, flags_of(setting), progress)
-    typer.echo(inspection_json(found) if as_json else inspection_text(found), nl=False)
-    if found.exit_code:
-        raise typer.Exit(found.exit_code)
+        flags = flags_of(setting)
+        found = [pipeline.inspect(parts, config, flags, progress) for parts in pipeline.recordings(logs)]
+    _show(found, [inspection_json(each) if as_json else inspection_text(each) for each in found], as_json)
 
 
 @app.command()
@@ -55,14 +58,30 @@ def check(
     Example: mobilecal check rig.yaml log.mcap
     """
     from mobilecal_cli import pipeline
+    from mobilecal_cli.model.text import visible
     from mobilecal_cli.report import checklist_json, checklist_text
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        found = pipeline.check(rig, logs, flags_of(setting), progress)
-    typer.echo(checklist_json(found) if as_json else checklist_text(found), nl=False)
-    if found.exit_code:
-        raise typer.Exit(found.exit_code)
+        flags = flags_of(setting)
+        found = [pipeline.check(rig, parts, flags, progress) for parts in pipeline.recordings(logs)]
+    if as_json:
+        texts = [checklist_json(each) for each in found]
+    else:
+        titles = [f"{visible(each.name)}\n" if len(found) > 1 else "" for each in found]
+        texts = [title + checklist_text(each) for title, each in zip(titles, found, strict=True)]
+    _show(found, texts, as_json)
+
+
+def _show(found: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> None:
+    """Print one recording after another, in JSON as a list if there are several; end with the largest exit code."""
+    if as_json and len(texts) > 1:
+        typer.echo(f"[\n{','.join(texts)}]")
+    else:
+        typer.echo("\n".join(texts), nl=False)
+    code = max(each.exit_code for each in found)
+    if code:
+        raise typer.Exit(code)
 
 
 @app.command()

@@ -115,9 +115,8 @@ def _onto(lin: Linearization, base: FloatArray | None = None, own: FloatArray | 
 def _of_images(lin: Linearization) -> Influence:
     views = lin.views
     root, inverse = _roots(views.information)
-    by = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in (views.by_base, views.by_own))
+    base, own = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in (views.by_base, views.by_own))
     shared = np.swapaxes(views.onto_shared(np.swapaxes(root, 1, 2)), 1, 2)
-    base, own = by
     onto = lin.normal.onto_shared(np.arange(lin.data.stations), base, own, shared)
     return Influence(
         lin.conditional_covariance @ onto,

@@ -170,7 +170,7 @@ def _across(axis: FloatArray) -> Iterator[tuple[str, tuple[float, float, float]]
 def _of_baseline(cameras: StereoRig) -> Iterator[Constant]:
     t = cameras.T_c_r[:3, 3]
     for letter, e in _across(t / np.linalg.norm(t)):
-        meaning = f"rotation about the left camera's {letter}"
+        meaning = f"direction of the baseline about the left camera's {letter}"
         yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, BaselineTurn(e))
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.pipeline.exporting import Exported, export
     from mobilecal_cli.pipeline.extracting import extract
     from mobilecal_cli.pipeline.fleet import batch, run_locally
-    from mobilecal_cli.pipeline.inspecting import check, inspect
+    from mobilecal_cli.pipeline.inspecting import check, inspect, recordings
     from mobilecal_cli.pipeline.junit import write_junit, write_junit_error
     from mobilecal_cli.pipeline.printing import print_board
     from mobilecal_cli.pipeline.progress import Progress, silent
@@ -39,6 +39,7 @@ _HOME = {
     "extract": "extracting",
     "inspect": "inspecting",
     "print_board": "printing",
+    "recordings": "inspecting",
     "run_locally": "fleet",
     "run_on": "cluster",
     "silent": "progress",
@@ -76,6 +77,7 @@ __all__ = [
     "extract",
     "inspect",
     "print_board",
+    "recordings",
     "run_locally",
     "run_on",
     "silent",

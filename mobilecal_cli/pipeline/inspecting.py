@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.pipeline.extracting import board_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.sampling import sample_board
-from mobilecal_cli.readers import Extent, Recording, open_recording, read_prelude, read_signals
+from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_prelude, read_signals
 from mobilecal_cli.report import MIN_STATIONS, gates_of
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
@@ -114,6 +114,17 @@ def inspect(
             weak=weak,
             notes=(*notes, *recording.damage),
         )
+
+
+def recordings(logs: Sequence[Path]) -> list[list[Path]]:
+    """The recordings that the user's paths are, as `calibrate` groups them; see `join_splits`.
+
+    Paths of which one cannot be opened stay together: reading them says what is wrong.
+    """
+    try:
+        return join_splits(logs)
+    except RecordingError:
+        return [list(logs)]
 
 
 def check(

@@ -119,3 +119,18 @@ def test_images_of_another_size_and_other_times(sample_logs, rig, tmp_path):
     inside, total = found.covered
     assert (total, 4 < inside < 18) == (20, True)
     assert f"{inside} of 20 left images" in line.what
+
+
+def test_several_recordings_are_checked_one_after_another(sample_logs, rig, tmp_path):
+    """They were read as one, although their times overlap: half of the readings were dropped as repeated."""
+    logs = [sample_logs / "straight.mcap", sample_logs / "head_fixed.mcap"]
+    done = run("check", rig, *logs, cwd=tmp_path)
+    assert [line for line in done.out.splitlines() if line.endswith(".mcap")] == list(map(str, logs))
+    assert done.out.count("rig.yaml      valid") == 2
+    assert "occur twice" not in done.out
+    made = run("check", rig, *logs, "--json", "--quiet", cwd=tmp_path)
+    assert [each["exit_code"] for each in json.loads(made.out)] == [0, 5]
+    assert made.code == 5
+    missing = run("check", rig, logs[0], tmp_path / "none.mcap", cwd=tmp_path)
+    assert missing.code == 3
+    assert "none.mcap" in missing.out
