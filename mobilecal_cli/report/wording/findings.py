@@ -37,7 +37,7 @@ def reprojection_sentence(parts_px: Mapping[str, float], noise_px: float) -> str
     each = [f"{words[name]} {std_text(px)} px" for name, px in parts_px.items()]
     whole = math.sqrt(sum(px**2 for px in parts_px.values()))
     return (
-        f"One corner coordinate has a noise of only {std_text(noise_px)} px. The reprojection error compares two "
+        f"One corner coordinate has a noise of {std_text(noise_px)} px. The reprojection error compares two "
         f"stations, so it includes the robot's motion between them. Expected from the noise levels: "
         f"{', '.join(each)}; together {std_text(whole)} px."
     )
