@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,10 @@ LARGEST_GAP_S = 0.5
 SHOTS_PER_REST = 10
 RESTS_ENOUGH = 6
 KEYFRAMES = 80
+_SILENT_S, _MISSED_IMAGES = (
+    3.0,
+    5,
+)  # one camera records nothing for so long, while the other has so many images
 _NS = 1_000_000_000
 
 
@@ -98,6 +102,26 @@ def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tup
     return tuple(
         Shot(int(left_ns[i]), int(right_ns[r])) for r, i in sorted(best.items(), key=lambda item: item[1])
     )
+
+
+def _silences(images: Mapping[Side, PictureIndex]) -> Iterator[str]:
+    """A note where one camera recorded nothing for a while and the other did: a cable, or a full disk."""
+    sides: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
+    for side, other in sides:
+        own, others = np.sort(images[side].time_ns), np.sort(images[other].time_ns)
+        edges = np.sort(np.concatenate([own, others[[0, -1]]]))
+        longest = int(np.argmax(np.diff(edges)))
+        begin, end = edges[longest : longest + 2]
+        inside = others[(others >= begin) & (others <= end)]
+        bounds = own[(own == begin) | (own == end)]
+        paired = np.abs(inside[:, None] - bounds) <= PAIR_AT_REST_S * _NS
+        missed = int(np.sum(~paired.any(axis=1)))
+        if end - begin > _SILENT_S * _NS and missed >= _MISSED_IMAGES:
+            since = (begin - min(own[0], others[0])) / _NS
+            yield (
+                f"No {side} images for {(end - begin) / _NS:.0f} s, from {since:.0f} s after the first image on, "
+                f"while there are {missed} {other} images. Check the cable and the driver of the {side} camera."
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,6 +337,7 @@ def plan_stations(
         images = images_of(stations, pairs.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(pairs.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
+    notes += (note for pairs, _ in found for note in _silences(pairs.signals.images))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

@@ -136,8 +136,8 @@ class Inspection:
         parts: the parts of it that are known.
         board: None if no image can be read.
         motion: None if joints or wheels cannot be read.
-        covered: number of left images within the time of all joints and wheels, and of all left images; None if
-            their times are unknown.
+        covered: number of left images within the time of right images, joints and wheels, and of all left images; None
+            if their times are unknown.
         missing: what prevents a calibration.
         weak: what limits a calibration.
         notes: irregularities and losses, whole sentences.

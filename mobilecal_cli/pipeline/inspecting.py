@@ -211,8 +211,9 @@ def _survey(recording: Recording, config: RigConfig, missing: list[Lack]) -> Sur
 def _covered(
     rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
 ) -> tuple[tuple[int, int] | None, tuple[Lack, ...]]:
-    """Left images within the time of all joints and wheels, and of all left images; and a lack if that are few."""
-    images, motion = times.get(rig.sources.image["left"]), [times.get(t) for t in rig.sources.motion]
+    """Left images within the time of all other topics, and of all left images; and a lack if that are few."""
+    images = times.get(rig.sources.image["left"])
+    motion = [times.get(t) for t in (rig.sources.image["right"], *rig.sources.motion)]
     spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
     if images is None or not len(images) or len(spans) < len(motion):
         return None, ()
@@ -220,8 +221,8 @@ def _covered(
     count, total = int(np.sum((images >= first) & (images <= last))), len(images)
     lack = Lack(
         "time",
-        f"{count} of {total} left images were recorded while all joints and wheels were",
-        "record images, joint states and wheels at the same time",
+        f"{count} of {total} left images were recorded while right images, joints and wheels were",
+        "record both cameras, joint states and wheels at the same time",
         RecordingError.exit_code,
     )
     if not count:

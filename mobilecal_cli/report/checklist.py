@@ -65,7 +65,9 @@ def _good(about: str, found: Inspection) -> Line:
         return Line(about, "ok", "")
     known = {"rig.yaml": "valid", **_known(found.parts), **_measured(found)}.get(about)
     return (
-        Line(about, "unknown", "not checked, see the problems") if known is None else Line(about, "ok", known)
+        Line(about, "unknown", "not checked, see the problems" if found.missing else "could not be measured")
+        if known is None
+        else Line(about, "ok", known)
     )
 
 
@@ -102,7 +104,7 @@ def _wheel(source: WheelSource) -> str:
 def _measured(found: Inspection) -> dict[str, str]:
     said = {}
     if found.covered is not None:
-        said["time"] = "{} of {} left images are within the time of all joints and wheels".format(
+        said["time"] = "{} of {} left images are within the time of right images, joints and wheels".format(
             *found.covered
         )
     if found.motion is not None:

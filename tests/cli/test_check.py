@@ -134,3 +134,24 @@ def test_several_recordings_are_checked_one_after_another(sample_logs, rig, tmp_
     missing = run("check", rig, logs[0], tmp_path / "none.mcap", cwd=tmp_path)
     assert missing.code == 3
     assert "none.mcap" in missing.out
+
+
+def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
+    """A cable pulled in the middle: too few stations were found, and nothing said why."""
+    count = 0
+
+    def pulled(topic, message):
+        nonlocal count
+        right = topic == "/stereo/right/image_raw/compressed"
+        count += right
+        return None if right and count > 10 else message
+
+    log = edited(sample_logs / "paper_robot.mcap", tmp_path / "pulled.mcap", pulled)
+    done = run("calibrate", log, "-o", tmp_path / "out", cwd=tmp_path)
+    assert done.code == 6
+    notes = json.loads((tmp_path / "out/report.json").read_text())["notes"]
+    (note,) = [note for note in notes if "No right images" in note]
+    assert "while there are 14 left images. Check the cable and the driver of the right camera." in note
+    (line,) = [line for line in checklist(pipeline.check(rig, [log])) if line.about == "time"]
+    assert line.state == "limit"
+    assert "of 24 left images were recorded while right images, joints and wheels were" in line.what
