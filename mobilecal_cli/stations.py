@@ -15,10 +15,10 @@ from mobilecal_cli.model import (
     IntArray,
     PictureIndex,
     Rejection,
-    Shot,
     Side,
     Signals,
     Station,
+    StereoPair,
     Track,
     WheelTrack,
 )
@@ -76,7 +76,7 @@ def wheel_track(right: Track, left: Track) -> WheelTrack:
     return track
 
 
-def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[Shot, ...]:
+def pair_images(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[StereoPair, ...]:
     """Stereo pairs: each left image with the nearest right image in time. An image is in one pair at most.
 
     Raises:
@@ -100,7 +100,8 @@ def pair_shots(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tup
             "check that both cameras use the same clock and are triggered together",
         )
     return tuple(
-        Shot(int(left_ns[i]), int(right_ns[r])) for r, i in sorted(best.items(), key=lambda item: item[1])
+        StereoPair(int(left_ns[i]), int(right_ns[r]))
+        for r, i in sorted(best.items(), key=lambda item: item[1])
     )
 
 
@@ -162,18 +163,18 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
     return joints + wheels
 
 
-def _rests(shots: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
-    """Runs of shots without motion; each shot is still within a window around itself."""
+def _rests(pairs: list[StereoPair], channels: list[_Channel]) -> list[list[StereoPair]]:
+    """Runs of pairs without motion; each pair is still within a window around itself."""
     half = int(REST_WINDOW_S / 2 * _NS)
-    runs: list[list[Shot]] = []
-    for shot in shots:
-        if any(c.wander(shot.time_ns - half, shot.time_ns + half) > c.tolerance for c in channels):
+    runs: list[list[StereoPair]] = []
+    for pair in pairs:
+        if any(c.wander(pair.time_ns - half, pair.time_ns + half) > c.tolerance for c in channels):
             continue
         run = runs[-1] if runs else None
-        if run and all(c.wander(run[0].time_ns, shot.time_ns) <= c.tolerance for c in channels):
-            run.append(shot)
+        if run and all(c.wander(run[0].time_ns, pair.time_ns) <= c.tolerance for c in channels):
+            run.append(pair)
         else:
-            runs.append([shot])
+            runs.append([pair])
     return runs
 
 
@@ -187,48 +188,48 @@ def _spread(features: FloatArray, count: int) -> IntArray:
     return np.sort(chosen)
 
 
-def _keyframes(shots: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
+def _keyframes(pairs: list[StereoPair], channels: list[_Channel], count: int) -> list[StereoPair]:
     """Sharp moments of a recording in motion, spread over head angles, heading and distance driven."""
-    times = np.array([shot.time_ns for shot in shots])
+    times = np.array([pair.time_ns for pair in pairs])
     values = np.stack([c.track.at(times) for c in channels], axis=1)
     half = int(0.05 * _NS)
     rates = np.stack([c.track.at(times + half) - c.track.at(times - half) for c in channels], axis=1)
     speed = np.linalg.norm(rates, axis=1)
     # The slower half of every two seconds: sharp images from all parts of the recording.
     bins = (times - times[0]) // (2 * _NS)
-    parts = np.split(speed, np.flatnonzero(np.diff(bins)) + 1)  # shots are in order of time
+    parts = np.split(speed, np.flatnonzero(np.diff(bins)) + 1)  # pairs are in order of time
     slow = np.concatenate([part <= np.median(part) for part in parts])
     spans = np.ptp(values, axis=0)
     features = values[slow] / np.where(spans > 0, spans, 1.0)
     picked = np.flatnonzero(slow)[_spread(features, count)]
-    return [shots[i] for i in picked]
+    return [pairs[i] for i in picked]
 
 
-def _fewer(shots: list[Shot]) -> list[Shot]:
-    """At most `SHOTS_PER_REST` of a rest's shots, evenly spread."""
-    if len(shots) <= SHOTS_PER_REST:
-        return shots
-    return [shots[i] for i in np.linspace(0, len(shots) - 1, SHOTS_PER_REST).round().astype(int)]
+def _fewer(pairs: list[StereoPair]) -> list[StereoPair]:
+    """At most `SHOTS_PER_REST` of a rest's pairs, evenly spread."""
+    if len(pairs) <= SHOTS_PER_REST:
+        return pairs
+    return [pairs[i] for i in np.linspace(0, len(pairs) - 1, SHOTS_PER_REST).round().astype(int)]
 
 
 def _stations(
-    moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
+    moments: Sequence[tuple[list[StereoPair], bool]], joints: tuple[str, ...], signals: Signals
 ) -> tuple[Station, ...]:
-    """Stations from groups of shots, each with a flag for rest, in order of time."""
+    """Stations from groups of pairs, each with a flag for rest, in order of time."""
     tracks = [signals.joints[name] for name in joints]
-    starts = np.array([shots[0].time_ns for shots, _ in moments], dtype=np.int64)
+    starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
     at_start, still = np.stack([track.at(starts) for track in tracks], axis=1), np.zeros(len(tracks))
     return tuple(
-        Station(i, at_rest, tuple(shots), shots[0].time_ns, at_start[i], still)
-        if len(shots) == 1
-        else _rest(i, shots, tracks, at_rest)
-        for i, (shots, at_rest) in enumerate(moments)
+        Station(i, at_rest, tuple(pairs), pairs[0].time_ns, at_start[i], still)
+        if len(pairs) == 1
+        else _rest(i, pairs, tracks, at_rest)
+        for i, (pairs, at_rest) in enumerate(moments)
     )
 
 
-def _rest(index: int, shots: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
-    """A station from several shots: mean readings from the first to the last shot."""
-    times = np.array([shot.time_ns for shot in shots])
+def _rest(index: int, pairs: list[StereoPair], tracks: list[Track], at_rest: bool) -> Station:
+    """A station from several pairs: mean readings from the first to the last pair."""
+    times = np.array([pair.time_ns for pair in pairs])
     mean, scatter = [], []
     for track in tracks:
         begin = int(np.searchsorted(track.time_ns, times[0]))
@@ -237,7 +238,7 @@ def _rest(index: int, shots: list[Shot], tracks: list[Track], at_rest: bool) -> 
         mean.append(float(readings.mean()))
         scatter.append(float(readings.std(ddof=1)))
     time_ns = int(times[0]) + round(float(np.mean(times - times[0])))
-    return Station(index, at_rest, tuple(shots), time_ns, np.array(mean), np.array(scatter))
+    return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,15 +248,15 @@ class _Pairs:
     Attributes:
         signals: of the log.
         channels: its joints and wheels.
-        shots: the pairs with readings of all of them.
+        pairs: the pairs with readings of all of them.
         rests: those in which nothing moves, by rest.
         rejections: the other pairs.
     """
 
     signals: Signals
     channels: list[_Channel]
-    shots: list[Shot]
-    rests: list[list[Shot]]
+    pairs: list[StereoPair]
+    rests: list[list[StereoPair]]
     rejections: list[Rejection]
 
 
@@ -267,10 +268,10 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     """
     channels = _channels(signals, prismatic)
     left, right = (signals.images[side].time_ns for side in ("left", "right"))
-    shots = list(pair_shots(left, right, PAIR_AT_REST_S))
-    times = np.array([shot.time_ns for shot in shots])
+    pairs = list(pair_images(left, right, PAIR_AT_REST_S))
+    times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
-    covered = np.ones(len(shots), dtype=bool)
+    covered = np.ones(len(pairs), dtype=bool)
     for channel in channels:
         missing = ~channel.covers(times)
         rejections += [
@@ -281,11 +282,11 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     if not covered.any():
         names = ", ".join(dict.fromkeys(r.detail for r in rejections))
         raise RecordingError(
-            f"none of {len(shots)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
+            f"none of {len(pairs)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
-    shots = [shot for shot, ok in zip(shots, covered, strict=True) if ok]
-    return _Pairs(signals, channels, shots, _rests(shots, channels), rejections)
+    pairs = [pair for pair, ok in zip(pairs, covered, strict=True) if ok]
+    return _Pairs(signals, channels, pairs, _rests(pairs, channels), rejections)
 
 
 def plan_stations(
@@ -321,23 +322,23 @@ def plan_stations(
             problems.append(error)
     if not found:
         raise problems[0]
-    rests = sum(len(pairs.rests) for pairs, _ in found)
+    rests = sum(len(log.rests) for log, _ in found)
     plans, moving, picked = [], 0, 0
-    for pairs, wheels in found:
-        moments = [(run, True) for run in pairs.rests]
+    for log, wheels in found:
+        moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
-            chosen, candidates = _in_motion(pairs, everything)
-            moments += [([shot], False) for shot in chosen]
+            chosen, candidates = _in_motion(log, everything)
+            moments += [([pair], False) for pair in chosen]
             moving, picked = moving + candidates, picked + len(chosen)
         moments.sort(key=lambda moment: moment[0][0].time_ns)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-        stations = _stations(moments, joints, pairs.signals) if moments else ()
-        tracks = tuple(pairs.signals.joints[name] for name in joints)
-        images = images_of(stations, pairs.signals.images)
-        plans.append(Plan(stations, wheels, tracks, images, tuple(pairs.rejections), ()))
+        stations = _stations(moments, joints, log.signals) if moments else ()
+        tracks = tuple(log.signals.joints[name] for name in joints)
+        images = images_of(stations, log.signals.images)
+        plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
-    notes += (note for pairs, _ in found for note in _silences(pairs.signals.images))
+    notes += (note for log, _ in found for note in _silences(log.signals.images))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
@@ -350,23 +351,21 @@ def plan_stations(
 
 def images_of(stations: Sequence[Station], images: Mapping[Side, PictureIndex]) -> dict[Side, PictureIndex]:
     """The images of some stations, of all that were recorded."""
-    shots = [shot for station in stations for shot in station.shots]
+    pairs = [pair for station in stations for pair in station.pairs]
     times: dict[Side, list[int]] = {
-        "left": [shot.left_ns for shot in shots],
-        "right": [shot.right_ns for shot in shots],
+        "left": [pair.left_ns for pair in pairs],
+        "right": [pair.right_ns for pair in pairs],
     }
     return {side: images[side].at(own) for side, own in times.items()}
 
 
-def _in_motion(pairs: _Pairs, everything: bool) -> tuple[list[Shot], int]:
+def _in_motion(log: _Pairs, everything: bool) -> tuple[list[StereoPair], int]:
     """Stereo pairs taken in motion that are used, and the number of candidates."""
-    resting = {shot for run in pairs.rests for shot in run}
-    moving = [
-        s for s in pairs.shots if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS
-    ]
+    resting = {pair for run in log.rests for pair in run}
+    moving = [s for s in log.pairs if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
     if everything or not moving:
         return moving, len(moving)
-    return _keyframes(moving, pairs.channels, KEYFRAMES), len(moving)
+    return _keyframes(moving, log.channels, KEYFRAMES), len(moving)
 
 
 def with_stamps(
@@ -378,13 +377,13 @@ def with_stamps(
 ) -> Plan:
     """A plan made with approximate stamps, updated to the images' own stamps.
 
-    Shots are dropped if a stamp is missing, if their images are too far apart, or if they lie outside their rest.
-    Stations without shots are dropped, too.
+    Pairs are dropped if a stamp is missing, if their images are too far apart, or if they lie outside their rest.
+    Stations without pairs are dropped, too.
 
     Args:
         plan: result of `plan_stations`.
         signals, joints, prismatic: as for `plan_stations`.
-        stamps: side → log time → own stamp, for the shots' images.
+        stamps: side → log time → own stamp, for the pairs' images.
     """
     channels = _channels(signals, prismatic)
     own_ns: dict[Side, dict[int, int]] = {}
@@ -399,30 +398,30 @@ def with_stamps(
         stamp_ns, first = np.unique(np.array(list(stamp_of.values()), dtype=np.int64), return_index=True)
         images[side] = PictureIndex(stamp_ns, stamp_ns, np.array(list(stamp_of), dtype=np.int64)[first])
     taken: dict[Side, set[int]] = {"left": set(), "right": set()}
-    placed: list[tuple[int, Shot]] = []
+    placed: list[tuple[int, StereoPair]] = []
     for station in plan.stations:
         tolerance_s = PAIR_AT_REST_S if station.at_rest else PAIR_MOVING_S
-        for shot in station.shots:
-            left, right = own_ns["left"].get(shot.left_ns), own_ns["right"].get(shot.right_ns)
+        for pair in station.pairs:
+            left, right = own_ns["left"].get(pair.left_ns), own_ns["right"].get(pair.right_ns)
             if left is None or right is None or left in taken["left"] or right in taken["right"]:
                 continue
             if abs(left - right) <= tolerance_s * _NS:
                 taken["left"].add(left)
                 taken["right"].add(right)
-                placed.append((station.index, Shot(left, right)))
-    times = np.array([shot.time_ns for _, shot in placed], dtype=np.int64)
+                placed.append((station.index, StereoPair(left, right)))
+    times = np.array([pair.time_ns for _, pair in placed], dtype=np.int64)
     covered = np.all([channel.covers(times) for channel in channels], axis=0)
-    own: dict[int, list[Shot]] = {}
-    for (station_index, shot), ok in zip(placed, covered, strict=True):
+    own: dict[int, list[StereoPair]] = {}
+    for (station_index, pair), ok in zip(placed, covered, strict=True):
         if ok:
-            own.setdefault(station_index, []).append(shot)
+            own.setdefault(station_index, []).append(pair)
     moments = []
     for station in plan.stations:
-        shots = sorted(own.get(station.index, ()), key=lambda shot: shot.time_ns)
+        pairs = sorted(own.get(station.index, ()), key=lambda pair: pair.time_ns)
         if station.at_rest:
-            shots = max(_rests(shots, channels), key=len, default=[])
-        if shots:
-            moments.append((shots, station.at_rest))
+            pairs = max(_rests(pairs, channels), key=len, default=[])
+        if pairs:
+            moments.append((pairs, station.at_rest))
     moments.sort(key=lambda moment: moment[0][0].time_ns)
     stations = _stations(moments, joints, signals) if moments else ()
     return replace(plan, stations=stations, images=images_of(stations, images))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
+from mobilecal_cli.model import PictureIndex, Signals, StereoPair, Track
 from mobilecal_cli.stations import (
     KEYFRAMES,
     SHOTS_PER_REST,
-    pair_shots,
+    pair_images,
     plan_stations,
     wheel_track,
     with_stamps,
@@ -58,7 +58,7 @@ def test_every_rest_is_one_station():
     for i, station in enumerate(plan.stations):
         assert station.joints == pytest.approx([0.5 * i], abs=1e-12)
         assert 3.0 * i <= (station.time_ns - START) / S <= 3.0 * i + 2
-        assert 5 <= len(station.shots) <= 10
+        assert 5 <= len(station.pairs) <= 10
         assert station.index == i
     assert plan.notes == ()
 
@@ -103,13 +103,13 @@ def test_a_long_rest_gives_few_pictures():
         ("pan",),
     )
     assert len(plan.stations) == 8
-    assert all(len(station.shots) == SHOTS_PER_REST for station in plan.stations)
+    assert all(len(station.pairs) == SHOTS_PER_REST for station in plan.stations)
 
 
 def test_unequal_clocks_of_the_cameras_pair_the_nearest():
     left, right = ns([0, 1, 2, 3]), ns([0.02, 0.98, 1.01, 3.01])
-    shots = pair_shots(left, right, 0.1)
-    assert [((s.left_ns - START) / S, (s.right_ns - START) / S) for s in shots] == [
+    pairs = pair_images(left, right, 0.1)
+    assert [((s.left_ns - START) / S, (s.right_ns - START) / S) for s in pairs] == [
         (0, 0.02),
         (1, 1.01),
         (3, 3.01),
@@ -117,14 +117,14 @@ def test_unequal_clocks_of_the_cameras_pair_the_nearest():
 
 
 def test_each_picture_is_in_one_pair_only():
-    shots = pair_shots(ns([0, 0.03, 0.06]), ns([0.04]), 0.1)
-    assert len(shots) == 1
-    assert shots[0].left_ns == ns(0.03)
+    pairs = pair_images(ns([0, 0.03, 0.06]), ns([0.04]), 0.1)
+    assert len(pairs) == 1
+    assert pairs[0].left_ns == ns(0.03)
 
 
 def test_left_and_right_never_together():
     with pytest.raises(RecordingError, match=r"no stereo pairs: .* closest two are 0\.500 s apart"):
-        pair_shots(ns([0, 1]), ns([0.5, 1.5]), 0.1)
+        pair_images(ns([0, 1]), ns([0.5, 1.5]), 0.1)
 
 
 def test_pictures_without_readings_are_left_out():
@@ -161,13 +161,13 @@ def test_wheels_at_different_rates_are_joined():
 def test_everything_is_every_pair_at_rest_and_in_motion():
     log = signals(lambda t: staircase(t, rests=8), lambda t: 3 * staircase(t), image_hz=20.0)
     plan = planned(log, ("pan",), everything=True)
-    shots = [shot for station in plan.stations for shot in station.shots]
-    assert len(shots) == len(log.images["left"].time_ns)
+    pairs = [pair for station in plan.stations for pair in station.pairs]
+    assert len(pairs) == len(log.images["left"].time_ns)
     resting = [station for station in plan.stations if station.at_rest]
     assert len(resting) == 8
-    assert max(len(station.shots) for station in resting) > SHOTS_PER_REST
-    assert all(len(station.shots) == 1 for station in plan.stations if not station.at_rest)
-    assert [s.left_ns for s in shots] == sorted(s.left_ns for s in shots)
+    assert max(len(station.pairs) for station in resting) > SHOTS_PER_REST
+    assert all(len(station.pairs) == 1 for station in plan.stations if not station.at_rest)
+    assert [s.left_ns for s in pairs] == sorted(s.left_ns for s in pairs)
 
 
 def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
@@ -175,10 +175,10 @@ def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
     plan = planned(approximate, ("pan",))
     stamps = {"left": {}, "right": {}}
     for station in plan.stations:
-        for shot in station.shots:
-            if shot.left_ns not in lost:
-                stamps["left"][shot.left_ns] = left(shot.left_ns)
-            stamps["right"][shot.right_ns] = right(shot.right_ns)
+        for pair in station.pairs:
+            if pair.left_ns not in lost:
+                stamps["left"][pair.left_ns] = left(pair.left_ns)
+            stamps["right"][pair.right_ns] = right(pair.right_ns)
     return plan, with_stamps(plan, approximate, ("pan",), frozenset(), stamps)
 
 
@@ -187,7 +187,7 @@ AT_REST = signals(staircase, lambda t: 3 * staircase(t))
 
 def test_stamps_that_are_as_planned_change_nothing():
     plan, found = restamped(AT_REST)
-    assert [s.shots for s in found.stations] == [s.shots for s in plan.stations]
+    assert [s.pairs for s in found.stations] == [s.pairs for s in plan.stations]
     assert [s.time_ns for s in found.stations] == [s.time_ns for s in plan.stations]
     assert [s.joints.tolist() for s in found.stations] == [s.joints.tolist() for s in plan.stations]
     assert found.wheels is plan.wheels
@@ -197,8 +197,8 @@ def test_stamps_of_their_own():
     plan, found = restamped(AT_REST, lambda ns: ns + S // 100, lambda ns: ns + S // 50)
     assert len(found.stations) == 8
     for station, planned in zip(found.stations, plan.stations, strict=True):
-        kept = [Shot(shot.left_ns + S // 100, shot.right_ns + S // 50) for shot in planned.shots]
-        assert list(station.shots) == kept
+        kept = [StereoPair(pair.left_ns + S // 100, pair.right_ns + S // 50) for pair in planned.pairs]
+        assert list(station.pairs) == kept
         assert station.time_ns == pytest.approx(planned.time_ns + 15 * S // 1000, abs=1000)
 
 
@@ -208,10 +208,10 @@ def test_shots_that_lie_outside_their_rest_are_dropped():
 
     plan, found = restamped(AT_REST, late, late)
     assert len(found.stations) == 8
-    before, after = plan.stations[2].shots, found.stations[2].shots
+    before, after = plan.stations[2].pairs, found.stations[2].pairs
     assert 0 < len(after) < len(before)
-    for shot in after:
-        assert 6 <= (shot.time_ns - START) / S < 8
+    for pair in after:
+        assert 6 <= (pair.time_ns - START) / S < 8
     assert found.stations[2].joints == pytest.approx([1.0], abs=1e-12)
 
 
@@ -227,9 +227,9 @@ def test_pairs_that_are_too_far_apart_are_dropped():
 
 def test_pictures_without_a_stamp_are_dropped():
     plan = planned(AT_REST, ("pan",))
-    lost = {plan.stations[4].shots[0].left_ns, plan.stations[4].shots[3].left_ns}
+    lost = {plan.stations[4].pairs[0].left_ns, plan.stations[4].pairs[3].left_ns}
     _, found = restamped(AT_REST, lost=lost)
-    assert len(found.stations[4].shots) == len(plan.stations[4].shots) - 2
+    assert len(found.stations[4].pairs) == len(plan.stations[4].pairs) - 2
 
 
 def test_of_equal_stamps_one_is_kept():
@@ -237,8 +237,8 @@ def test_of_equal_stamps_one_is_kept():
         AT_REST, lambda ns: ns - (ns - START) % (S // 2), lambda ns: ns - (ns - START) % (S // 2)
     )
     for station, planned in zip(found.stations, plan.stations, strict=True):
-        left = [shot.left_ns for shot in station.shots]
-        assert len(left) == len(set(left)) < len(planned.shots)
+        left = [pair.left_ns for pair in station.pairs]
+        assert len(left) == len(set(left)) < len(planned.pairs)
 
 
 def test_moving_pictures_have_to_be_together():

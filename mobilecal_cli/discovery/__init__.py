@@ -9,8 +9,8 @@ from mobilecal_cli.discovery.resolve import (
     ResolvedRig,
     Survey,
     complete_rig,
-    layout_of,
     resolve_rig,
+    stereo_layout,
     survey_rig,
 )
 
@@ -20,11 +20,11 @@ __all__ = [
     "Survey",
     "complete_rig",
     "draft_rig",
-    "layout_of",
     "may_be_a_reading",
     "nominal_of",
     "prior_sigmas",
     "resolve_rig",
     "shown_priors",
+    "stereo_layout",
     "survey_rig",
 ]

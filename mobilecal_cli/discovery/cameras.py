@@ -10,7 +10,16 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import mirrored, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import IMAGES, Camera, CameraInfo, FloatArray, Prelude, Side, StereoRig, listed
+from mobilecal_cli.model import (
+    IMAGES,
+    Camera,
+    CameraInfo,
+    FloatArray,
+    RobotDescription,
+    Side,
+    StereoRig,
+    listed,
+)
 from mobilecal_cli.ranges import Range
 
 _SIDES: tuple[Side, Side] = ("left", "right")
@@ -26,8 +35,8 @@ _FORMS = {
 _CALIBRATE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
-def _present(prelude: Prelude) -> str:
-    return listed(f"{topic.name} ({topic.type})" for topic in prelude.topics)
+def _present(description: RobotDescription) -> str:
+    return listed(f"{topic.name} ({topic.type})" for topic in description.topics)
 
 
 def is_rectified(topic: str) -> bool:
@@ -35,7 +44,7 @@ def is_rectified(topic: str) -> bool:
     return any(word.startswith("rect") for word in words(topic))
 
 
-def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
+def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side, str]:
     """Image topics of both sides: as configured, or a pair whose names differ only in the side.
 
     Raw images are preferred to rectified ones (the reprojection error is then in raw pixels), and full messages to
@@ -45,7 +54,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         RecordingError: no such pair; the hint lists the topics present.
         ConfigError: several stereo cameras.
     """
-    present = {topic.name: topic for topic in prelude.topics if topic.type in IMAGES}
+    present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
     configured: dict[Side, str | None] = {
         "left": config.cameras.left.image,
         "right": config.cameras.right.image,
@@ -54,13 +63,13 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
         if name is not None and name not in present:
             raise RecordingError(
                 f"cameras.{side}.image: the topic {name} contains no images in this recording",
-                f"image topics present: {listed(sorted(present))}; all topics: {_present(prelude)}",
+                f"image topics present: {listed(sorted(present))}; all topics: {_present(description)}",
             )
     if not present:
         raise RecordingError(
             "no image topics were recorded",
             "record the images of both cameras (sensor_msgs/Image or CompressedImage) with the joint states; "
-            f"topics present: {_present(prelude)}",
+            f"topics present: {_present(description)}",
         )
     candidates = [
         pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in _SIDES)
@@ -86,7 +95,7 @@ def image_topics(config: RigConfig, prelude: Prelude) -> dict[Side, str]:
     if not candidates:
         raise RecordingError(
             "no stereo pair: no two image topics have names that differ only in left and right",
-            f"set cameras.left.image and cameras.right.image; topics present: {_present(prelude)}",
+            f"set cameras.left.image and cameras.right.image; topics present: {_present(description)}",
         )
 
     if configured["left"] is None and configured["right"] is None:
@@ -118,20 +127,20 @@ def _refuse_several_cameras(pairs_: Sequence[dict[Side, str]]) -> None:
         )
 
 
-def info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:
+def info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
     """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
     Raises:
         RecordingError: no topic matches, or its calibration cannot be used.
     """
-    topic = _info_topic(side, image, config, prelude)
-    if topic in prelude.unusable:
-        raise prelude.unusable[topic]
+    topic = _info_topic(side, image, config, description)
+    if topic in description.unusable:
+        raise description.unusable[topic]
     return topic
 
 
-def _info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> str:
-    present = {*prelude.infos, *prelude.unusable}
+def _info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
+    present = {*description.infos, *description.unusable}
     configured = (config.cameras.left if side == "left" else config.cameras.right).info
     if configured is not None:
         if configured not in present:
@@ -145,8 +154,8 @@ def _info_topic(side: Side, image: str, config: RigConfig, prelude: Prelude) -> 
     both = config.cameras.both is not None
     if beside in present and not both:
         return beside
-    frame = "" if both else prelude.image_frames.get(image, "")
-    same_frame = sorted(name for name, info in prelude.infos.items() if frame and info.frame_id == frame)
+    frame = "" if both else description.image_frames.get(image, "")
+    same_frame = sorted(name for name, info in description.infos.items() if frame and info.frame_id == frame)
     same_side = sorted(name for name in present if side_of(name) == side)
     for found in (same_frame, same_side):
         if len(found) == 1:

@@ -30,7 +30,7 @@ from mobilecal_cli.model import (
     HeadChain,
     Nominal,
     NumberField,
-    Prelude,
+    RobotDescription,
     Side,
     Todo,
 )
@@ -100,7 +100,7 @@ class _Page:
 
 
 def draft_rig(
-    prelude: Prelude,
+    description: RobotDescription,
     log_name: str,
     *,
     survey: Survey | None = None,
@@ -114,7 +114,7 @@ def draft_rig(
     Where names, images or readings allow two answers, the user is asked.
 
     Args:
-        `prelude`: topics and first messages of the recording.
+        `description`: topics and first messages of the recording.
         log_name: shown in the first line.
         survey: of the recording without a configuration, if there is one already.
         urdf_text: text of the URDF to use in place of the one in the recording.
@@ -122,7 +122,7 @@ def draft_rig(
         board: the board in some images.
         numbers: numbers that may be the readings of wheels or head joints.
     """
-    survey = survey or survey_rig(RigConfig(), prelude, urdf_text)
+    survey = survey or survey_rig(RigConfig(), description, urdf_text)
     page = _Page()
     page.add(
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
@@ -132,11 +132,11 @@ def draft_rig(
         "",
     )
     _board(page, board)
-    _cameras(page, prelude, survey)
-    _wheels(page, prelude, survey, numbers)
-    _joints(page, prelude, survey, numbers)
+    _cameras(page, description, survey)
+    _wheels(page, description, survey, numbers)
+    _joints(page, description, survey, numbers)
     _head(page, survey, urdf_path)
-    _nominal(page, prelude, survey, urdf_text)
+    _nominal(page, description, survey, urdf_text)
     page.add(
         "# known standard deviations; those omitted are estimated from the recording",
         "# noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}",
@@ -206,9 +206,11 @@ def likely_square_m(measured_m: float) -> float | None:
     return None
 
 
-def _cameras(page: _Page, prelude: Prelude, survey: Survey) -> None:
+def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None:
     images, infos = survey.images, survey.infos
-    page.add(_listing("image topics in the recording", (t.name for t in prelude.topics if t.type in IMAGES)))
+    page.add(
+        _listing("image topics in the recording", (t.name for t in description.topics if t.type in IMAGES))
+    )
     if images is None:
         page.ask_for(
             survey,
@@ -235,7 +237,9 @@ def _cameras(page: _Page, prelude: Prelude, survey: Survey) -> None:
     page.add("")
 
 
-def _wheels(page: _Page, prelude: Prelude, survey: Survey, numbers: Sequence[NumberField]) -> None:
+def _wheels(
+    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
+) -> None:
     page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
     if survey.wheels is not None:
         page.add("wheels:")
@@ -275,7 +279,7 @@ def _wheels(page: _Page, prelude: Prelude, survey: Survey, numbers: Sequence[Num
         "  left:  {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16}",
         "  right: {topic: /ticks/right, field: data, ticks_per_revolution: 4096, bits: 16}",
     )
-    odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
+    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
     if odometry:
         page.add(
             f"# or, with nominal.wheels exactly as in the driver: wheels: {{odometry: {_quoted(odometry[0])}}}"
@@ -305,14 +309,16 @@ def _described(field: NumberField) -> str:
     return f"topic {_quoted(field.topic)}, field {_quoted(field.path)} ({kind}{jumps})"
 
 
-def _joints(page: _Page, prelude: Prelude, survey: Survey, numbers: Sequence[NumberField]) -> None:
-    names = joint_state_names(prelude)
+def _joints(
+    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
+) -> None:
+    names = joint_state_names(description)
     page.add(_listing("joints in the recording's joint states", names))
     if survey.head is not None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), prelude, names)) or ("", "")
+        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), description, names)) or ("", "")
     keys = (
         {"topic": survey.joints[0]}
         if survey.joints and len(survey.joints) == 1 and not survey.elsewhere
@@ -408,8 +414,8 @@ def _numbers(values: FloatArray) -> str:
     return f"[{', '.join(f'{0.0 if abs(value) < 1e-12 else value:.10g}' for value in values)}]"
 
 
-def _nominal(page: _Page, prelude: Prelude, survey: Survey, urdf_text: str | None) -> None:
-    urdf = _parsed(prelude, urdf_text)
+def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_text: str | None) -> None:
+    urdf = _parsed(description, urdf_text)
     drawn = Nominal() if survey.head is None else survey.head.drawn
     if urdf is not None and drawn.wheels is None:
         drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
@@ -452,9 +458,9 @@ def _nominal(page: _Page, prelude: Prelude, survey: Survey, urdf_text: str | Non
     page.add("")
 
 
-def _parsed(prelude: Prelude, urdf_text: str | None) -> Urdf | None:
+def _parsed(description: RobotDescription, urdf_text: str | None) -> Urdf | None:
     """The URDF that is given, or that of the recording; None without a valid one."""
-    text = urdf_text or next((text for _, text in sorted(prelude.urdfs.items())), None)
+    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
     return None if text is None else _tried(lambda: parse_urdf(text))
 
 

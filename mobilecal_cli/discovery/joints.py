@@ -9,7 +9,15 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery.names import words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
-from mobilecal_cli.model import TRANSFORMS, HeadChain, JointField, JointLink, JointTransform, Prelude, listed
+from mobilecal_cli.model import (
+    TRANSFORMS,
+    HeadChain,
+    JointField,
+    JointLink,
+    JointTransform,
+    RobotDescription,
+    listed,
+)
 
 _HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 _PAN_WORDS = {"pan", "yaw"}
@@ -29,7 +37,9 @@ def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
     return best[0] if best else ""
 
 
-def pan_and_tilt(config: RigConfig, prelude: Prelude, candidates: Iterable[str]) -> tuple[str, str]:
+def pan_and_tilt(
+    config: RigConfig, description: RobotDescription, candidates: Iterable[str]
+) -> tuple[str, str]:
     """Names of the pan and tilt joint, as configured or found by name.
 
     Raises:
@@ -43,14 +53,14 @@ def pan_and_tilt(config: RigConfig, prelude: Prelude, candidates: Iterable[str])
     return pan, tilt
 
 
-def joint_fields(config: RigConfig, prelude: Prelude, chain: HeadChain) -> dict[str, JointField]:
+def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadChain) -> dict[str, JointField]:
     """Joints of the chain that the configuration reads from messages other than JointState.
 
     Raises:
         ConfigError: a joint is not in the chain.
         RecordingError: a topic is missing; the hint lists those present.
     """
-    present = {topic.name for topic in prelude.topics}
+    present = {topic.name for topic in description.topics}
     found = {}
     for joint, source in config.joints.fields.items():
         if joint not in chain.joints:
@@ -70,15 +80,16 @@ def joint_fields(config: RigConfig, prelude: Prelude, chain: HeadChain) -> dict[
 
 
 def joint_transforms(
-    config: RigConfig, prelude: Prelude, chain: HeadChain, urdf: Urdf | None
+    config: RigConfig, description: RobotDescription, chain: HeadChain, urdf: Urdf | None
 ) -> dict[str, JointTransform]:
     """Joints of the chain without joint states that /tf may provide, by the URDF's links and axes."""
     topic = next(
-        (info.name for info in prelude.topics if info.type == TRANSFORMS and info.name.endswith("/tf")), None
+        (info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")),
+        None,
     )
     if topic is None or urdf is None:
         return {}
-    told = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
+    told = {name for names in description.joint_names.values() for name in names} | set(config.joints.fields)
     kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
     return {
         name: JointTransform(topic, joint.parent, joint.child, joint.T_parent_child, joint.axis, kinds[name])
@@ -88,7 +99,7 @@ def joint_transforms(
 
 
 def joint_topics(
-    config: RigConfig, prelude: Prelude, chain: HeadChain, elsewhere: Container[str]
+    config: RigConfig, description: RobotDescription, chain: HeadChain, elsewhere: Container[str]
 ) -> tuple[str, ...]:
     """JointState topics with the chain's joints, except those read elsewhere.
 
@@ -96,12 +107,12 @@ def joint_topics(
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
     topic = config.joints.topic
-    if topic is not None and topic not in prelude.joint_names:
+    if topic is not None and topic not in description.joint_names:
         raise RecordingError(
             f"joints.topic: {topic} contains no joint states in this recording",
-            f"joint-state topics present: {listed(prelude.joint_names)}",
+            f"joint-state topics present: {listed(description.joint_names)}",
         )
-    names = {topic: prelude.joint_names[topic]} if topic is not None else prelude.joint_names
+    names = {topic: description.joint_names[topic]} if topic is not None else description.joint_names
     for joint in [name for name in chain.joints if name not in elsewhere]:
         if not any(joint in present for present in names.values()):
             raise RecordingError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from mobilecal_cli.model import Prelude, Side
+from mobilecal_cli.model import RobotDescription, Side
 
 _SIDES: dict[str, Side] = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _NUMBERED: dict[str, Side] = {"infra1": "left", "infra2": "right", "cam0": "left", "cam1": "right"}
@@ -38,6 +38,6 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
     return [found for found in by_key.values() if len(found) == 2]
 
 
-def joint_state_names(prelude: Prelude) -> list[str]:
+def joint_state_names(description: RobotDescription) -> list[str]:
     """Names of all joints in the recording's joint states."""
-    return sorted({name for names in prelude.joint_names.values() for name in names})
+    return sorted({name for names in description.joint_names.values() for name in names})

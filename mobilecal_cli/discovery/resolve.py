@@ -28,12 +28,12 @@ from mobilecal_cli.model import (
     JointLink,
     JointTransform,
     KnownNoise,
-    Layout,
     Nominal,
-    Prelude,
     Rig,
+    RobotDescription,
     Side,
     Sources,
+    StereoLayout,
     StereoRig,
     WheelSource,
 )
@@ -91,36 +91,36 @@ class Head:
 
 def _head(
     config: RigConfig,
-    prelude: Prelude,
+    description: RobotDescription,
     urdf_text: str | None,
     wheels: dict[Side, WheelSource],
     camera_frame: str,
 ) -> Head:
     if config.head.chain is not None:
         moving = [link.joint for link in config.head.chain if link.joint]
-        pan, tilt = pan_and_tilt(config, prelude, dict.fromkeys(moving))
+        pan, tilt = pan_and_tilt(config, description, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = explicit_chain(config, base, head, pan, tilt)
         return Head(chain, None, Nominal(), "head.chain of the configuration", ())
     origin = "head.urdf of the configuration"
     notes = []
-    if urdf_text is None and not prelude.urdfs:
-        return _head_of_transforms(config, prelude, wheels, camera_frame)
+    if urdf_text is None and not description.urdfs:
+        return _head_of_transforms(config, description, wheels, camera_frame)
     if urdf_text is None:
-        topic, urdf_text = next(iter(sorted(prelude.urdfs.items())))
+        topic, urdf_text = next(iter(sorted(description.urdfs.items())))
         origin = f"URDF on {topic}"
-        if len(set(prelude.urdfs.values())) > 1:
+        if len(set(description.urdfs.values())) > 1:
             notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
     urdf = parse_urdf(urdf_text)
-    pan, tilt = _pan_and_tilt_of_urdf(config, prelude, urdf)
+    pan, tilt = _pan_and_tilt_of_urdf(config, description, urdf)
     return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
 
 
 def _head_of_transforms(
-    config: RigConfig, prelude: Prelude, wheels: dict[Side, WheelSource], camera_frame: str
+    config: RigConfig, description: RobotDescription, wheels: dict[Side, WheelSource], camera_frame: str
 ) -> Head:
     """The head of a recording without a URDF, from the motion of its transforms."""
-    urdf = urdf_of_transforms(prelude.transforms)
+    urdf = urdf_of_transforms(description.transforms)
     if camera_frame not in urdf.links:
         to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
         raise RecordingError(
@@ -132,7 +132,7 @@ def _head_of_transforms(
         (name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root
     )
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
-    pan, tilt = pan_and_tilt(config, prelude, moving)
+    pan, tilt = pan_and_tilt(config, description, moving)
     if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
         tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
     note = (
@@ -142,12 +142,14 @@ def _head_of_transforms(
     return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the recording", [note])
 
 
-def _pan_and_tilt_of_urdf(config: RigConfig, prelude: Prelude, urdf: Urdf) -> tuple[str, str]:
-    in_states = {name for names in prelude.joint_names.values() for name in names} | set(config.joints.fields)
-    pan, tilt = pan_and_tilt(config, prelude, [name for name in urdf.joints if name in in_states])
+def _pan_and_tilt_of_urdf(config: RigConfig, description: RobotDescription, urdf: Urdf) -> tuple[str, str]:
+    in_states = {name for names in description.joint_names.values() for name in names} | set(
+        config.joints.fields
+    )
+    pan, tilt = pan_and_tilt(config, description, [name for name in urdf.joints if name in in_states])
     if not tilt and config.head.head_frame is None:
         # Joint states may lack some of the head's joints; the URDF still names them.
-        pan, tilt = pan_and_tilt(config, prelude, list(urdf.joints))
+        pan, tilt = pan_and_tilt(config, description, list(urdf.joints))
     return pan, tilt
 
 
@@ -204,7 +206,7 @@ class Survey:
 
 def resolve_rig(
     config: RigConfig,
-    prelude: Prelude,
+    description: RobotDescription,
     urdf_text: str | None = None,
     flags: frozenset[str] = frozenset(),
 ) -> ResolvedRig:
@@ -212,7 +214,7 @@ def resolve_rig(
 
     Args:
         config: the configuration, flags included.
-        `prelude`: topics and first messages of the recording.
+        `description`: topics and first messages of the recording.
         urdf_text: contents of `head.urdf`, if the configuration names one.
         flags: dotted keys given by flags, for the report.
 
@@ -220,7 +222,7 @@ def resolve_rig(
         RecordingError: the recording lacks something that the configuration does not give.
         ConfigError: configuration and recording contradict each other, or several choices remain.
     """
-    return complete_rig(survey_rig(config, prelude, urdf_text), config, flags)
+    return complete_rig(survey_rig(config, description, urdf_text), config, flags)
 
 
 def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = frozenset()) -> ResolvedRig:
@@ -274,7 +276,7 @@ def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = froz
             cameras,
             chain,
             nominal,
-            Sources(images, infos, joints, wheels, survey.elsewhere, layout_of(config)),
+            Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
             setting_sources,
             KnownNoise(**config.noise.model_dump()),
             prior_sigmas(config.priors, cameras, chain),
@@ -283,16 +285,16 @@ def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = froz
     )
 
 
-def layout_of(config: RigConfig) -> Layout:
+def stereo_layout(config: RigConfig) -> StereoLayout:
     """Arrangement of the two images of a pair."""
     return "separate" if config.cameras.both is None else config.cameras.both.layout
 
 
-def survey_rig(config: RigConfig, prelude: Prelude, urdf_text: str | None = None) -> Survey:
+def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str | None = None) -> Survey:
     """Everything that configuration and recording determine, and all errors, except those that follow from another.
 
     Args:
-        config, `prelude`, urdf_text: see `resolve_rig`.
+        config, `description`, urdf_text: see `resolve_rig`.
     """
     lacks: list[tuple[Part, _Lack]] = []
 
@@ -304,31 +306,31 @@ def survey_rig(config: RigConfig, prelude: Prelude, urdf_text: str | None = None
             return None
 
     reference = config.cameras.reference
-    images = tried("cameras", lambda: image_topics(config, prelude))
+    images = tried("cameras", lambda: image_topics(config, description))
     topics: dict[Side, str] = {}
     rectified, cameras = False, None
     if images is not None:
         for side in _SIDES:
-            topic = tried("camera infos", partial(info_topic, side, images[side], config, prelude))
+            topic = tried("camera infos", partial(info_topic, side, images[side], config, description))
             topics |= {side: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(images["left"]) if told is None else told
-    infos = {side: prelude.infos[topic] for side, topic in topics.items()}
+    infos = {side: description.infos[topic] for side, topic in topics.items()}
     if len(infos) == len(_SIDES):
         tried("camera infos", lambda: check_sizes(infos))
         cameras = tried(
             "camera infos", lambda: stereo_rig(infos["left"], infos["right"], rectified, reference)
         )
-    wheels = tried("wheels", lambda: wheel_sources(config, prelude))
+    wheels = tried("wheels", lambda: wheel_sources(config, description))
     frame = infos[reference].frame_id if reference in infos else ""
-    head = tried("head chain", lambda: _head(config, prelude, urdf_text, wheels or {}, frame))
+    head = tried("head chain", lambda: _head(config, description, urdf_text, wheels or {}, frame))
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:
         tried("head chain", lambda: _check_moves(head.chain))
-        elsewhere |= tried("joints", lambda: joint_fields(config, prelude, head.chain)) or {}
-        elsewhere |= joint_transforms(config, prelude, head.chain, head.urdf)
-        joints = tried("joints", lambda: joint_topics(config, prelude, head.chain, elsewhere))
+        elsewhere |= tried("joints", lambda: joint_fields(config, description, head.chain)) or {}
+        elsewhere |= joint_transforms(config, description, head.chain, head.urdf)
+        joints = tried("joints", lambda: joint_topics(config, description, head.chain, elsewhere))
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
     return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, tuple(lacks))

@@ -9,14 +9,14 @@ from mobilecal_cli.config import RigConfig, WheelConfig
 from mobilecal_cli.discovery.names import joint_state_names, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
-from mobilecal_cli.model import Prelude, Side, WheelGeometry, WheelSource, listed
+from mobilecal_cli.model import RobotDescription, Side, WheelGeometry, WheelSource, listed
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
 _AS_THE_DRIVER = "nominal.wheels in rig.yaml to the exact values of the robot's driver"
 
 
-def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource]:
+def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
     """Source of each wheel's rotation: as configured, or the pair of joints named as wheels.
 
     Raises:
@@ -24,8 +24,8 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
         ConfigError: several pairs match, or a counter lacks its ticks per revolution.
     """
     if config.wheels.odometry is not None:
-        return _odometry(config, prelude, config.wheels.odometry)
-    found = pairs(name for name in joint_state_names(prelude) if _is_wheel(name))
+        return _odometry(config, description, config.wheels.odometry)
+    found = pairs(name for name in joint_state_names(description) if _is_wheel(name))
     result: dict[Side, WheelSource] = {}
     sides: tuple[tuple[Side, WheelConfig], ...] = (
         ("left", config.wheels.left),
@@ -33,10 +33,10 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
     )
     for side, wheel in sides:
         if wheel.field is not None and wheel.topic is not None:
-            if wheel.topic not in {topic.name for topic in prelude.topics}:
+            if wheel.topic not in {topic.name for topic in description.topics}:
                 raise RecordingError(
                     f"wheels.{side}: no topic {wheel.topic} in this recording",
-                    f"topics present: {listed(topic.name for topic in prelude.topics)}",
+                    f"topics present: {listed(topic.name for topic in description.topics)}",
                 )
             result[side] = WheelSource(
                 wheel.topic, None, wheel.field, wheel.ticks_per_revolution, wheel.bits, wheel.sign
@@ -51,18 +51,18 @@ def wheel_sources(config: RigConfig, prelude: Prelude) -> dict[Side, WheelSource
                     "set wheels.left.joint and wheels.right.joint in rig.yaml",
                 )
             if not found:
-                raise _no_wheels(side, prelude)
+                raise _no_wheels(side, description)
             joint = found[0][side]
         topics = (
             [wheel.topic]
             if wheel.topic
-            else [t for t, names in prelude.joint_names.items() if joint in names]
+            else [t for t, names in description.joint_names.items() if joint in names]
         )
-        if not topics or joint not in prelude.joint_names.get(topics[0], ()):
+        if not topics or joint not in description.joint_names.get(topics[0], ()):
             raise RecordingError(
                 f"wheels.{side}: no joint {joint!r} in the joint states"
                 + (f" of {wheel.topic}" if wheel.topic else ""),
-                f"joints present: {listed(joint_state_names(prelude))}",
+                f"joints present: {listed(joint_state_names(description))}",
             )
         result[side] = WheelSource(topics[0], joint, None, wheel.ticks_per_revolution, wheel.bits, wheel.sign)
     _refuse_one_source(result["left"], result["right"])
@@ -82,14 +82,14 @@ def _refuse_one_source(left: WheelSource, right: WheelSource) -> None:
         )
 
 
-def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, WheelSource]:
+def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> dict[Side, WheelSource]:
     """Odometry as the source of both wheels' rotations.
 
     Raises:
         RecordingError: no odometry on the topic.
         ConfigError: the wheels used for the odometry are not given.
     """
-    present = {info.name: info.type for info in prelude.topics}
+    present = {info.name: info.type for info in description.topics}
     if present.get(topic) != ODOMETRY:
         others = listed(name for name, kind in present.items() if kind == ODOMETRY)
         raise RecordingError(
@@ -108,29 +108,31 @@ def _odometry(config: RigConfig, prelude: Prelude, topic: str) -> dict[Side, Whe
     return {side: WheelSource(topic, baked_in=baked_in) for side in sides}
 
 
-def _no_wheels(side: Side, prelude: Prelude) -> RecordingError:
-    odometry = [topic.name for topic in prelude.topics if topic.type == ODOMETRY]
-    if odometry and not any(COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in prelude.topics):
+def _no_wheels(side: Side, description: RobotDescription) -> RecordingError:
+    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
+    if odometry and not any(
+        COUNTER_WORDS & set(words(t.name)) and side_of(t.name) for t in description.topics
+    ):
         return RecordingError(
             f"wheels.{side}: no joint is named as a wheel; odometry is present on {listed(odometry)}",
             f"set wheels.odometry to {odometry[0]}, and {_AS_THE_DRIVER}",
         )
-    counters = [t.name for t in prelude.topics if COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
+    counters = [t.name for t in description.topics if COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
     if counters:
         return RecordingError(
             f"wheels.{side}: no joint is named as a wheel; {listed(counters)} look like tick counters",
             "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
         )
-    if not prelude.joint_names:
+    if not description.joint_names:
         return RecordingError(
             f"wheels.{side}: no joint states (sensor_msgs/JointState), odometry or tick counters were recorded",
             "record /joint_states, or set topic and field of wheels.left and wheels.right in rig.yaml; topics present: "
-            f"{listed(topic.name for topic in prelude.topics)}",
+            f"{listed(topic.name for topic in description.topics)}",
         )
     return RecordingError(
         f"wheels.{side}: no pair of joints is named as left and right wheel",
-        f"set wheels.left and wheels.right in rig.yaml; joints present: {listed(joint_state_names(prelude))}; "
-        f"topics present: {listed(topic.name for topic in prelude.topics)}",
+        f"set wheels.left and wheels.right in rig.yaml; joints present: {listed(joint_state_names(description))}; "
+        f"topics present: {listed(topic.name for topic in description.topics)}",
     )
 
 

@@ -27,8 +27,8 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 7
-_OLDEST_READ = 5  # both wheels at the same times; 6: no priors of constants
+SCHEMA_VERSION = 8
+_OLDEST_READ = 5  # both wheels at the same times; 6: no priors of constants; 7: settled_by
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -196,7 +196,7 @@ def _header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
 
 def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extraction:
     return Extraction(
-        rig=from_plain(Rig, header["rig"]),
+        rig=_rig(header["rig"]),
         board=from_plain(Board, header["board"]),
         observations=tuple(_observation(arrays, i) for i in range(header["observations"])),
         wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
@@ -212,6 +212,13 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
             for i, count in enumerate(header["joint_tracks"])
         ),
     )
+
+
+def _rig(plain: dict[str, Any]) -> Rig:
+    if "settled_by" in plain:  # the name in schema versions 5 to 7
+        plain = {**plain, "setting_sources": plain["settled_by"]}
+        del plain["settled_by"]
+    return from_plain(Rig, plain)
 
 
 def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:

@@ -299,7 +299,7 @@ class JointTransform:
         return f"{self.parent} to {self.child}"
 
 
-Layout = Literal["separate", "side_by_side", "stacked"]
+StereoLayout = Literal["separate", "side_by_side", "stacked"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +340,7 @@ class Sources:
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
     elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
-    layout: Layout = "separate"
+    layout: StereoLayout = "separate"
 
     @property
     def motion(self) -> frozenset[str]:
@@ -425,7 +425,7 @@ class Rig:
         chain: kinematic chain from base to head.
         nominal: nominal values.
         sources: the topics used.
-        settled_by: setting → its source ("flag", "file", "log", "default", ...), for the report.
+        setting_sources: setting → its source ("flag", "file", "log", "default", ...), for the report.
         noise: given noise levels.
         prior_sigmas: kind or name of a constant, or "all" → its prior standard deviation, see `nuisance`; 0 if the
             stated value is exact, infinite (math.inf) if nothing is known.
@@ -435,6 +435,6 @@ class Rig:
     chain: HeadChain
     nominal: Nominal
     sources: Sources
-    settled_by: Mapping[str, str]
+    setting_sources: Mapping[str, str]
     noise: KnownNoise = KnownNoise()
     prior_sigmas: Mapping[str, float] = field(default_factory=dict)

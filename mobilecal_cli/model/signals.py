@@ -89,7 +89,7 @@ class Signals:
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class StereoPair:
     """A stereo pair to search for the board, identified by the stamps of its images, ns."""
 
     left_ns: int
@@ -107,16 +107,16 @@ class Station:
 
     Attributes:
         index: number in its recording, from 0, sorted by time.
-        at_rest: base and head stood still during all shots.
-        shots: the stereo pairs to search: several at a rest, one otherwise.
-        time_ns: mean time of the shots.
-        joints: (J,) head joint readings at the shots, in the order of `HeadChain.joints`, rad or m.
-        joints_std: (J,) scatter of the readings over the shots; 0 with one shot.
+        at_rest: base and head stood still during all pairs.
+        pairs: the stereo pairs to search: several at a rest, one otherwise.
+        time_ns: mean time of the pairs.
+        joints: (J,) head joint readings at the pairs, in the order of `HeadChain.joints`, rad or m.
+        joints_std: (J,) scatter of the readings over the pairs; 0 with one pair.
     """
 
     index: int
     at_rest: bool
-    shots: tuple[Shot, ...]
+    pairs: tuple[StereoPair, ...]
     time_ns: int
     joints: FloatArray
     joints_std: FloatArray

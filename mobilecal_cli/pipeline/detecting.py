@@ -13,10 +13,10 @@ from mobilecal_cli.model import (
     PictureIndex,
     Rejection,
     Rig,
-    Shot,
     Side,
     Sources,
     Station,
+    StereoPair,
     StereoRig,
 )
 from mobilecal_cli.readers import Recording, read_images
@@ -54,11 +54,11 @@ class StationDetections:
     pictures: dict[Side, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
 
-    def pairs(self, shots: Sequence[Shot]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
+    def pairs(self, pairs: Sequence[StereoPair]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
         """Left and right results of the stereo pairs with both images decoded."""
         left, right = self.found["left"], self.found["right"]
-        whole = [shot for shot in shots if shot.left_ns in left and shot.right_ns in right]
-        return [left[shot.left_ns] for shot in whole], [right[shot.right_ns] for shot in whole]
+        whole = [pair for pair in pairs if pair.left_ns in left and pair.right_ns in right]
+        return [left[pair.left_ns] for pair in whole], [right[pair.right_ns] for pair in whole]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def first_pictures(
     """
     stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
     for plan in plans:
-        firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
+        firsts = [replace(station, pairs=station.pairs[:1]) for station in plan.stations[::stride]]
         wanted = images_of(firsts, plan.images)
         for side, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
             if isinstance(picture, Rejection):
@@ -160,12 +160,12 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
     """Split the stations of a log into segments, and choose the images kept for the report."""
     stations = plan.stations
     stride = max(1, -(-len(stations) // SNAPSHOTS))
-    cuts, pairs = [0], 0
+    cuts, count = [0], 0
     for i, station in enumerate(stations):
-        if pairs and pairs + len(station.shots) > SEGMENT_PAIRS:
+        if count and count + len(station.pairs) > SEGMENT_PAIRS:
             cuts.append(i)
-            pairs = 0
-        pairs += len(station.shots)
+            count = 0
+        count += len(station.pairs)
     cuts.append(len(stations))
     return [
         Segment(
@@ -188,8 +188,8 @@ def detect_segment(
     """
     stations = segment.stations
     where: Mapping[Side, dict[int, int]] = {
-        "left": {shot.left_ns: i for i, station in enumerate(stations) for shot in station.shots},
-        "right": {shot.right_ns: i for i, station in enumerate(stations) for shot in station.shots},
+        "left": {pair.left_ns: i for i, station in enumerate(stations) for pair in station.pairs},
+        "right": {pair.right_ns: i for i, station in enumerate(stations) for pair in station.pairs},
     }
     detections = [StationDetections() for _ in stations]
     followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
@@ -231,7 +231,7 @@ def first_pairs(
     """The board in the first stereo pair of each station that shows it in both images."""
     found = []
     for station, seen in zip(stations, detections, strict=True):
-        for left, right in zip(*seen.pairs(station.shots), strict=True):
+        for left, right in zip(*seen.pairs(station.pairs), strict=True):
             if isinstance(left, Detection) and isinstance(right, Detection):
                 found.append((left, right))
                 break
@@ -241,7 +241,7 @@ def first_pairs(
 def _measured(
     log: int, scene: Scene, station: Station, detections: StationDetections
 ) -> Measured | Rejection:
-    left, right = detections.pairs(station.shots)
+    left, right = detections.pairs(station.pairs)
     if not left:
         detail = (
             detections.rejections[0].detail

@@ -147,7 +147,7 @@ def detect_all(
         For each log: one `StationDetections` per station, and JPEGs of the first images of some stations.
     """
     segments = [segments_of(plan, thorough) for plan in plans]
-    total = 2 * sum(len(station.shots) for plan in plans for station in plan.stations)
+    total = 2 * sum(len(station.pairs) for plan in plans for station in plan.stations)
     done = 0
     detections: list[StationDetections] = []
     with _one_thread():

@@ -12,7 +12,7 @@ from mobilecal_cli.export.single_file import check_file, write_file
 from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS, Draft
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.sampling import sample_board
-from mobilecal_cli.readers import number_fields, open_recording, read_prelude
+from mobilecal_cli.readers import number_fields, open_recording, read_description
 
 #: Types that are read by their meaning, not by field paths.
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, STRING, TRANSFORMS}
@@ -37,16 +37,16 @@ def draft(
     text = read_urdf(config)
     with open_recording(logs) as recording:
         progress("topics", 0, None)
-        prelude = read_prelude(recording)
-        survey = survey_rig(config, prelude, text)
-        others = [topic.name for topic in prelude.topics if topic.type not in _KNOWN]
+        description = read_description(recording)
+        survey = survey_rig(config, description, text)
+        others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
         numbers = () if not survey.lacks else number_fields(recording, others, may_be_a_reading)
         board = None
         if survey.images is not None:
             progress("images", 0, None)
             board, _ = sample_board(recording, survey.images, "separate", survey.cameras, None)
         made = draft_rig(
-            prelude,
+            description,
             logs[0].name,
             survey=survey,
             urdf_text=text,

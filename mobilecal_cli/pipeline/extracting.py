@@ -42,7 +42,7 @@ from mobilecal_cli.pipeline.repeated import (
     refuse_same,
     same_signals,
 )
-from mobilecal_cli.readers import Recording, join_splits, open_recording, read_prelude, sha256_of
+from mobilecal_cli.readers import Recording, join_splits, open_recording, read_description, sha256_of
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.uncertainty import FEWEST_STATIONS
 from mobilecal_cli.vision import (
@@ -85,15 +85,17 @@ def _see(
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    prelude, urdf = read_prelude(recording), read_urdf(config)
-    settled = resolve_rig(config, prelude, urdf, flags)
+    description, urdf = read_description(recording), read_urdf(config)
+    resolved = resolve_rig(config, description, urdf, flags)
     everything = config.stations == "all"
-    if everything and recording.bytes_of(settled.rig.sources.image.values()) >= WORTH_BYTES:
+    if everything and recording.bytes_of(resolved.rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()
-    planned = plan_recording(recording, settled.rig, settled.rig.chain.prismatic, everything)
+    planned = plan_recording(recording, resolved.rig, resolved.rig.chain.prismatic, everything)
     if planned.infos:
-        settled = resolve_rig(config, replace(prelude, infos={**prelude.infos, **planned.infos}), urdf, flags)
-    rig, plans = settled.rig, planned.plans
+        resolved = resolve_rig(
+            config, replace(description, infos={**description.infos, **planned.infos}), urdf, flags
+        )
+    rig, plans = resolved.rig, planned.plans
     for one in earlier:
         for plan in plans:
             if same_signals((one.plan.wheels, one.plan.joints), (plan.wheels, plan.joints)):
@@ -119,7 +121,7 @@ def _see(
     if not found and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
-    notes = (*settled.notes, *planned.notes, *recording.damage)
+    notes = (*resolved.notes, *planned.notes, *recording.damage)
     seen = []
     for log, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
         measured = workers.measure_stations(log, scene, plan.stations, detections)
@@ -250,15 +252,15 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
     observations: list[Observation] = []
     rejections: list[Rejection] = []
     for log, one in enumerate(seen):
-        settled = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
-        observations += [item for item in settled if isinstance(item, Observation)]
+        resolved = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
+        observations += [item for item in resolved if isinstance(item, Observation)]
         lost = (rejection for detections in one.detections for rejection in detections.rejections)
-        missed = (item for item in settled if isinstance(item, Rejection))
+        missed = (item for item in resolved if isinstance(item, Rejection))
         rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
-        numbered, unsettled = resolve_numbering(observations, R_v_h, board)
-        observations, rejections = list(numbered), [*rejections, *unsettled]
+        numbered, unresolved = resolve_numbering(observations, R_v_h, board)
+        observations, rejections = list(numbered), [*rejections, *unresolved]
     wheels: tuple[WheelTrack, ...] = tuple(one.plan.wheels for one in seen)
     counts: dict[str, Any] = {
         "stations": sum(len(one.plan.stations) for one in seen),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
-from mobilecal_cli.discovery import Survey, complete_rig, layout_of, survey_rig
+from mobilecal_cli.discovery import Survey, complete_rig, stereo_layout, survey_rig
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
@@ -33,7 +33,14 @@ from mobilecal_cli.model import (
 from mobilecal_cli.pipeline.extracting import board_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.sampling import sample_board
-from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_prelude, read_signals
+from mobilecal_cli.readers import (
+    Extent,
+    Recording,
+    join_splits,
+    open_recording,
+    read_description,
+    read_signals,
+)
 from mobilecal_cli.report import MIN_STATIONS, gates_of
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
@@ -76,8 +83,8 @@ def inspect(
         rig: Rig | None = None
         notes: tuple[str, ...] = ()
         if survey is not None and not survey.lacks:
-            settled = complete_rig(survey, config, given)
-            rig, notes = settled.rig, settled.notes
+            resolved = complete_rig(survey, config, given)
+            rig, notes = resolved.rig, resolved.notes
         board: BoardView | None = None
         motion: MotionView | None = None
         covered: tuple[int, int] | None = None
@@ -92,7 +99,7 @@ def inspect(
             board, lacks = sample_board(
                 recording,
                 survey.images,
-                layout_of(config),
+                stereo_layout(config),
                 survey.cameras,
                 board_of(config),
                 config.board.square_m,
@@ -199,11 +206,11 @@ def _unknown_gates(config: RigConfig) -> list[Lack]:
 def _survey(recording: Recording, config: RigConfig, missing: list[Lack]) -> Survey | None:
     """The parts of the rig that `calibrate` would use; what is missing for it goes to `missing`."""
     try:
-        prelude = read_prelude(recording)
+        description = read_description(recording)
     except RecordingError as error:
         missing.append(_lack("recording", error))
         return None
-    survey = survey_rig(config, prelude, read_urdf(config))
+    survey = survey_rig(config, description, read_urdf(config))
     missing += [_lack(part, error) for part, error in survey.lacks]
     return survey
 

@@ -77,8 +77,8 @@ def _seen_from(rig: Rig, reference: Side) -> Rig:
         T_h_c = nominal.T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
         nominal = replace(nominal, T_h_reference=T_h_c @ cameras.T_c_reference)
     before, now = (f"reference camera {side}" for side in (rig.cameras.reference, reference))
-    sources = {now if key == before else key: value for key, value in rig.settled_by.items()}
-    return replace(rig, cameras=cameras, nominal=nominal, settled_by={**sources, now: "flag"})
+    sources = {now if key == before else key: value for key, value in rig.setting_sources.items()}
+    return replace(rig, cameras=cameras, nominal=nominal, setting_sources={**sources, now: "flag"})
 
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
@@ -93,11 +93,13 @@ def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
             "nominal.wheels cannot be changed in an extraction whose wheel rotations come from odometry",
             "calibrate from the recording, with the wheels of the robot's driver",
         )
-    sources = dict(rig.settled_by)
+    sources = dict(rig.setting_sources)
     sources |= {} if given.wheels is None else {"nominal wheels": "flag"}
     sources |= {} if given.T_h_reference is None else {"nominal head_eye": "flag"}
     head_eye = rig.nominal.T_h_reference if given.T_h_reference is None else given.T_h_reference
-    return replace(rig, nominal=Nominal(head_eye, given.wheels or rig.nominal.wheels), settled_by=sources)
+    return replace(
+        rig, nominal=Nominal(head_eye, given.wheels or rig.nominal.wheels), setting_sources=sources
+    )
 
 
 def _rescaled(
@@ -123,7 +125,7 @@ def _rescaled(
         scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
     name = f"{side} wheel {old.topic} {old.joint or old.field}"
     sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
-    return replace(rig, sources=sources, settled_by={**rig.settled_by, name: "flag"}), tuple(scaled)
+    return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)
 
 
 def _turn_per_unit(source: WheelSource) -> float:

@@ -13,11 +13,11 @@ from mobilecal_cli.model import (
     BoardView,
     GrayImage,
     Lack,
-    Layout,
     Rejection,
     Side,
     Sources,
     Station,
+    StereoLayout,
     StereoRig,
 )
 from mobilecal_cli.pipeline.detecting import check_picture
@@ -35,7 +35,7 @@ _Images = Mapping[Side, Sequence[GrayImage | Rejection]]
 def sample_board(
     recording: Recording,
     images: Mapping[Side, str],
-    layout: Layout,
+    layout: StereoLayout,
     cameras: StereoRig | None,
     board: Board | None,
     stated_m: float | None = None,

@@ -89,7 +89,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "head_frame": rig.chain.head_frame,
             "chain": _chain(rig.chain),
         },
-        "setting_sources": dict(rig.settled_by),
+        "setting_sources": dict(rig.setting_sources),
     }
     nominal = rig.nominal
     if nominal.wheels is not None:

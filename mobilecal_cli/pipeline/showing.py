@@ -247,7 +247,7 @@ def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
                     break
             for plan in plans:
                 mine = [s for s in plan.stations if (log, s.time_ns) in wanted]
-                firsts = [replace(station, shots=station.shots[:1]) for station in mine]
+                firsts = [replace(station, pairs=station.pairs[:1]) for station in mine]
                 places = _places(firsts, log, wanted)
                 index = images_of(firsts, plan.images)
                 for side, time_ns, picture in read_images(
@@ -271,6 +271,6 @@ def _places(
     places: dict[tuple[Side, int], int] = {}
     for station in stations:
         number = wanted[log, station.time_ns]
-        places["left", station.shots[0].left_ns] = number
-        places["right", station.shots[0].right_ns] = number
+        places["left", station.pairs[0].left_ns] = number
+        places["right", station.pairs[0].right_ns] = number
     return places

@@ -1,6 +1,6 @@
 """Readers: one module per container format, and the data that other stages need from a recording.
 
-`open_recording` detects the format from the contents, never from the suffix. `read_prelude` reads what describes
+`open_recording` detects the format from the contents, never from the suffix. `read_description` reads what describes
 the robot, `read_signals` reads everything except image contents in one pass, and `read_images` streams selected
 images.
 """
@@ -11,7 +11,7 @@ from mobilecal_cli.readers.containers.recording import Message, Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.pixels import decode_image
 from mobilecal_cli.readers.images.selection import pictures_near, read_images
-from mobilecal_cli.readers.prelude import read_prelude
+from mobilecal_cli.readers.robot_description import read_description
 from mobilecal_cli.readers.signals.numbers import number_fields
 from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read_stamps
 from mobilecal_cli.readers.signals.reading import read_signals
@@ -27,8 +27,8 @@ __all__ = [
     "number_fields",
     "open_recording",
     "pictures_near",
+    "read_description",
     "read_images",
-    "read_prelude",
     "read_signals",
     "read_stamps",
     "recognised",

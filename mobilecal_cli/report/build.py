@@ -120,7 +120,7 @@ def build_report(case: Case) -> ReportData:
         ),
         counts={"images" if name == "pictures" else name: count for name, count in extraction.counts.items()},
         notes=extraction.notes,
-        setting_sources=extraction.rig.settled_by,
+        setting_sources=extraction.rig.setting_sources,
         provenance=ProvenanceData(
             tool="mobilecal", **{name: getattr(case.provenance, name) for name in _PROVENANCE}
         ),

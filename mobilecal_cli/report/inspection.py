@@ -14,7 +14,7 @@ from mobilecal_cli.model import BoardView, Camera, Inspection, Lack, MotionView,
 from mobilecal_cli.model.text import visible
 
 _WIDTH = 96
-#: Source of a setting in `Rig.settled_by` → its text.
+#: Source of a setting in `Rig.setting_sources` → its text.
 _WHY = {
     "log": "from names and types in the recording",
     "flag": "from an option",
@@ -46,7 +46,7 @@ def inspection_json(found: Inspection) -> str:
             }
             for topic in found.topics
         ],
-        "roles": dict(rig.settled_by) if rig else None,
+        "roles": dict(rig.setting_sources) if rig else None,
         "head": _head(rig) if rig else None,
         "cameras": _cameras(rig.cameras) if rig else None,
         "board": None
@@ -185,7 +185,7 @@ def _topics(found: Inspection) -> list[str]:
 
 def _roles(rig: Rig) -> Iterable[str]:
     cameras = rig.cameras
-    for role, origin in rig.settled_by.items():
+    for role, origin in rig.setting_sources.items():
         yield from _wrapped(f"{role}: {_WHY.get(origin, origin)}")
     for side, camera in (("left", cameras.left), ("right", cameras.right)):
         size, focal = f"{camera.width} x {camera.height}", f"focal length {camera.K[0, 0]:.1f} px"

@@ -370,7 +370,7 @@ def inputs(case: Case) -> Rows:
 @table("setting_sources", "", "", "")
 def setting_sources(case: Case) -> Rows:
     """Where each setting comes from."""
-    return list(case.extraction.rig.settled_by.items())
+    return list(case.extraction.rig.setting_sources.items())
 
 
 @table("recordings", "", "recording", "code:SHA-256")

@@ -163,8 +163,8 @@ class SimulatedRobot:
             nominal: whether to include nominal values as priors.
         """
         prior = Nominal(self.T_h_c_nominal, self.nominal_wheels) if nominal else Nominal()
-        settled = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
-        return Rig(self.rig_cameras, self.chain, prior, self.topics(), settled)
+        resolved = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
+        return Rig(self.rig_cameras, self.chain, prior, self.topics(), resolved)
 
 
 def _head_eye(euler_zyx_deg: Vector, translation_mm: Vector) -> FloatArray:

@@ -156,7 +156,7 @@ def measure(
     Args:
         log: index of the recording.
         station: its stereo pairs and joint readings.
-        left, right: detections in the images of each stereo pair, in the order of `station.shots`.
+        left, right: detections in the images of each stereo pair, in the order of `station.pairs`.
         rig: the stereo pair of cameras.
         board: the board's size.
 
@@ -167,26 +167,26 @@ def measure(
     def rejected(reason: str, detail: str) -> Rejection:
         return Rejection("vision", reason, detail, station.time_ns, station.index, log)
 
-    pairs = [
+    detected = [
         (a, b)
         for a, b in zip(left, right, strict=True)
         if isinstance(a, Detection) and isinstance(b, Detection)
     ]
-    if not pairs:
+    if not detected:
         return rejected(*_no_pair(left, right))
-    shots_left = StationCorners.of([a for a, _ in pairs], board)
-    shots_right = StationCorners.of([b for _, b in pairs], board)
-    drift_px = np.maximum(shots_left.drift_px, shots_right.drift_px)
-    claimed_px = float(np.median([max(a.sigma_px, b.sigma_px) for a, b in pairs]))
+    images_left = StationCorners.of([a for a, _ in detected], board)
+    images_right = StationCorners.of([b for _, b in detected], board)
+    drift_px = np.maximum(images_left.drift_px, images_right.drift_px)
+    claimed_px = float(np.median([max(a.sigma_px, b.sigma_px) for a, b in detected]))
     limit_px = max(_MAX_DRIFT_PX, _DRIFT_SIGMAS * claimed_px)
     still = drift_px <= limit_px
-    if 2 * np.sum(still) <= len(pairs):
+    if 2 * np.sum(still) <= len(detected):
         return rejected(
             "board or robot moved during the stop",
-            f"corners drift by {drift_px.max():.2f} px over {len(pairs)} stereo pairs, limit {limit_px:.2f} px",
+            f"corners drift by {drift_px.max():.2f} px over {len(detected)} stereo pairs, limit {limit_px:.2f} px",
         )
-    corners_left = shots_left.select(still).average(board, rig.left)
-    corners_right = shots_right.select(still).average(board, rig.right)
+    corners_left = images_left.select(still).average(board, rig.left)
+    corners_right = images_right.select(still).average(board, rig.right)
     both = corners_left.seen & corners_right.seen
     if both.sum() < _LEAST_IN_BOTH:
         return rejected(

@@ -57,14 +57,14 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     from mobilecal_cli.pipeline.detecting import Scene, measure_stations
     from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
     from mobilecal_cli.pipeline.planning import plan_recording
-    from mobilecal_cli.readers import open_recording, read_prelude
+    from mobilecal_cli.readers import open_recording, read_description
     from mobilecal_cli.vision import Detection, Measured, resolve_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig = resolve_rig(load_rig(None), read_prelude(recording), None, frozenset()).rig
+        rig = resolve_rig(load_rig(None), read_description(recording), None, frozenset()).rig
         (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
         ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)

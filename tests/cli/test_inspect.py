@@ -30,7 +30,7 @@ def test_sample_log(sample_logs, name):
     assert found.motion.share == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
-    assert found.rig.settled_by["head chain base_link to head_link"] == "URDF on /robot_description"
+    assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
 
 
 def test_motion_that_does_not_show_everything(sample_logs):

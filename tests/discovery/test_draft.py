@@ -16,7 +16,7 @@ from mobilecal_cli.discovery import draft_rig, may_be_a_reading, resolve_rig
 from mobilecal_cli.discovery.draft import likely_square_m
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import BoardView, NumberField, TopicInfo
-from tests.discovery.test_resolve import AT_BASE, CAMERA, URDF, prelude
+from tests.discovery.test_resolve import AT_BASE, CAMERA, URDF, description
 
 HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
 
@@ -40,8 +40,10 @@ def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
 
 def test_a_draft_loads_and_settles_the_same_rig():
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
-    draft = draft_rig(prelude(urdf=urdf), "some log.mcap", board=board())
-    again, first = (resolve_rig(config, prelude(urdf=urdf)).rig for config in (loaded(draft), RigConfig()))
+    draft = draft_rig(description(urdf=urdf), "some log.mcap", board=board())
+    again, first = (
+        resolve_rig(config, description(urdf=urdf)).rig for config in (loaded(draft), RigConfig())
+    )
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
     assert again.nominal.wheels == first.nominal.wheels
@@ -60,7 +62,7 @@ def test_a_draft_loads_and_settles_the_same_rig():
 
 
 def test_a_draft_of_a_poor_log_asks():
-    draft = draft_rig(prelude(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
+    draft = draft_rig(description(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
     assert set(todo(draft)) == {"cameras", "wheels", "head"}
     assert "# TODO cameras: no stereo pair" in draft.text
     assert draft.filled == ()
@@ -69,7 +71,7 @@ def test_a_draft_of_a_poor_log_asks():
 
 def test_templates_can_be_uncommented():
     """Each template of a poor log is valid where it stands."""
-    draft = draft_rig(prelude(images=("/one/image",), urdf=None, joint_names={}), "log")
+    draft = draft_rig(description(images=("/one/image",), urdf=None, joint_names={}), "log")
     for name in ("cameras", "wheels", "nominal"):
         block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]
         lines = [line for line in block.splitlines() if re.match(rf"# (  |{name}:)", line)]
@@ -81,13 +83,13 @@ def test_templates_can_be_uncommented():
 def test_the_joint_positions_are_those_of_the_urdf():
     """The chain that is listed as a comment is the chain of the URDF."""
     urdf = URDF.format(x=-0.2)
-    draft = draft_rig(prelude(urdf=urdf), "log")
+    draft = draft_rig(description(urdf=urdf), "log")
     links = [line.strip(" #-") for line in draft.text.splitlines() if line.startswith("  #   - ")]
     chain = [YAML(typ="safe").load(link) for link in links]
     given = RigConfig.model_validate(
         {"head": {"chain": chain}, "joints": {"pan": "head_pan_joint", "tilt": "head_tilt_joint"}}
     )
-    ours, theirs = (resolve_rig(config, prelude(urdf=urdf)).rig.chain for config in (given, RigConfig()))
+    ours, theirs = (resolve_rig(config, description(urdf=urdf)).rig.chain for config in (given, RigConfig()))
     angles = np.array([[0.3, -0.2], [-1.0, 0.4]])
     np.testing.assert_allclose(head_pose(ours, angles), head_pose(theirs, angles), atol=1e-9)
     assert "not midway between the wheels" in draft.notes[0]
@@ -105,7 +107,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     ],
 )
 def test_a_board_that_is_not_certain_is_asked_for(seen, words):
-    draft = draft_rig(prelude(), "log", board=seen)
+    draft = draft_rig(description(), "log", board=seen)
     asked = todo(draft, needed=seen.size is None)
     assert words in asked["board"]
     assert loaded(draft).board.columns is None
@@ -126,11 +128,11 @@ def test_a_board_that_is_not_certain_is_asked_for(seen, words):
 def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     assert likely_square_m(measured_m) == (None if likely_m is None else pytest.approx(likely_m))
     sides = (measured_m, measured_m * 1.001, measured_m * 0.999)
-    draft = draft_rig(prelude(), "log", board=board(square_m=measured_m, squares_m=sides))
+    draft = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
     assert f"# square_m: {likely_m or round(measured_m, 4):g}\n" in draft.text
     assert loaded(draft).board.square_m is None
     scattered = draft_rig(
-        prelude(),
+        description(),
         "log",
         board=board(square_m=measured_m, squares_m=(measured_m, measured_m * 1.05, measured_m)),
     )
@@ -143,7 +145,7 @@ def counter(side, bits=16, **changes):
 
 def bare(**changes):
     topics = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
-    return prelude(extra=topics, joint_names=HEAD_ONLY, **changes)
+    return description(extra=topics, joint_names=HEAD_ONLY, **changes)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +188,9 @@ def test_counters_with_two_answers_are_asked_for(fields):
 
 def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
     names = {"/joint_states": tuple(n for n in ("wheel_left_joint", "wheel_right_joint", "head_pan_joint"))}
-    draft = draft_rig(prelude(joint_names=names), "log", numbers=[NumberField("/tilt_servo", "angle", False)])
+    draft = draft_rig(
+        description(joint_names=names), "log", numbers=[NumberField("/tilt_servo", "angle", False)]
+    )
     assert "no joint state for 'head_tilt_joint'" in todo(draft)["joints.fields"]
     assert '# candidate: topic "/tilt_servo", field "angle" (number, unit unknown)' in draft.text
     loaded(draft)
@@ -194,13 +198,13 @@ def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
 
 def test_nominal_values_that_the_urdf_lacks_are_asked_for():
     meshes = AT_BASE.replace('<cylinder radius="0.2" length="0.1"/>', "<mesh/>")
-    draft = draft_rig(prelude(urdf=meshes), "log")
+    draft = draft_rig(description(urdf=meshes), "log")
     assert "wheel joints are 0.5 m apart, radii are not in it" in todo(draft, needed=False)["nominal.wheels"]
     assert loaded(draft).nominal.wheels is None
 
 
 def test_a_given_urdf_replaces_that_of_the_recording():
-    draft = draft_rig(prelude(urdf=None), "log", urdf_text=AT_BASE, urdf_path="robots/mine.urdf")
+    draft = draft_rig(description(urdf=None), "log", urdf_text=AT_BASE, urdf_path="robots/mine.urdf")
     assert keys(draft)["head.urdf"] == "robots/mine.urdf"
     assert str(loaded(draft).head.urdf) == "robots/mine.urdf"
     assert loaded(draft).nominal.wheels.separation_m == 0.5
@@ -221,7 +225,7 @@ def test_a_chain_of_transforms_is_drafted():
     fixed = np.stack([se3.transform(np.eye(3), np.array([0, 0.06, 0.1]))] * 5)
     transforms = {("base_link", "neck"): T, ("neck", "stereo_left_optical"): fixed}
     tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
-    log = replace(prelude(urdf=None, extra=(tf,)), transforms=transforms)
+    log = replace(description(urdf=None, extra=(tf,)), transforms=transforms)
     draft = draft_rig(log, "log")
     assert keys(draft)["head.head_frame"] == "neck"
     again, first = (resolve_rig(config, log).rig for config in (loaded(draft), RigConfig()))

@@ -12,7 +12,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.simulate.robot import ROBOTS
-from tests.discovery.test_resolve import AT_BASE, config, prelude
+from tests.discovery.test_resolve import AT_BASE, config, description
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
 CHAIN = HeadChain(
@@ -90,18 +90,18 @@ def test_unknown_names(name, hint):
 
 
 def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
-    rig = resolve_rig(config(priors={"pan_zero": "free"}), prelude()).rig
+    rig = resolve_rig(config(priors={"pan_zero": "free"}), description()).rig
     assert rig.prior_sigmas == {"pan_zero": math.inf}
     wrong = config(priors={"neck_zero": 1})
-    assert [(part, error.message) for part, error in survey_rig(wrong, prelude(urdf=AT_BASE)).lacks] == [
+    assert [(part, error.message) for part, error in survey_rig(wrong, description(urdf=AT_BASE)).lacks] == [
         ("priors", "priors.neck_zero: this robot has no such constant")
     ]
     with pytest.raises(ConfigError):
-        resolve_rig(wrong, prelude())
+        resolve_rig(wrong, description())
 
 
 def test_the_draft_lists_every_kind_with_its_default():
-    text = draft_rig(prelude(), "log.mcap").text
+    text = draft_rig(description(), "log.mcap").text
     section = text[text.index("# priors:") :]
     active = "\n".join(line.removeprefix("# ") for line in section.splitlines())
     priors = RigConfig.model_validate(yaml.safe_load(active)).priors

@@ -12,7 +12,14 @@ from mobilecal_cli.discovery.names import pairs, side_of, words
 from mobilecal_cli.discovery.transforms import urdf_of_transforms
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import CameraInfo, JointField, Prelude, TopicInfo, WheelGeometry, WheelSource
+from mobilecal_cli.model import (
+    CameraInfo,
+    JointField,
+    RobotDescription,
+    TopicInfo,
+    WheelGeometry,
+    WheelSource,
+)
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -43,7 +50,9 @@ def info(side="left", baseline=0.12, **changes):
     return CameraInfo(**(values | changes))
 
 
-def prelude(images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes):
+def description(
+    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes
+):
     infos = {"/stereo/left/camera_info": info("left"), "/stereo/right/camera_info": info("right")}
     topics = [TopicInfo(name, "sensor_msgs/msg/Image", 10) for name in images]
     topics += [TopicInfo(name, "sensor_msgs/msg/CameraInfo", 10) for name in infos]
@@ -55,7 +64,7 @@ def prelude(images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=
         "joint_names": {"/joint_states": JOINTS},
         "urdfs": {"/robot_description": urdf} if urdf else {},
     }
-    return Prelude(**(values | changes))
+    return RobotDescription(**(values | changes))
 
 
 def config(**sections):
@@ -63,8 +72,8 @@ def config(**sections):
 
 
 def test_a_log_tells_everything():
-    settled = resolve_rig(RigConfig(), prelude())
-    rig = settled.rig
+    resolved = resolve_rig(RigConfig(), description())
+    rig = resolved.rig
     assert rig.sources.image == {"left": "/stereo/left/image_raw", "right": "/stereo/right/image_raw"}
     assert rig.sources.info["right"] == "/stereo/right/camera_info"
     assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
@@ -78,7 +87,7 @@ def test_a_log_tells_everything():
 
 
 def test_raw_stereo_geometry_is_what_rectification_says():
-    cameras = resolve_rig(RigConfig(), prelude()).rig.cameras
+    cameras = resolve_rig(RigConfig(), description()).rig.cameras
     # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
     point_r = np.array([0.3, -0.2, 2.0])
     point_c = se3.act(cameras.T_c_r, point_r[None])[0]
@@ -88,7 +97,7 @@ def test_raw_stereo_geometry_is_what_rectification_says():
 
 def test_rectified_images_use_the_projection_matrices():
     topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
-    cameras = resolve_rig(RigConfig(), prelude(topics)).rig.cameras
+    cameras = resolve_rig(RigConfig(), description(topics)).rig.cameras
     assert cameras.rectified
     assert cameras.left.K[0, 0] == 540
     assert cameras.left.D.size == 0
@@ -102,22 +111,22 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
         for side in ("left", "right")
     ]
     assert (
-        resolve_rig(RigConfig(), prelude(names, compressed)).rig.sources.image["left"]
+        resolve_rig(RigConfig(), description(names, compressed)).rig.sources.image["left"]
         == "/stereo/left/image_raw"
     )
-    rectified = resolve_rig(config(cameras={"rectified": True}), prelude(names, compressed)).rig
+    rectified = resolve_rig(config(cameras={"rectified": True}), description(names, compressed)).rig
     assert rectified.sources.image["left"] == "/stereo/left/image_rect"
-    only = resolve_rig(RigConfig(), prelude((), compressed)).rig
+    only = resolve_rig(RigConfig(), description((), compressed)).rig
     assert only.sources.image["right"] == "/stereo/right/image_raw/compressed"
     assert only.sources.info["right"] == "/stereo/right/camera_info"
 
 
 def test_base_link_off_the_axle_is_taken_out():
-    settled = resolve_rig(RigConfig(), prelude(urdf=URDF.format(x=-0.2)))
-    T_v_h = head_pose(settled.rig.chain, np.zeros(2))
+    resolved = resolve_rig(RigConfig(), description(urdf=URDF.format(x=-0.2)))
+    T_v_h = head_pose(resolved.rig.chain, np.zeros(2))
     assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
-    assert "not midway between the wheels" in settled.notes[0]
-    assert "x -200.0 mm" in settled.notes[0]
+    assert "not midway between the wheels" in resolved.notes[0]
+    assert "x -200.0 mm" in resolved.notes[0]
 
 
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
@@ -131,8 +140,8 @@ CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child li
 )
 def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind=kind, parent=parent))
-    rig = resolve_rig(config(head={"head_frame": "tilt"}), prelude(urdf=urdf)).rig
-    assert rig.settled_by["nominal head_eye"] == ("URDF" if drawn else "none")
+    rig = resolve_rig(config(head={"head_frame": "tilt"}), description(urdf=urdf)).rig
+    assert rig.setting_sources["nominal head_eye"] == ("URDF" if drawn else "none")
     if drawn:
         expected = se3.transform(se3.rotation_z(1.0), np.array([0.03, 0.06, 0.05]))
         assert np.allclose(rig.nominal.T_h_reference, expected)
@@ -141,31 +150,31 @@ def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
 
 
 def test_known_noise_is_settled():
-    rig = resolve_rig(config(noise={"joint_rad": 0.001}), prelude()).rig
+    rig = resolve_rig(config(noise={"joint_rad": 0.001}), description()).rig
     assert rig.noise.given == {"joint_rad": 0.001}
 
 
 def test_flag_file_and_log_are_told_apart():
     rig = resolve_rig(
         config(joints={"pan": "head_pan_joint", "tilt": "head_tilt_joint"}),
-        prelude(),
+        description(),
         flags=frozenset({"joints.tilt"}),
     ).rig
-    assert rig.settled_by["pan joint head_pan_joint"] == "file"
-    assert rig.settled_by["tilt joint head_tilt_joint"] == "flag"
-    assert rig.settled_by["left images /stereo/left/image_raw"] == "log"
-    assert rig.settled_by["reference camera left"] == "default"
+    assert rig.setting_sources["pan joint head_pan_joint"] == "file"
+    assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
+    assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
+    assert rig.setting_sources["reference camera left"] == "default"
 
 
 def test_two_stereo_cameras_are_not_guessed():
     front = tuple(f"/front/{side}/image_{kind}" for side in ("left", "right") for kind in ("raw", "rect"))
     rear = tuple(name.replace("front", "rear") for name in front)
     with pytest.raises(ConfigError, match="several pairs of image topics") as told:
-        resolve_rig(RigConfig(), prelude((*front, *rear)))
+        resolve_rig(RigConfig(), description((*front, *rear)))
     assert "/front/left/image_raw and /front/right/image_raw; /rear/left" in told.value.message
     one = config(cameras={"left": {"image": "/rear/left/image_raw"}})
     infos = {f"/rear/{side}/camera_info": info(side) for side in ("left", "right")}
-    rig = resolve_rig(one, prelude((*front, *rear), infos=infos)).rig
+    rig = resolve_rig(one, description((*front, *rear), infos=infos)).rig
     assert rig.sources.image["right"] == "/rear/right/image_raw"
 
 
@@ -179,9 +188,9 @@ def test_wheels_on_a_moving_part_are_noted():
             f'<joint name="wheel_{side}_joint" type="continuous"><parent link="base_link"/>',
             f'<joint name="wheel_{side}_joint" type="continuous"><parent link="axle"/>',
         )
-    (note,) = resolve_rig(RigConfig(), prelude(urdf=steered)).notes
+    (note,) = resolve_rig(RigConfig(), description(urdf=steered)).notes
     assert "the wheels move against base_link with roll" in note
-    assert resolve_rig(RigConfig(), prelude()).notes == ()
+    assert resolve_rig(RigConfig(), description()).notes == ()
 
 
 def test_tick_counters():
@@ -195,18 +204,18 @@ def test_tick_counters():
                 "right": {"topic": "/ticks/right", **wheel, "sign": -1},
             }
         ),
-        prelude(extra=ticks, joint_names=head_only),
+        description(extra=ticks, joint_names=head_only),
     ).rig
     assert rig.sources.wheels["right"].sign == -1
     assert rig.sources.wheels["left"].ticks_per_revolution == 4096
     with pytest.raises(RecordingError, match="look like tick counters") as caught:
-        resolve_rig(RigConfig(), prelude(extra=ticks, joint_names=head_only))
+        resolve_rig(RigConfig(), description(extra=ticks, joint_names=head_only))
     assert "/ticks/left" in caught.value.message
 
 
 def test_explicit_chain_needs_no_urdf():
     chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
-    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), prelude(urdf=None)).rig
+    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), description(urdf=None)).rig
     assert rig.chain.joints == ("head_pan_joint",)
     assert rig.chain.head_frame == "cam_mount"
     assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
@@ -245,7 +254,7 @@ def test_explicit_chain_needs_no_urdf():
 )
 def test_what_is_missing_is_named(sections, changes, error, words_):
     with pytest.raises(error) as caught:
-        resolve_rig(config(**sections), prelude(**changes))
+        resolve_rig(config(**sections), description(**changes))
     assert words_ in caught.value.message
     assert caught.value.hint
 
@@ -261,14 +270,14 @@ def test_what_is_missing_is_named(sections, changes, error, words_):
 def test_bad_calibrations(left, right, words_):
     infos = {"/stereo/left/camera_info": left, "/stereo/right/camera_info": right}
     with pytest.raises(MobilecalError) as caught:
-        resolve_rig(RigConfig(), prelude(infos=infos))
+        resolve_rig(RigConfig(), description(infos=infos))
     assert words_ in caught.value.message
 
 
 def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
     why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"
-    poor = prelude(
+    poor = description(
         infos={"/stereo/left/camera_info": info("left")},
         unusable={"/stereo/right/camera_info": RecordingError(why, "calibrate the camera")},
     )
@@ -285,7 +294,7 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
 def test_hints_list_ten_topics_at_most():
     many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
     with pytest.raises(RecordingError) as told:
-        resolve_rig(RigConfig(), prelude(images=("/one/image",), extra=many))
+        resolve_rig(RigConfig(), description(images=("/one/image",), extra=many))
     assert told.value.hint.count("/extra") <= 10
     assert "more" in told.value.hint
 
@@ -304,18 +313,18 @@ def test_joints_in_other_messages_than_joint_states():
     topic = TopicInfo("/servo", "std_msgs/msg/Float64", 100)
     names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
     fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
-    rig = resolve_rig(config(joints={"fields": fields}), prelude(extra=[topic], joint_names=names)).rig
+    rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names)).rig
     assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
     assert rig.sources.joints == ("/joint_states",)
     with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
-        resolve_rig(config(joints={"fields": fields}), prelude(joint_names=names))
+        resolve_rig(config(joints={"fields": fields}), description(joint_names=names))
     with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
-        resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), prelude(extra=[topic]))
+        resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), description(extra=[topic]))
 
 
 def test_odometry_needs_the_wheels_that_it_was_made_with():
     topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
-    bare = prelude(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
+    bare = description(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
     with pytest.raises(RecordingError, match="odometry is present on /odom") as told:
         resolve_rig(RigConfig(), bare)
     assert "wheels.odometry to /odom" in told.value.hint
@@ -331,12 +340,12 @@ def test_odometry_needs_the_wheels_that_it_was_made_with():
 
 def test_both_cameras_in_one_topic():
     both = {"image": "/stereo/image_raw", "layout": "stacked"}
-    rig = resolve_rig(config(cameras={"both": both}), prelude(("/stereo/image_raw",))).rig
+    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",))).rig
     assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
     assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
     assert rig.sources.layout == "stacked"
     with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
-        resolve_rig(config(cameras={"both": {"image": "/other"}}), prelude())
+        resolve_rig(config(cameras={"both": {"image": "/other"}}), description())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
         config(cameras={"both": both, "left": {"image": "/l"}})
 
@@ -344,14 +353,14 @@ def test_both_cameras_in_one_topic():
 def test_joints_that_only_tf_tells():
     tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
-    rig = resolve_rig(RigConfig(), prelude(extra=[tf], joint_names=states)).rig
+    rig = resolve_rig(RigConfig(), description(extra=[tf], joint_names=states)).rig
     assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
-    assert resolve_rig(RigConfig(), prelude(extra=[tf])).rig.sources.elsewhere == {}
+    assert resolve_rig(RigConfig(), description(extra=[tf])).rig.sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
-        resolve_rig(RigConfig(), prelude(joint_names=states))
+        resolve_rig(RigConfig(), description(joint_names=states))
 
 
 def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
@@ -392,7 +401,7 @@ def test_joints_out_of_transforms():
     np.testing.assert_allclose(urdf.joints["skull"].axis, [0, 1, 0], atol=1e-9)
     np.testing.assert_array_equal(urdf.joints["neck"].T_parent_child, transforms["torso", "neck"][0])
 
-    found = resolve_rig(RigConfig(), replace(prelude(urdf=None, extra=(TF,)), transforms=transforms)).rig
+    found = resolve_rig(RigConfig(), replace(description(urdf=None, extra=(TF,)), transforms=transforms)).rig
     assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
     assert found.chain.joints == ("torso", "neck", "skull")
     assert found.chain.head_frame == "skull"
@@ -401,4 +410,4 @@ def test_joints_out_of_transforms():
 def test_transforms_that_do_not_lead_to_the_camera_are_said():
     transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
     with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
-        resolve_rig(RigConfig(), replace(prelude(urdf=None), transforms=transforms))
+        resolve_rig(RigConfig(), replace(description(urdf=None), transforms=transforms))

@@ -96,7 +96,7 @@ rigs = st.builds(
         joints=st.lists(names, max_size=2).map(tuple),
         wheels=st.fixed_dictionaries(dict.fromkeys(sides, wheel_sources)),
     ),
-    settled_by=st.dictionaries(names, names, max_size=3),
+    setting_sources=st.dictionaries(names, names, max_size=3),
     noise=st.builds(KnownNoise, *[st.none() | finite] * 8),
     prior_sigmas=st.dictionaries(names, finite | st.just(math.inf), max_size=3),
 )
@@ -197,11 +197,12 @@ def test_a_file_with_both_wheels_at_the_same_times_is_read():
 
 
 def test_a_file_without_priors_is_read():
-    """Schema version 6, as it was written: no priors of constants, corrections or shifts, and fewer noise levels."""
+    """Schema version 6, as it was written: no priors, corrections or shifts, fewer noise levels, another name."""
 
     def older(header):
         rig = header["rig"]
         header["schema_version"] = 6
+        rig["settled_by"] = rig.pop("setting_sources")
         del rig["prior_sigmas"]
         for level in ("floor_rad", "floor_m", "stamp_s", "wheel_share"):
             del rig["noise"][level]

@@ -52,7 +52,7 @@ from mobilecal_cli.pipeline import silent
 from mobilecal_cli.pipeline.fleet import fleet_jobs
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.readers import open_recording, pictures_near, read_images, read_prelude, read_signals
+from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report import comparison_text, inspection_json, inspection_text
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
@@ -88,8 +88,8 @@ def _read(path: Path) -> None:
     """All that calibrate, inspect and init do with a recording before they look at pictures."""
     with open_recording([path]) as recording:
         recording.log_times()
-        prelude = read_prelude(recording)
-        survey_rig(load_rig(None, {}), prelude)
+        description = read_description(recording)
+        survey_rig(load_rig(None, {}), description)
         for signals in read_signals(recording, r.SOURCES, r.JOINTS):
             for _ in read_images(recording, r.SOURCES.image, signals.images):
                 pass
@@ -259,7 +259,7 @@ def _foreign(path: Path) -> None:
     """What does not speak ROS."""
     with open_recording([path]) as recording:
         recording.log_times()
-        read_prelude(recording)
+        read_description(recording)
         for picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
             assert picture is not None
         read_signals(recording, _ELSEWHERE, r.JOINTS)
@@ -269,7 +269,7 @@ def _pictures_only(path: Path) -> None:
     """Pictures and calibrations without anything that moves: all messages are decoded."""
     with open_recording([path]) as recording:
         recording.log_times()
-        read_prelude(recording)
+        read_description(recording)
         sources = Sources(
             image=dict.fromkeys(("left", "right"), "/left/image_raw"), info={}, joints=(), wheels={}
         )

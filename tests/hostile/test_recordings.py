@@ -19,7 +19,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_prelude
+from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.images.selection import decode_image
 from mobilecal_cli.readers.messages.channels import Channel
 from tests.readers import recordings as r
@@ -56,7 +56,7 @@ def bounded():
 def read(path: Path) -> tuple[int, tuple[str, ...]]:
     """Messages that can be had, and what is said of the rest."""
     with bounded(), open_recording([path]) as recording:
-        read_prelude(recording)
+        read_description(recording)
         topics = [info.name for info in recording.topics]
         return sum(1 for _ in recording.messages(topics)), recording.damage
 
@@ -295,7 +295,7 @@ def test_json_that_is_deeper_than_the_stack(tmp_path):
         writer.add_message(channel, 2, json.dumps({"name": ["pan"], "position": [1.0]}).encode(), 2)
         writer.finish()
     with bounded(), open_recording([path]) as recording:
-        assert read_prelude(recording).joint_names == {"/joint_states": ("pan",)}
+        assert read_description(recording).joint_names == {"/joint_states": ("pan",)}
 
 
 @pytest.mark.parametrize("escape", ["../secret.mcap", "/etc/passwd", "sub/../../secret.mcap"])

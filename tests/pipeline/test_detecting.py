@@ -12,7 +12,7 @@ import pytest
 
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
+from mobilecal_cli.model import PictureIndex, Station, StereoPair, Track, WheelTrack
 from mobilecal_cli.pipeline import detecting, detection_workers, processes
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.record import simulate
@@ -22,14 +22,14 @@ from mobilecal_cli.stations import Plan
 EXTRACTING = sys.modules["mobilecal_cli.pipeline.extracting"]  # the package's `extract` is the function in it
 
 
-def station(index: int, shots: int) -> Station:
-    times = [1000 * index + i for i in range(shots)]
-    return Station(index, True, tuple(Shot(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
+def station(index: int, pairs: int) -> Station:
+    times = [1000 * index + i for i in range(pairs)]
+    return Station(index, True, tuple(StereoPair(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
 
 
 def plan(stations: list[Station]) -> Plan:
     """A plan with these stations, in images that nobody reads."""
-    times = np.array([shot.left_ns for station in stations for shot in station.shots])
+    times = np.array([pair.left_ns for station in stations for pair in station.pairs])
     index, track = PictureIndex(times, times, times), Track(np.arange(2), np.zeros(2))
     return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, (), ())
 
@@ -38,7 +38,7 @@ def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
     segments = detecting.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
-    pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
+    pairs = [sum(len(s.pairs) for s in segment.stations) for segment in segments]
     assert max(pairs) <= detecting.SEGMENT_PAIRS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
@@ -114,13 +114,13 @@ def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkey
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
-    settle = EXTRACTING.resolve_rig
+    resolve = EXTRACTING.resolve_rig
 
     def other_size(*args):
-        settled = settle(*args)
-        rig = settled.rig
+        resolved = resolve(*args)
+        rig = resolved.rig
         left = replace(rig.cameras.left, width=641)
-        return replace(settled, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
+        return replace(resolved, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
 
     monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:

@@ -95,7 +95,10 @@ def test_nominal_values_and_the_reference_camera(npz):
     rig = loaded(npz, nominal__head_eye=head_eye, nominal__wheels=wheels).rig
     assert rig.nominal.wheels == WheelGeometry(0.08, 0.08, 0.35)
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
-    assert (rig.settled_by["nominal wheels"], rig.settled_by["nominal head_eye"]) == ("flag", "flag")
+    assert (rig.setting_sources["nominal wheels"], rig.setting_sources["nominal head_eye"]) == (
+        "flag",
+        "flag",
+    )
     again = replace(loaded(npz), rig=rig)
     turned = with_settings(again, load_rig(None, {"cameras.reference": "right"}), {"cameras.reference"}).rig
     assert turned.cameras.reference == "right"

@@ -12,7 +12,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import (
     join_splits,
     open_recording,
-    read_prelude,
+    read_description,
     sha256_of,
 )
 
@@ -70,18 +70,18 @@ def test_same_contents_from_every_container(path):
         check_contents(recording)
 
 
-def test_same_prelude_from_every_container(path):
+def test_same_description_from_every_container(path):
     with open_recording([path]) as recording:
-        prelude = read_prelude(recording)
-    assert prelude.urdfs == {"/robot_description": r.URDF}
-    assert prelude.joint_names == {"/joint_states": ("pan", "tilt", "wheel_left")}
-    assert prelude.image_frames == {
+        description = read_description(recording)
+    assert description.urdfs == {"/robot_description": r.URDF}
+    assert description.joint_names == {"/joint_states": ("pan", "tilt", "wheel_left")}
+    assert description.image_frames == {
         "/left/image_raw": "left_optical",
         "/right/image/compressed": "right_optical",
     }
-    np.testing.assert_array_equal(prelude.infos["/left/camera_info"].K, r.K_LEFT)
-    np.testing.assert_array_equal(prelude.infos["/left/camera_info"].D, [0.1, 0, 0, 0, 0])
-    assert prelude.infos["/right/camera_info"].distortion == "none"
+    np.testing.assert_array_equal(description.infos["/left/camera_info"].K, r.K_LEFT)
+    np.testing.assert_array_equal(description.infos["/left/camera_info"].D, [0.1, 0, 0, 0, 0])
+    assert description.infos["/right/camera_info"].distortion == "none"
 
 
 @pytest.mark.parametrize("name", ["bag-lz4", "rosbag2-sqlite3", "mcap-zstd", "mcap-no-summary"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_prelude
+from mobilecal_cli.readers import open_recording, read_description
 
 from . import recordings as r
 
@@ -43,7 +43,7 @@ def read_all(path: Path) -> int:
     """Everything that a calibration reads; the number of messages."""
     with open_recording([path]) as recording:
         count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
-        read_prelude(recording)
+        read_description(recording)
         signals = r.one_log(recording, r.SOURCES, r.JOINTS)
         wanted = {side: index.stamp_ns.tolist() for side, index in signals.images.items()}
         assert sum(1 for _ in r.read_images(recording, r.SOURCES.image, wanted)) == sum(

@@ -17,7 +17,7 @@ from mobilecal_cli.config import RigConfig
 from mobilecal_cli.discovery import resolve_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_prelude
+from mobilecal_cli.readers import open_recording, read_description
 from tests.readers.recordings import START_NS
 
 from . import recordings as r
@@ -102,8 +102,10 @@ def other(request, original, tmp_path_factory):
 
 
 def test_it_says_the_same_as_the_ros_recording(original, other):
-    urdf = next(iter(read_prelude(original).urdfs.values()))
-    rigs = [resolve_rig(RigConfig(), read_prelude(recording), urdf).rig for recording in (original, other)]
+    urdf = next(iter(read_description(original).urdfs.values()))
+    rigs = [
+        resolve_rig(RigConfig(), read_description(recording), urdf).rig for recording in (original, other)
+    ]
     for side in ("left", "right"):
         ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)
@@ -199,7 +201,7 @@ def test_dynamic_joint_states(tmp_path):
     eyes = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
     images, wheel = {"left": "/eye", "right": "/eye"}, WheelSource("/dynamic_joint_states", joint="wheel")
     with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, eyes])]) as recording:
-        assert read_prelude(recording).joint_names == {"/dynamic_joint_states": ("wheel", "pan")}
+        assert read_description(recording).joint_names == {"/dynamic_joint_states": ("wheel", "pan")}
         sources = Sources(images, {}, ("/dynamic_joint_states",), {"left": wheel, "right": wheel})
         signals = r.one_log(recording, sources, ("pan",))
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])

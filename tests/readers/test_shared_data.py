@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import join_splits, open_recording, read_prelude
+from mobilecal_cli.readers import join_splits, open_recording, read_description
 
 from . import recordings as r
 
@@ -150,11 +150,11 @@ def test_wrong_serialization_is_named(shared_data):
 def test_joints_of_fetch_and_ubr1(shared_data):
     folder = shared_data / "bags/fetch_calibration/fetch_calibration/config"
     with open_recording([folder / "checkerboard_poses.bag"]) as recording:
-        (names,) = read_prelude(recording).joint_names.values()
+        (names,) = read_description(recording).joint_names.values()
         assert {"head_pan_joint", "head_tilt_joint", "l_wheel_joint", "r_wheel_joint"} <= set(names)
     path = shared_data / "bags/robot_calibration_ubr/launch/calibration_poses.bag"
     with open_recording([path]) as recording:
-        (names,) = read_prelude(recording).joint_names.values()
+        (names,) = read_description(recording).joint_names.values()
         assert {"head_pan_joint", "base_l_wheel_joint", "base_r_wheel_joint"} <= set(names)
 
 
@@ -211,7 +211,7 @@ def test_joint_states_of_real_robots_serve_as_joints_and_wheels(shared_data, nam
     left, right, count = ROBOTS[name]
     head = ("head_pan_joint", "head_tilt_joint")
     with open_recording([shared_data / "bags" / name]) as recording:
-        (topic,) = read_prelude(recording).joint_names
+        (topic,) = read_description(recording).joint_names
         wheels = {"left": WheelSource(topic, joint=left), "right": WheelSource(topic, joint=right)}
         signals = r.one_log(recording, Sources({}, {}, (topic,), wheels), head)
         raw = [m.decode() for m in recording.messages([topic])]

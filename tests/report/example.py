@@ -73,10 +73,10 @@ def make_provenance(extraction: Extraction) -> Provenance:
         logs=extraction.logs,
         config={
             "board": {
-                "columns": {"value": 9, "settled_by": "log"},
-                "rows": {"value": 6, "settled_by": "log"},
+                "columns": {"value": 9, "source": "log"},
+                "rows": {"value": 6, "source": "log"},
             },
-            "cameras": {"left.image": {"value": "/stereo/left/image_raw", "settled_by": "log"}},
+            "cameras": {"left.image": {"value": "/stereo/left/image_raw", "source": "log"}},
         },
     )
 
@@ -156,7 +156,7 @@ def make_hostile(extraction: Extraction) -> Extraction:
             info={"left": HOSTILE, "right": ""},
             joints=(HOSTILE,),
         ),
-        settled_by={HOSTILE: HOSTILE},
+        setting_sources={HOSTILE: HOSTILE},
     )
     return replace(
         extraction,

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export import placing
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.readers import open_recording, read_images, read_prelude, read_signals
+from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate import record
 from mobilecal_cli.simulate.drive import base_in_world
@@ -38,11 +38,11 @@ def contents(path: Path, scenario: Scenario):
     robot = ROBOTS[scenario.robot]()
     sources = robot.topics(compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
-        prelude = read_prelude(recording)
+        description = read_description(recording)
         (signals,) = read_signals(recording, sources, robot.joint_names)
         found = read_images(recording, sources.image, signals.images)
         pictures = {f"{side} {stamp}": image for side, stamp, image in found}
-    return prelude, signals, pictures
+    return description, signals, pictures
 
 
 def flat(value):
@@ -68,9 +68,9 @@ def reference(tmp_path_factory):
 @pytest.mark.parametrize("container", [container for container in CONTAINERS if container != "mcap"])
 def test_every_container_holds_the_same_values(tmp_path, reference, container):
     scenario = replace(SMALL, container=container)
-    prelude, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
+    description, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
     for found, expected in (
-        (prelude.infos, reference[0].infos),
+        (description.infos, reference[0].infos),
         (signals, reference[1]),
         (pictures, reference[2]),
     ):
@@ -78,7 +78,7 @@ def test_every_container_holds_the_same_values(tmp_path, reference, container):
         assert [name for name, _ in pairs] == [name for name, _ in wanted]
         for (name, value), (_, same) in zip(pairs, wanted, strict=True):
             assert np.array_equal(value, same), name
-    assert prelude.urdfs == reference[0].urdfs
+    assert description.urdfs == reference[0].urdfs
     assert signals.notes == ()
 
 
@@ -166,8 +166,8 @@ def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp
 def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(tmp_path, name):
     scenario = replace(SMALL, robot=name)
     robot, _ = scenario.plan()
-    prelude, _, _ = contents(recorded(tmp_path, scenario), scenario)
-    urdf = parse_urdf(prelude.urdfs["/robot_description"])
+    description, _, _ = contents(recorded(tmp_path, scenario), scenario)
+    urdf = parse_urdf(description.urdfs["/robot_description"])
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
     nominal = robot.nominal_wheels
@@ -226,9 +226,9 @@ def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path)
 
 
 def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, reference):
-    prelude, signals, _ = contents(recorded(tmp_path, IMPERFECT), IMPERFECT)
-    assert prelude.urdfs == reference[0].urdfs
-    for (name, value), (_, stated) in zip(flat(prelude.infos), flat(reference[0].infos), strict=True):
+    description, signals, _ = contents(recorded(tmp_path, IMPERFECT), IMPERFECT)
+    assert description.urdfs == reference[0].urdfs
+    for (name, value), (_, stated) in zip(flat(description.infos), flat(reference[0].infos), strict=True):
         assert np.array_equal(value, stated), name
     robot, route = IMPERFECT.plan()
     constants = IMPERFECT.imperfection(robot).constants

@@ -91,12 +91,14 @@ def renumbered(observation: Observation, board: Board, k: int) -> Observation:
     )
 
 
-def same_numbering(settled: tuple[Observation, ...], truth: list[Observation], board: Board) -> bool:
+def same_numbering(resolved: tuple[Observation, ...], truth: list[Observation], board: Board) -> bool:
     """All stations differ from the truth by one and the same turn, in all their parts."""
     for k in range(4) if board.columns == board.rows else (0, 2):
-        wanted = [renumbered(o, board, k) for o in truth if o.station in {s.station for s in settled}]
-        if all(np.allclose(s.points_c, w.points_c, atol=1e-12) for s, w in zip(settled, wanted, strict=True)):
-            for s, w in zip(settled, wanted, strict=True):
+        wanted = [renumbered(o, board, k) for o in truth if o.station in {s.station for s in resolved}]
+        if all(
+            np.allclose(s.points_c, w.points_c, atol=1e-12) for s, w in zip(resolved, wanted, strict=True)
+        ):
+            for s, w in zip(resolved, wanted, strict=True):
                 np.testing.assert_allclose(s.T_c_k, w.T_c_k, atol=1e-9)
                 np.testing.assert_array_equal(s.left.pixels, w.left.pixels)
                 np.testing.assert_array_equal(s.right.pixels, w.right.pixels)
@@ -114,25 +116,25 @@ def test_upright_board(seed: int, columns: int, rows: int, square_known: bool) -
     truth, heads = world(board, UPRIGHT, 10, rng)
     choices = [0, 1, 2, 3] if (columns, rows) == (8, 8) else [0, 2]
     mixed = [renumbered(o, board, int(rng.choice(choices))) for o in truth]
-    settled, rejections = resolve_numbering(mixed, heads, board)
+    resolved, rejections = resolve_numbering(mixed, heads, board)
     assert rejections == ()
-    assert len(settled) == 10
-    assert same_numbering(settled, truth, board)
+    assert len(resolved) == 10
+    assert same_numbering(resolved, truth, board)
 
 
 def test_odd_board_comes_back_as_it_was() -> None:
     board = Board(9, 6)
     truth, heads = world(board, UPRIGHT, 4, np.random.default_rng(0))
-    settled, rejections = resolve_numbering(truth, heads, board)
-    assert all(a is b for a, b in zip(settled, truth, strict=True))
+    resolved, rejections = resolve_numbering(truth, heads, board)
+    assert all(a is b for a, b in zip(resolved, truth, strict=True))
     assert rejections == ()
 
 
 def test_board_lying_on_the_floor_cannot_be_told() -> None:
     board = Board(8, 6)
     truth, heads = world(board, LYING, 10, np.random.default_rng(1))
-    settled, rejections = resolve_numbering(truth, heads, board)
-    assert settled == ()
+    resolved, rejections = resolve_numbering(truth, heads, board)
+    assert resolved == ()
     assert len(rejections) == 10
     assert rejections[4].reason == "board orientation ambiguous"
     assert (rejections[4].station, rejections[4].time_ns) == (4, 4000)
@@ -169,6 +171,6 @@ def test_head_that_never_moves() -> None:
             )
         )
     mixed = [renumbered(o, board, int(rng.choice([0, 2]))) for o in still]
-    settled, rejections = resolve_numbering(mixed, heads, board)
+    resolved, rejections = resolve_numbering(mixed, heads, board)
     assert rejections == ()
-    assert same_numbering(settled, still, board)
+    assert same_numbering(resolved, still, board)

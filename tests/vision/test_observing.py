@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera, Observation, Rejection, Shot, Station, StereoRig
+from mobilecal_cli.model import Board, Camera, Observation, Rejection, Station, StereoPair, StereoRig
 from mobilecal_cli.vision import (
     Detection,
     Measured,
@@ -29,12 +29,12 @@ RIG = stereo_rig("raw")
 T_C_K = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
 
 
-def station(shots: int = 1) -> Station:
-    pairs = tuple(Shot(1000 + i, 1000 + i) for i in range(shots))
+def station(pairs: int = 1) -> Station:
+    pairs = tuple(StereoPair(1000 + i, 1000 + i) for i in range(pairs))
     return Station(3, True, pairs, 1000, np.array([0.1, -0.2]), np.zeros(2))
 
 
-def shots(
+def pairs(
     count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K, seed: int = 0
 ) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
     rng = np.random.default_rng(seed)
@@ -65,7 +65,7 @@ def rejected(result: Observation | Rejection) -> Rejection:
 
 @pytest.mark.parametrize("square_m", [None, SQUARE_M])
 def test_exact_corners(square_m: float | None) -> None:
-    found = observed(observe(2, station(), *shots(1, 0.0), RIG, BOARD, square_m))
+    found = observed(observe(2, station(), *pairs(1, 0.0), RIG, BOARD, square_m))
     np.testing.assert_allclose(found.T_c_k, T_C_K, atol=1e-9)
     assert found.square_m == pytest.approx(SQUARE_M, rel=1e-9)
     assert found.reprojection_px < 1e-8
@@ -74,7 +74,7 @@ def test_exact_corners(square_m: float | None) -> None:
 
 
 def test_noise_averages_and_is_measured() -> None:
-    found = observed(observe(0, station(16), *shots(16, 0.2), RIG, BOARD, SQUARE_M))
+    found = observed(observe(0, station(16), *pairs(16, 0.2), RIG, BOARD, SQUARE_M))
     truth = seen(RIG, T_C_K, BOARD, SQUARE_M)
     for corners, expected in ((found.left, truth[1]), (found.right, truth[2])):
         assert corners.pictures == 16
@@ -85,20 +85,20 @@ def test_noise_averages_and_is_measured() -> None:
 
 
 def test_errors_common_to_all_shots_are_no_smaller_for_averaging() -> None:
-    left, right = shots(1, 0.2)
+    left, right = pairs(1, 0.2)
     found = observed(observe(0, station(9), left * 9, right * 9, RIG, BOARD, SQUARE_M))
     assert found.left.sigma_px == pytest.approx(0.2, rel=0.3)
 
 
 def test_shots_missing_in_one_picture_are_left_out() -> None:
-    left, right = shots(4, 0.1)
+    left, right = pairs(4, 0.1)
     left[1] = Miss("blurred", "borders are 0.8 squares wide")
     found = observed(observe(0, station(4), left, right, RIG, BOARD, SQUARE_M))
     assert found.left.pictures == found.right.pictures == 3
 
 
 def test_no_pair() -> None:
-    left, right = shots(3, 0.1)
+    left, right = pairs(3, 0.1)
     hidden = Miss("board partly occluded or outside the image", "7 x 6 seen")
     result = rejected(
         observe(
@@ -119,14 +119,14 @@ def test_no_pair() -> None:
 
 
 def test_a_shot_that_moved_is_left_out() -> None:
-    left, right = shots(5, 0.05)
+    left, right = pairs(5, 0.05)
     left[4] = Detection(left[4].pixels + 2.0, 0.05)
     found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
     assert found.left.pictures == 4
 
 
 def test_a_rest_that_is_none() -> None:
-    left, right = shots(6, 0.05)
+    left, right = pairs(6, 0.05)
     drifting = [Detection(d.pixels + 3.0 * i, 0.05) for i, d in enumerate(left)]
     result = rejected(observe(0, station(6), drifting, right, RIG, BOARD, SQUARE_M))
     assert result.reason == "board or robot moved during the stop"
@@ -136,14 +136,14 @@ def test_a_rest_that_is_none() -> None:
 def test_left_and_right_of_different_boards() -> None:
     other = pose(0.05, 0.1, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
     result = rejected(
-        observe(0, station(), shots(1, 0.05)[0], shots(1, 0.05, T_c_k=other)[1], RIG, BOARD, SQUARE_M)
+        observe(0, station(), pairs(1, 0.05)[0], pairs(1, 0.05, T_c_k=other)[1], RIG, BOARD, SQUARE_M)
     )
     assert result.reason == "left and right images inconsistent"
     assert "px" in result.detail
 
 
 def test_wrong_square() -> None:
-    result = rejected(observe(0, station(), *shots(1, 0.05), RIG, BOARD, 0.08))
+    result = rejected(observe(0, station(), *pairs(1, 0.05), RIG, BOARD, 0.08))
     assert result.reason == "unexpected square size"
     assert result.detail == "triangulated squares are 60.0 mm wide, expected 80.0 mm"
 
@@ -152,7 +152,7 @@ def test_wrong_square() -> None:
 def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, rows: int) -> None:
     board = Board(columns, rows)
     T_c_k = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), board, SQUARE_M)
-    left, right = shots(3, 0.02, board, T_c_k)
+    left, right = pairs(3, 0.02, board, T_c_k)
     right = [Detection(turned(d.pixels, columns, rows, 2), 0.02) for d in right]
     left[2] = Detection(turned(left[2].pixels, columns, rows, 2), 0.02)
     found = observed(observe(0, station(3), left, right, RIG, board, SQUARE_M))

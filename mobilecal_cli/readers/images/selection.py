@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, Layout, PictureIndex, Rejection, Side, Sources
+from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Side, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.images.pixels import LARGEST_PIXELS, decode_image
@@ -24,7 +24,7 @@ def read_images(
     recording: Recording,
     image_topics: Mapping[Side, str],
     wanted: Mapping[Side, PictureIndex],
-    layout: Layout = "separate",
+    layout: StereoLayout = "separate",
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
     """Selected images, one at a time, in the order of the recording.
 
@@ -57,7 +57,7 @@ def read_images(
 def _read(
     recording: Recording,
     missing: dict[str, dict[tuple[int, int], list[tuple[Side, int]]]],
-    layout: Layout,
+    layout: StereoLayout,
     extent: Extent,
 ) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
     """One pass for the missing images; removes those that are found.
@@ -155,7 +155,7 @@ def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None: 
     return videos[topic]
 
 
-def _part(picture: GrayImage, side: Side, layout: Layout) -> GrayImage:
+def _part(picture: GrayImage, side: Side, layout: StereoLayout) -> GrayImage:
     """One camera's part of an image."""
     if layout == "separate":
         return picture

@@ -14,7 +14,7 @@ from mobilecal_cli.model import (
     TRANSFORMS,
     CameraInfo,
     FloatArray,
-    Prelude,
+    RobotDescription,
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.messages.camera_info import camera_info
@@ -31,7 +31,7 @@ TRIES = 5
 SEPARATE = 16
 
 
-def read_prelude(recording: Recording) -> Prelude:
+def read_description(recording: Recording) -> RobotDescription:
     """Read the first messages of the topics that describe the robot.
 
     Each topic is read separately and only as far as needed (one message; 50 joint states). With an index, or after
@@ -52,7 +52,7 @@ def read_prelude(recording: Recording) -> Prelude:
     texts = _first(recording, described, lambda message: str(message.data))
     urdfs = {topic: text for topic, text in texts.items() if text.strip()}
     infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
-    return Prelude(
+    return RobotDescription(
         topics=recording.topics,
         infos=infos,
         unusable=unusable,

@@ -35,7 +35,7 @@ class TopicInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Prelude:
+class RobotDescription:
     """Robot description from the first messages of a recording.
 
     Attributes:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_prelude
+from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.containers.mcap import McapStorage
 from mobilecal_cli.readers.messages.camera_info import camera_info
 
@@ -91,8 +91,8 @@ def infos(matrices) -> list[r.Item]:
 def test_uncalibrated_third_camera_does_not_stop_the_pair(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", infos([K, np.zeros((3, 3)), K]))
     with open_recording([path]) as recording:
-        assert set(read_prelude(recording).infos) == {"/camera0", "/camera2"}
-        assert "/camera1: K is all zeros" in read_prelude(recording).unusable["/camera1"].message
+        assert set(read_description(recording).infos) == {"/camera0", "/camera2"}
+        assert "/camera1: K is all zeros" in read_description(recording).unusable["/camera1"].message
 
 
 def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
@@ -111,7 +111,7 @@ def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
         blocks = len(storage.blocks)
         assert blocks > 10
         loads.clear()
-        names = read_prelude(recording).joint_names
+        names = read_description(recording).joint_names
     assert names == {f"/robot{n}/joint_states": (f"a{n}", "b0", "b1", "b2") for n in range(40)}
     assert len(loads) == blocks
 
@@ -119,7 +119,7 @@ def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
 def test_uncalibrated_pair_can_be_looked_at(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", infos([np.zeros((3, 3)), np.zeros((3, 3))]))
     with open_recording([path]) as recording:
-        assert set(read_prelude(recording).unusable) == {"/camera0", "/camera1"}
+        assert set(read_description(recording).unusable) == {"/camera0", "/camera1"}
 
 
 def test_joint_names_of_drivers_that_take_turns(tmp_path):
@@ -130,7 +130,7 @@ def test_joint_names_of_drivers_that_take_turns(tmp_path):
     ]
     path = r.write_mcap(tmp_path / "log.mcap", items)
     with open_recording([path]) as recording:
-        assert read_prelude(recording).joint_names == {"/j": ("pan", "tilt", "wheel_left", "wheel_right")}
+        assert read_description(recording).joint_names == {"/j": ("pan", "tilt", "wheel_left", "wheel_right")}
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-no-summary", "bag"])
@@ -141,7 +141,7 @@ def test_long_recording_is_not_read_to_its_end(tmp_path, monkeypatch, name):
         loaded = set()
         load = part.load
         monkeypatch.setattr(part, "load", lambda block: loaded.add(block.offset) or load(block))
-        read_prelude(recording)
+        read_description(recording)
         assert len(part.blocks) > 10
         assert len(loaded) < len(part.blocks) / 4
 
@@ -149,4 +149,4 @@ def test_long_recording_is_not_read_to_its_end(tmp_path, monkeypatch, name):
 def test_empty_recording_is_refused(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", [])
     with open_recording([path]) as recording, pytest.raises(RecordingError, match="contains no messages"):
-        read_prelude(recording)
+        read_description(recording)
