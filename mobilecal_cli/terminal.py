@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.pipeline import Progress, silent
+from mobilecal_cli.pipeline.progress import Progress, silent
 
 _WIDTH = 80
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from mobilecal_cli.report import ReportData
+from mobilecal_cli.report.values import ReportData
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TARGET = REPOSITORY / "docs" / "reference" / "report.schema.json"

@@ -43,7 +43,8 @@ class MethodName(StrEnum):
 @contextmanager
 def _errors_to(junit: Path | None, name: str, force: bool, output: Path | None = None) -> Iterator[None]:
     """Write an error to the JUnit file as well, unless that file must not be replaced."""
-    from mobilecal_cli import pipeline
+    from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.report.junit import junit_error_xml
 
     if junit is not None:
         if output is not None and junit.resolve().is_relative_to(output.resolve()):
@@ -51,12 +52,12 @@ def _errors_to(junit: Path | None, name: str, force: bool, output: Path | None =
                 f"--junit {junit}: inside the output directory, which is replaced as a whole",
                 "choose a path outside of it",
             )
-        pipeline.check_file(junit, force)
+        check_file(junit, force)
     try:
         yield
     except MobilecalError as error:
         if junit is not None:
-            pipeline.write_junit_error(junit, name, error, force)
+            write_file(junit, junit_error_xml(name, error), force)
         raise
 
 
@@ -136,15 +137,17 @@ def calibrate(
 
     In CI: mobilecal calibrate log.mcap --gate reprojection_rms_px=0.5 --gate std.wheels.separation_m=0.001 --json
     """
-    from mobilecal_cli import pipeline
+    from mobilecal_cli.export import write_file
+    from mobilecal_cli.pipeline import calibrating
+    from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import open_page, progress_bar
 
-    with _errors_to(junit, str(logs[0]), force, output or pipeline.default_output(logs[0])):
+    with _errors_to(junit, str(logs[0]), force, output or calibrating.default_output(logs[0])):
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
-            report, directory = pipeline.calibrate(
+            report, directory = calibrating.calibrate(
                 logs,
                 output,
                 config_path=config,
@@ -159,7 +162,7 @@ def calibrate(
                 jobs=jobs or os.cpu_count() or 1,
             )
         if junit is not None:
-            pipeline.write_junit(junit, str(logs[0]), report.verdict.checks, force)
+            write_file(junit, junit_xml(str(logs[0]), report.values.verdict), force)
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:
@@ -201,13 +204,16 @@ def evaluate(
 
     In CI: mobilecal evaluate another.mcap params.yaml --gate translation_rms_mm=15 --gate drift_deg_per_turn=3
     """
-    from mobilecal_cli import pipeline
-    from mobilecal_cli.report import evaluation_data, evaluation_json, evaluation_text
+    from mobilecal_cli.export import write_file
+    from mobilecal_cli.pipeline import evaluating
+    from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
+    from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.report.verdict import verdict_data
     from mobilecal_cli.terminal import progress_bar
 
     with _errors_to(junit, str(logs[0]), force):
         with progress_bar(quiet, verbose) as progress:
-            found = pipeline.evaluate(
+            found = evaluating.evaluate(
                 logs,
                 params,
                 before=before,
@@ -217,7 +223,7 @@ def evaluate(
                 progress=progress,
             )
         if junit is not None:
-            pipeline.write_junit(junit, str(logs[0]), found.verdict.checks, force)
+            write_file(junit, junit_xml(str(logs[0]), verdict_data(found.verdict)), force)
     if as_json:
         text = evaluation_json(found.evaluation, found.extraction, found.verdict, found.checks, found.used)
     else:
@@ -235,9 +241,9 @@ def suggest(logs: Logs, config: Config = None, setting: Settings = None, quiet: 
 
     Example: mobilecal suggest log.mcap
     """
-    from mobilecal_cli import pipeline
+    from mobilecal_cli.pipeline import calibrating
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        lines = pipeline.suggest(logs, config, flags_of(setting), progress)
+        lines = calibrating.suggest(logs, config, flags_of(setting), progress)
     typer.echo("\n".join(lines))

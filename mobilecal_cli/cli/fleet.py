@@ -41,13 +41,13 @@ def batch(
     """
     import os
 
-    from mobilecal_cli import pipeline
-    from mobilecal_cli.report import fleet_text
+    from mobilecal_cli.pipeline import cluster, fleet
+    from mobilecal_cli.report.fleet import fleet_text
     from mobilecal_cli.terminal import progress_bar
 
-    run = pipeline.run_on(scheduler) if scheduler else pipeline.run_locally(jobs or os.cpu_count() or 1)
+    run = cluster.run_on(scheduler) if scheduler else fleet.run_locally(jobs or os.cpu_count() or 1)
     with progress_bar(quiet) as progress:
-        rows = pipeline.batch(
+        rows = fleet.batch(
             source,
             output,
             config_path=config,

@@ -32,13 +32,13 @@ def inspect(
 
     Example: mobilecal inspect log.mcap
     """
-    from mobilecal_cli import pipeline
-    from mobilecal_cli.report import inspection_json, inspection_text
+    from mobilecal_cli.pipeline import inspecting
+    from mobilecal_cli.report.inspection import inspection_json, inspection_text
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
         flags = flags_of(setting)
-        found = [pipeline.inspect(parts, config, flags, progress) for parts in pipeline.recordings(logs)]
+        found = [inspecting.inspect(parts, config, flags, progress) for parts in inspecting.recordings(logs)]
     _show(found, [inspection_json(each) if as_json else inspection_text(each) for each in found], as_json)
 
 
@@ -57,14 +57,14 @@ def check(
 
     Example: mobilecal check rig.yaml log.mcap
     """
-    from mobilecal_cli import pipeline
     from mobilecal_cli.model.text import visible
-    from mobilecal_cli.report import checklist_json, checklist_text
+    from mobilecal_cli.pipeline import inspecting
+    from mobilecal_cli.report.checklist import checklist_json, checklist_text
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
         flags = flags_of(setting)
-        found = [pipeline.check(rig, parts, flags, progress) for parts in pipeline.recordings(logs)]
+        found = [inspecting.check(rig, parts, flags, progress) for parts in inspecting.recordings(logs)]
     if as_json:
         texts = [checklist_json(each) for each in found]
     else:
@@ -103,16 +103,16 @@ def init(
 
     Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
     """
-    from mobilecal_cli import pipeline
-    from mobilecal_cli.report import draft_text
+    from mobilecal_cli.pipeline import drafting
+    from mobilecal_cli.report.draft import draft_text
     from mobilecal_cli.terminal import progress_bar
 
     stdout = str(output) == "-"
     with progress_bar(quiet) as progress:
         if stdout:
-            made = pipeline.draft(logs, urdf, progress=progress)
+            made = drafting.draft(logs, urdf, progress=progress)
         else:
-            made = pipeline.write_draft(logs, output, force, urdf, progress)
+            made = drafting.write_draft(logs, output, force, urdf, progress)
     if stdout:
         typer.echo(made.text, nl=False)
     if not quiet:

@@ -45,12 +45,13 @@ def board(
 
     With markers: mobilecal board --corners 8x5 --square 0.08 --charuco
     """
-    from mobilecal_cli import pipeline
+    from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.pipeline import printing
 
-    pipeline.check_file(output, force)
+    check_file(output, force)
     columns, rows = counts_of("--corners", corners)
-    made = pipeline.print_board(columns, rows, square, charuco, dictionary, marker_share, paper)
-    pipeline.write_file(output, made.content, force)
+    made = printing.print_board(columns, rows, square, charuco, dictionary, marker_share, paper)
+    write_file(output, made.content, force)
     typer.echo(made.config)
     if not charuco and (columns - rows) % 2 == 0:
         typer.echo(

@@ -43,10 +43,10 @@ def compare(
 
     A history: mobilecal compare */params.yaml --plot drift.svg
     """
-    from mobilecal_cli import pipeline
-    from mobilecal_cli.report import comparison_json, comparison_text
+    from mobilecal_cli.pipeline import comparing
+    from mobilecal_cli.report.comparison import comparison_json, comparison_text
 
-    found = pipeline.compare(files, pipeline.Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
+    found = comparing.compare(files, comparing.Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
     if as_json:
         typer.echo(comparison_json(found.names, found.robots, found.differences, found.past), nl=False)
     else:
@@ -106,8 +106,9 @@ def export(
 
     For a controller: mobilecal export out/params.yaml --to ros2_control
     """
-    from mobilecal_cli import pipeline
+    from mobilecal_cli.export import check_file, write_file
     from mobilecal_cli.model.text import visible
+    from mobilecal_cli.pipeline import exporting
 
     given = {"left": left_joint, "right": right_joint}
     layout = None
@@ -117,15 +118,15 @@ def export(
         layout = output.with_suffix(".layout.json")
     for path in (output, layout):
         if path is not None:
-            pipeline.check_file(path, force)
+            check_file(path, force)
     joints = {side: name for side, name in given.items() if name}
-    made = pipeline.export(params, to, urdf, joints, with_chain, rate, distance, log or [])  # type: ignore[arg-type]
+    made = exporting.export(params, to, urdf, joints, with_chain, rate, distance, log or [])  # type: ignore[arg-type]
     if output is None:
         typer.echo(made.content, nl=False)
     else:
-        pipeline.write_file(output, made.content, force)
+        write_file(output, made.content, force)
     if layout is not None:
-        pipeline.write_file(layout, made.layout.encode(), force)
+        write_file(layout, made.layout.encode(), force)
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if output is not None:

@@ -13,7 +13,9 @@ from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.steps import Data, Report, fitted
-from mobilecal_cli.report import gates_of, recommendation, suggestion_sentences
+from mobilecal_cli.report.at_work import recommendation
+from mobilecal_cli.report.gates import gates_of
+from mobilecal_cli.report.wording.findings import suggestion_sentences
 from mobilecal_cli.solvers import Constraints
 
 

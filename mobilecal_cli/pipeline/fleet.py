@@ -24,7 +24,8 @@ from mobilecal_cli.pipeline.processes import work, workers
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.readers import sha256_of
-from mobilecal_cli.report import fleet_csv, fleet_html, reference_pose, reference_std
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html
+from mobilecal_cli.report.numbers import reference_pose, reference_std
 from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
 
 #: Number of attempts at a job whose process dies.

@@ -41,7 +41,8 @@ from mobilecal_cli.readers import (
     read_description,
     read_signals,
 )
-from mobilecal_cli.report import MIN_STATIONS, gates_of
+from mobilecal_cli.report.checks.recording import MIN_STATIONS
+from mobilecal_cli.report.gates import gates_of
 from mobilecal_cli.stations import plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
 

@@ -33,19 +33,15 @@ from mobilecal_cli.pipeline.exporting import Exported, export
 from mobilecal_cli.pipeline.loading import load as load_logs
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.report import (
-    Case,
-    Gate,
-    build_report,
-    change_from_nominal,
-    change_since,
-    draw_all,
-    gates_of,
-    json_text,
-    judge,
-    report_html,
-    summary_text,
-)
+from mobilecal_cli.report.build import build_report
+from mobilecal_cli.report.case import Case
+from mobilecal_cli.report.changes import change_from_nominal, change_since
+from mobilecal_cli.report.drawn import draw_all
+from mobilecal_cli.report.gates import Gate, gates_of
+from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction

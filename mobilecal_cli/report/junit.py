@@ -3,51 +3,53 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.check import OUTCOME_LABELS, Check
-from mobilecal_cli.report.wording import words
+from mobilecal_cli.report.values import VerdictData
+
+_FAILURES = {"fail": "fail", "not_enough": "not enough"}
 
 
-def junit_xml(name: str, checks: Sequence[Check]) -> bytes:
+def junit_xml(name: str, verdict: VerdictData) -> bytes:
     """One test case per check: failed if it fails, or if there is too little data to decide.
 
     Args:
         name: name of the test suite, for example the recording.
-        checks: the checks.
+        verdict: the checks with their sentences.
     """
-    failed = [check for check in checks if check.outcome in ("bad", "short")]
-    counts = {"tests": str(len(checks)), "failures": str(len(failed)), "errors": "0"}
-    suites = ET.Element("testsuites", counts)
-    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
-    for check in checks:
-        said = words(check)
-        case = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(said.name)})
-        if check.outcome in ("bad", "short"):
-            failure = ET.SubElement(
-                case, "failure", {"message": visible(said.why), "type": OUTCOME_LABELS[check.outcome]}
-            )
-            failure.text = visible(said.next_step)
+    suites, suite = _suites(
+        name, len(verdict.checks), failures=sum(c.outcome in _FAILURES for c in verdict.checks)
+    )
+    for check in verdict.checks:
+        case = _case(suite, check.name)
+        if check.outcome in _FAILURES:
+            _said(case, "failure", check.why, _FAILURES[check.outcome], check.next_step)
+        warning = f"; warning: {check.why}" if check.outcome == "warning" else ""
         out = ET.SubElement(case, "system-out")
-        out.text = visible(f"measured: {said.measured}; limit: {said.limit}")
-        if check.outcome == "look":
-            out.text += visible(f"; warning: {said.why}")
+        out.text = visible(f"measured: {check.measured_text}; limit: {check.limit_text}{warning}")
     return _written(suites)
 
 
 def junit_error_xml(name: str, error: MobilecalError) -> bytes:
     """One test case with the error that ended a run without a result."""
-    counts = {"tests": "1", "failures": "0", "errors": "1"}
-    suites = ET.Element("testsuites", counts)
-    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
-    case = ET.SubElement(
-        suite, "testcase", {"classname": "mobilecal", "name": "the recording can be calibrated"}
-    )
-    told = ET.SubElement(case, "error", {"message": visible(error.message), "type": error.code})
-    told.text = visible(error.hint)
+    suites, suite = _suites(name, 1, errors=1)
+    _said(_case(suite, "the recording can be calibrated"), "error", error.message, error.code, error.hint)
     return _written(suites)
+
+
+def _suites(name: str, tests: int, failures: int = 0, errors: int = 0) -> tuple[ET.Element, ET.Element]:
+    counts = {"tests": str(tests), "failures": str(failures), "errors": str(errors)}
+    suites = ET.Element("testsuites", counts)
+    return suites, ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
+
+
+def _case(suite: ET.Element, name: str) -> ET.Element:
+    return ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(name)})
+
+
+def _said(case: ET.Element, tag: str, message: str, kind: str, text: str) -> None:
+    ET.SubElement(case, tag, {"message": visible(message), "type": kind}).text = visible(text)
 
 
 def _written(suites: ET.Element) -> bytes:

@@ -14,7 +14,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from mobilecal_cli import pipeline
+from mobilecal_cli.pipeline import cluster, fleet, progress
 from mobilecal_cli.pipeline.fleet import RECORDS
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
@@ -25,7 +25,7 @@ _CUT = 6  # every so many robots
 
 
 def _record(log: Path, seed: int) -> None:
-    simulate(Scenario(robot="paper", seed=seed), log, False, pipeline.silent)
+    simulate(Scenario(robot="paper", seed=seed), log, False, progress.silent)
     if seed % _CUT == 0:
         whole = log.read_bytes()
         log.write_bytes(whole[: len(whole) // 2])
@@ -46,10 +46,10 @@ def main() -> None:
         with ProcessPoolExecutor(2) as pool:
             list(pool.map(_record, [logs / f"robot_{n:02}.mcap" for n in range(robots)], range(robots)))
         began = time.perf_counter()
-        pipeline.batch(logs, folder / "here", run=pipeline.run_locally(2))
+        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
         here_s = time.perf_counter() - began
         began = time.perf_counter()
-        pipeline.batch(logs, folder / "here", run=pipeline.run_locally(2))
+        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
         again_s = time.perf_counter() - began
         kept: dict[str, int] = {}
         with local_cluster(folder, workers=2) as (address, workers):
@@ -61,7 +61,7 @@ def main() -> None:
                     kept.update(_records(folder / "cluster"))
 
             began = time.perf_counter()
-            pipeline.batch(logs, folder / "cluster", run=pipeline.run_on(address), progress=progress)
+            fleet.batch(logs, folder / "cluster", run=cluster.run_on(address), progress=progress)
             cluster_s = time.perf_counter() - began
         tables = [(folder / run / "summary.csv").read_text(encoding="utf-8") for run in ("here", "cluster")]
         verdicts = Counter(row["verdict"] for row in csv.DictReader(tables[0].splitlines()))

@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.model import Extraction, FloatArray, KnownNoise, Parameters, Solution
-from mobilecal_cli.report import judge
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.imperfect import (
     PRIORS,

@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.model import Parameters, WheelGeometry
-from mobilecal_cli.pipeline import extract
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DEGREES_MM, HEADER, conditions, row
 

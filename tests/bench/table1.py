@@ -14,7 +14,7 @@ import scipy
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.model import Parameters
-from mobilecal_cli.pipeline import extract
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import plan_route

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli import pipeline, se3
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import FleetJob, FleetRow, LogSource
 from mobilecal_cli.pipeline import fleet as batch_module
-from mobilecal_cli.report import fleet_csv, fleet_html, fleet_text
-from mobilecal_cli.report.fleet import standing_out
+from mobilecal_cli.pipeline.cluster import run_on
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text, standing_out
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -92,7 +92,7 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     out, _ = local
     before = records(out)
     monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("done again"))
-    rows = pipeline.batch(fleet, out, run=in_this_process)
+    rows = batch_module.batch(fleet, out, run=in_this_process)
     assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert records(out) == before
     assert [row.skipped for row in rows] == ["already done"] * (1 + ROBOTS_HERE)
@@ -112,11 +112,11 @@ def in_this_process(jobs, done):
 def test_changed_settings_and_lost_outputs_are_done_again(local, fleet, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(batch_module, "calibrate", lambda logs, out, **_: asked.append(out.name) or 1 / 0)
-    rows = pipeline.batch(fleet, tmp_path / "out", run=in_this_process)
+    rows = batch_module.batch(fleet, tmp_path / "out", run=in_this_process)
     assert len(asked) == ROBOTS_HERE + 1
     assert all(row.reason.startswith("a bug in mobilecal: ZeroDivisionError") for row in rows)
     asked.clear()
-    pipeline.batch(fleet, tmp_path / "out", run=in_this_process, gates=["stations=3"])
+    batch_module.batch(fleet, tmp_path / "out", run=in_this_process, gates=["stations=3"])
     assert len(asked) == ROBOTS_HERE + 1
 
 
@@ -139,7 +139,7 @@ def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
             workers[0].wait()
             then.update(records(out))
 
-    rows = pipeline.batch(fleet, out, run=pipeline.run_on(address), progress=progress)
+    rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
     assert len(then) >= 3
@@ -148,14 +148,14 @@ def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
 
 def test_no_scheduler(fleet, tmp_path):
     with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
-        pipeline.batch(fleet, tmp_path / "out", run=pipeline.run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+        batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
 
 
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
     jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(4)]
     monkeypatch.setattr(batch_module, "run_job", die_or_answer)
     rows = []
-    pipeline.run_locally(2)(jobs, rows.append)
+    batch_module.run_locally(2)(jobs, rows.append)
     assert sorted(row.name for row in rows) == ["r0", "r1", "r2", "r3"]
     verdicts = {row.name: row.verdict for row in rows}
     assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS", "r3": "PASS"}
@@ -198,7 +198,7 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
     (folder / "empty").mkdir()
     (folder / "broken.mcap").write_bytes(b"nothing")
     (folder / ".hidden").write_bytes(b"")
-    rows = pipeline.batch(
+    rows = batch_module.batch(
         folder, out, run=lambda jobs, done: [done(FleetRow(j.name, "PASS", 0, "")) for j in jobs]
     )
     assert [(row.name, row.verdict, row.skipped) for row in rows] == [
@@ -239,7 +239,7 @@ def test_texts_cannot_break_the_tables():
 def test_bad_manifests(tmp_path, text, says):
     (tmp_path / "fleet.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=says):
-        pipeline.batch(tmp_path / "fleet.yaml", tmp_path / "out", run=in_this_process)
+        batch_module.batch(tmp_path / "fleet.yaml", tmp_path / "out", run=in_this_process)
     assert not (tmp_path / "out").exists()
 
 
@@ -269,7 +269,7 @@ def manifest(folder, *robots):
 def refused_before_the_work(source, out, monkeypatch, error, says):
     monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("the work began"))
     with pytest.raises(error, match=says) as caught:
-        pipeline.batch(source, out, run=in_this_process)
+        batch_module.batch(source, out, run=in_this_process)
     return caught.value
 
 
@@ -306,7 +306,7 @@ def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch
 def one(fleet, tmp_path):
     """A batch of one robot, calibrated."""
     source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
-    pipeline.batch(source, tmp_path / "out", run=in_this_process)
+    batch_module.batch(source, tmp_path / "out", run=in_this_process)
     return source, tmp_path / "out"
 
 
@@ -319,23 +319,23 @@ def test_a_result_of_someone_else_needs_force(one, monkeypatch):
         error = refused_before_the_work(source, out, patch, OutputError, "already exists")
     assert "--force" in error.hint
     assert params.read_bytes() == edited
-    pipeline.batch(source, out, force=True, run=in_this_process)
+    batch_module.batch(source, out, force=True, run=in_this_process)
     assert not params.read_bytes().endswith(b"# edited\n")
     (out / "a" / "thesis.tex").write_text("precious")
     for record in (out / batch_module.RECORDS).iterdir():
         record.unlink()
     with pytest.raises(OutputError, match=r"thesis\.tex"):
-        pipeline.batch(source, out, force=True, run=in_this_process)
+        batch_module.batch(source, out, force=True, run=in_this_process)
     assert (out / "a" / "thesis.tex").exists()
 
 
 def test_an_own_result_is_replaced_without_force(one):
     source, out = one
-    rows = pipeline.batch(source, out, gates=["stations=3"], run=in_this_process)
+    rows = batch_module.batch(source, out, gates=["stations=3"], run=in_this_process)
     assert not rows[0].skipped
     (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
-    assert not pipeline.batch(source, out, run=in_this_process)[0].skipped
-    assert pipeline.batch(source, out, run=in_this_process)[0].skipped == "already done"
+    assert not batch_module.batch(source, out, run=in_this_process)[0].skipped
+    assert batch_module.batch(source, out, run=in_this_process)[0].skipped == "already done"
 
 
 def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):

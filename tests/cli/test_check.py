@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from mobilecal_cli import pipeline
-from mobilecal_cli.report import checklist, checklist_text
+from mobilecal_cli.pipeline import inspecting
+from mobilecal_cli.report.checklist import checklist, checklist_text
 from tests.cli.edited import edited
 from tests.command import run
 
@@ -66,7 +66,7 @@ WRONG = {
 def test_each_problem_has_its_line_and_exit_code(sample_logs, rig, about, monkeypatch):
     monkeypatch.setattr("mobilecal_cli.pipeline.sampling.PICTURE_MOMENTS", 1)
     flags, code, words = WRONG[about]
-    found = pipeline.check(rig, [sample_logs / "head_fixed.mcap"], flags)
+    found = inspecting.check(rig, [sample_logs / "head_fixed.mcap"], flags)
     (line,) = [line for line in checklist(found) if line.about == about and line.state == "problem"]
     assert (words in line.what, line.exit_code, bool(line.cure)) == (True, code, True)
     assert found.exit_code in {code, 5}  # this recording also lacks a nominal value
@@ -80,11 +80,11 @@ def test_invalid_files_are_problems_too(sample_logs, rig, tmp_path):
     log = sample_logs / "straight.mcap"
     bad = tmp_path / "bad.yaml"
     bad.write_text("wheels: {left: {ticks_per_revolution: TODO}}\n", encoding="utf-8")
-    found = pipeline.check(bad, [log])
+    found = inspecting.check(bad, [log])
     (line,) = checklist(found)
     assert (line.about, line.state, line.exit_code) == ("rig.yaml", "problem", 2)
     assert "not filled in yet: wheels.left.ticks_per_revolution" in line.what
-    (line,) = checklist(pipeline.check(rig, [bad]))
+    (line,) = checklist(inspecting.check(rig, [bad]))
     assert (line.about, line.state, line.exit_code) == ("recording", "problem", 3)
     done = run("check", bad, log, cwd=tmp_path)
     assert (done.code, done.err) == (2, "")
@@ -92,7 +92,7 @@ def test_invalid_files_are_problems_too(sample_logs, rig, tmp_path):
 
 
 def test_limits_are_no_problems(sample_logs, rig):
-    found = pipeline.check(rig, [sample_logs / "straight.mcap"])
+    found = inspecting.check(rig, [sample_logs / "straight.mcap"])
     assert found.exit_code == 0
     assert states(found)["motion"] == "limit"
     assert checklist_text(found).endswith("1 limit.\n")
@@ -102,7 +102,7 @@ def test_images_of_another_size_and_other_times(sample_logs, rig, tmp_path):
     def smaller(topic, message):
         return replace(message, width=320) if topic == "/stereo/left/camera_info" else message
 
-    found = pipeline.check(rig, [edited(sample_logs / "head_fixed.mcap", tmp_path / "a.mcap", smaller)])
+    found = inspecting.check(rig, [edited(sample_logs / "head_fixed.mcap", tmp_path / "a.mcap", smaller)])
     (line,) = [line for line in checklist(found) if line.about == "camera infos"]
     assert "the left images are 640 x 480 pixels, but their camera_info states 320 x 480" in line.what
 
@@ -113,7 +113,7 @@ def test_images_of_another_size_and_other_times(sample_logs, rig, tmp_path):
         count += topic == "/joint_states"
         return None if topic == "/joint_states" and count > 900 else message
 
-    found = pipeline.check(rig, [edited(sample_logs / "straight.mcap", tmp_path / "b.mcap", short)])
+    found = inspecting.check(rig, [edited(sample_logs / "straight.mcap", tmp_path / "b.mcap", short)])
     (line,) = [line for line in checklist(found) if line.about == "time"]
     assert line.state == "limit"
     inside, total = found.covered
@@ -152,6 +152,6 @@ def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
     notes = json.loads((tmp_path / "out/report.json").read_text())["notes"]
     (note,) = [note for note in notes if "No right images" in note]
     assert "while there are 14 left images. Check the cable and the driver of the right camera." in note
-    (line,) = [line for line in checklist(pipeline.check(rig, [log])) if line.about == "time"]
+    (line,) = [line for line in checklist(inspecting.check(rig, [log])) if line.about == "time"]
     assert line.state == "limit"
     assert "of 24 left images were recorded while right images, joints and wheels were" in line.what

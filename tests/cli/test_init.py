@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mobilecal_cli import pipeline
+from mobilecal_cli.pipeline import drafting, inspecting
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.urdf import urdf_text
 from tests.cli.edited import edited
@@ -56,14 +56,14 @@ def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):
         return None if topic == "/robot_description" else message
 
     log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", without_urdf)
-    assert {one.key for one in pipeline.draft([log]).todo if one.needed} == {"head"}
+    assert {one.key for one in drafting.draft([log]).todo if one.needed} == {"head"}
     urdf, rig = tmp_path / "robot.urdf", tmp_path / "rigs" / "rig.yaml"
     urdf.write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
     rig.parent.mkdir()
-    made = pipeline.write_draft([log], rig, False, urdf)
+    made = drafting.write_draft([log], rig, False, urdf)
     assert keys(made)["head.urdf"] == "../robot.urdf"
     assert not any(one.needed for one in made.todo)
-    found = pipeline.check(rig, [log])
+    found = inspecting.check(rig, [log])
     assert found.parts.chain_from == "head.urdf of the configuration"
     assert {lack.about for lack in found.missing} == {"motion"}  # the head never moves
 
@@ -79,7 +79,7 @@ def test_swapped_cameras_are_asked_for(sample_logs, tmp_path, few):
         return replace(message, p=p)
 
     log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", swapped)
-    made = pipeline.draft([log])
+    made = drafting.draft([log])
     (asked,) = [one for one in made.todo if one.needed]
     assert "to the left of the left camera, according to camera_info" in asked.why
     assert "square_m" in {one.key.split(".")[-1] for one in made.todo}
@@ -90,6 +90,6 @@ def test_a_dark_room_has_no_board(sample_logs, tmp_path, few):
     from tests.cli.test_inspect import black_images
 
     log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", black_images)
-    made = pipeline.draft([log])
+    made = drafting.draft([log])
     assert [one.key for one in made.todo if one.needed] == ["board"]
     assert not any(one.key.startswith("board") for one in made.filled)

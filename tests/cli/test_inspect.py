@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mobilecal_cli import pipeline
-from mobilecal_cli.report import inspection_json, inspection_text
+from mobilecal_cli.pipeline import inspecting
+from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from tests.cli.edited import edited
 from tests.command import run
 from tests.readers import recordings as r
@@ -18,7 +18,7 @@ from tests.readers import recordings as r
 
 @pytest.mark.parametrize("name", ["paper_robot.mcap", "paper_robot.bag", "paper_robot_rosbag2"])
 def test_sample_log(sample_logs, name):
-    found = pipeline.inspect([sample_logs / name])
+    found = inspecting.inspect([sample_logs / name])
     topics = {topic.name: topic for topic in found.topics}
     joints = topics["/joint_states"]
     assert (joints.messages, joints.steps_back) == (2142, 0)
@@ -34,7 +34,7 @@ def test_sample_log(sample_logs, name):
 
 
 def test_motion_that_does_not_show_everything(sample_logs):
-    found = pipeline.inspect([sample_logs / "straight.mcap"])
+    found = inspecting.inspect([sample_logs / "straight.mcap"])
     assert found.missing == ()
     (lack,) = found.weak
     assert "the base only drives straight" in lack.what
@@ -71,7 +71,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
         ),
         r.Item("/left/image_raw", "sensor_msgs/msg/Image", r.START_NS, r.image(r.picture(0), "mono8")),
     ]
-    found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
+    found = inspecting.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
     assert any("the head chain is unknown" in text for text in said)
@@ -80,7 +80,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
 
 def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
     monkeypatch.setattr("mobilecal_cli.pipeline.inspecting.MOTION_BYTES", 2**20)
-    found = pipeline.inspect([sample_logs / "paper_robot.mcap"])
+    found = inspecting.inspect([sample_logs / "paper_robot.mcap"])
     assert 0 < found.motion.share < 1
     assert found.motion.rests is None
     assert "the rest was not read" in inspection_text(found)
@@ -91,7 +91,7 @@ def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
     whole = (sample_logs / "paper_robot.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 6 // 10])
-    found = pipeline.inspect([cut])
+    found = inspecting.inspect([cut])
     assert 0 < found.motion.rests < 8
     assert "possible stations; a calibration needs 4, and 8 to pass" in found.weak[0].what
     assert found.exit_code == 0
@@ -125,23 +125,23 @@ def black_images(topic, message):
 
 def test_the_square_beside_the_stated_one(sample_logs):
     log = [sample_logs / "paper_robot.mcap"]
-    found = pipeline.inspect(log, flags={"board.square_m": 0.0801})
+    found = inspecting.inspect(log, flags={"board.square_m": 0.0801})
     assert found.board.square_m == pytest.approx(0.08, rel=0.002)
     assert ", 80.10 mm stated" in inspection_text(found)
     assert found.exit_code == 0
-    wrong = pipeline.inspect(log, flags={"board.square_m": 0.1})
+    wrong = inspecting.inspect(log, flags={"board.square_m": 0.1})
     assert wrong.exit_code == 4
     assert "squares measure 80.0 mm, 100.0 mm are stated" in wrong.missing[0].what
 
 
 def test_empty_recording(tmp_path):
-    found = pipeline.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
+    found = inspecting.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
     assert "contains no messages" in found.missing[0].what
     assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
 
 
 def test_names_cannot_steer_the_terminal(sample_logs):
-    found = pipeline.inspect([sample_logs / "head_fixed.mcap"])
+    found = inspecting.inspect([sample_logs / "head_fixed.mcap"])
     evil = replace(found.topics[0], name="/evil\x1b[2J\u202e")
     text = inspection_text(replace(found, topics=(evil,), notes=("a note\r\x07 on it",)))
     assert "\x1b" not in text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from mobilecal_cli import pipeline
+from mobilecal_cli.pipeline import calibrating, inspecting
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.scenario import PRINTED, Scenario
@@ -32,7 +32,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
         **BOARDS[kind],
     }
     flags = {f"board.{key}": value for key, value in flags.items()}
-    found, _ = pipeline.calibrate([log], tmp_path / "out", flags=flags)
+    found, _ = calibrating.calibrate([log], tmp_path / "out", flags=flags)
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.left, o.right)]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
@@ -46,11 +46,11 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind
-    again, _ = pipeline.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
+    again, _ = calibrating.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
     np.testing.assert_allclose(
         again.fit.solution.parameters.T_h_c, found.fit.solution.parameters.T_h_c, atol=1e-9
     )
     if kind == "aprilgrid":
-        view = pipeline.inspect([log], None, flags).board
+        view = inspecting.inspect([log], None, flags).board
         assert view.size == (board.columns, board.rows)
         assert view.seen >= 9

@@ -11,8 +11,8 @@ from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import board_pdf
 from mobilecal_cli.model import Board, Markers
-from mobilecal_cli.pipeline import print_board
 from mobilecal_cli.pipeline.extracting import board_of
+from mobilecal_cli.pipeline.printing import print_board
 from mobilecal_cli.targets import Paper
 from mobilecal_cli.vision import Detection, find_board
 from mobilecal_cli.yaml_input import load_yaml

@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.report import judge
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route

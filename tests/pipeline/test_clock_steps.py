@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.pipeline import extract
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.yaml_input import load_yaml
 

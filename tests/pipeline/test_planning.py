@@ -16,7 +16,8 @@ from mcap.writer import CompressionType, Writer
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
-from mobilecal_cli.pipeline import extract, planning
+from mobilecal_cli.pipeline import planning
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.planning import plan_recording
 from mobilecal_cli.readers import open_recording, read_images
 from mobilecal_cli.readers.messages.channels import Channel

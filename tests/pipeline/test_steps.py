@@ -9,7 +9,7 @@ import pytest
 
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.pipeline import calibrate
+from mobilecal_cli.pipeline.calibrating import calibrate
 from mobilecal_cli.solvers import constraints_of
 from tests.conftest import REPOSITORY
 

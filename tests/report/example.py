@@ -21,7 +21,12 @@ from mobilecal_cli.model import (
     Snapshot,
     Solution,
 )
-from mobilecal_cli.report import Case, ReportData, build_report, draw_all, judge, report_html
+from mobilecal_cli.report.build import build_report
+from mobilecal_cli.report.case import Case
+from mobilecal_cli.report.drawn import draw_all
+from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.values import ReportData
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mobilecal_cli.report import Check, drawn, json_text, tables, verdict, wording
+from mobilecal_cli.report import drawn, tables, verdict, wording
+from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.svg import Canvas
+from mobilecal_cli.report.values import json_text
 from mobilecal_cli.report.wording.words import Words
 from tests.report.example import made, make_extraction, make_solution, page_of
 

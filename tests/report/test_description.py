@@ -14,20 +14,17 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, LogSource, Nominal
-from mobilecal_cli.report import (
-    gates_of,
-    json_text,
-    judge,
-    recommendation,
-    summary_text,
-    words,
-)
-from mobilecal_cli.report.at_work import FIGURES, uses
+from mobilecal_cli.report.at_work import FIGURES, recommendation, uses
 from mobilecal_cli.report.budget import families, shares_of
 from mobilecal_cli.report.contradictions import told
 from mobilecal_cli.report.decomposition import error_parts
+from mobilecal_cli.report.gates import gates_of
 from mobilecal_cli.report.numbers import reference_std, rotation_of
 from mobilecal_cli.report.parameters import std_text
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.budget import FAMILIES, SOURCES, limiting_sentence
 from mobilecal_cli.report.wording.findings import jackknife_sentence
 from mobilecal_cli.simulate.ideal import Noise

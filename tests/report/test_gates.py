@@ -10,21 +10,13 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import Drift, Evaluation
-from mobilecal_cli.report import (
-    Check,
-    evaluated_figures,
-    evaluation_data,
-    evaluation_text,
-    figures_of,
-    gate_checks,
-    gates_of,
-    json_text,
-    judge,
-    junit_error_xml,
-    junit_xml,
-    words,
-)
-from mobilecal_cli.report.gates import Gate
+from mobilecal_cli.report.check import Check, Checks
+from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
+from mobilecal_cli.report.gates import Gate, evaluated_figures, figures_of, gate_checks, gates_of
+from mobilecal_cli.report.junit import junit_error_xml, junit_xml
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.verdict import Verdict, judge, verdict_data
+from mobilecal_cli.report.wording import words
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -151,7 +143,8 @@ def test_junit():
         Check("rejected", 60, 50, "%", "bad", facts={"rejected": 6, "found": 10, "often": "<&>\x00"}),
         Check("gate.legs", 3, 4, "", "short", at_least=True),
     ]
-    suite = ET.fromstring(junit_xml("log\x07.mcap", checks)).find("testsuite")
+    verdict = verdict_data(Verdict("FAIL", "", "", Checks(checks)))
+    suite = ET.fromstring(junit_xml("log\x07.mcap", verdict)).find("testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
     cases = suite.findall("testcase")
     assert [case.get("name") for case in cases] == [words(check).name for check in checks]

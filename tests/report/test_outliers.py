@@ -1,7 +1,8 @@
 """Outliers in words: a few singly, many by count."""
 
 from mobilecal_cli.model import Outlier
-from mobilecal_cli.report import Check, words
+from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.findings import outlier_sentences
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot

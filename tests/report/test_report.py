@@ -33,23 +33,17 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.report import (
-    change_from_nominal,
-    change_since,
-    evaluation_data,
-    evaluation_text,
-    fleet_csv,
-    fleet_html,
-    fleet_text,
-    json_text,
-    suggestion_sentences,
-    summary_text,
-)
+from mobilecal_cli.report.changes import change_from_nominal, change_since
+from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
 from mobilecal_cli.report.glossary import TERMS, link_terms
 from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.report.overlays import leg_views
 from mobilecal_cli.report.parameters import value_text
 from mobilecal_cli.report.plots import trail
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.wording.findings import suggestion_sentences
 from mobilecal_cli.solvers import evaluate
 from tests.conftest import REPOSITORY
 from tests.report.example import (

@@ -9,7 +9,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
-from mobilecal_cli.report import judge, words
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.wording import words
 from mobilecal_cli.solvers import solve
 from tests.report.example import ROBOT, WHEELS, make_extraction, make_solution, with_nominal
 

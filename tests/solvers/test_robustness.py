@@ -9,8 +9,9 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import JointLink, Nominal, Parameters, WheelTrack
-from mobilecal_cli.report import Case, judge
+from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
