@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from mobilecal_cli.errors import ConfigError
 
+_PER_METER = 1000.0  # millimeters
+
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -36,7 +38,7 @@ class Range:
         """
         if value not in self:
             raise ConfigError(
-                f"{name}: {f'{value:g} {self.unit}'.strip()} is not possible (range {self})",
+                f"{name}: {f'{value:g} {self.unit}'.strip()} is not possible (range {self}){self._unit_of(value)}",
                 "check the value and its unit",
             )
         return value
@@ -48,8 +50,14 @@ class Range:
             ValueError: it is out of range, or NaN.
         """
         if value not in self:
-            raise ValueError(f"must be {'0 or ' if self.zero else ''}from {self}")
+            raise ValueError(f"must be {'0 or ' if self.zero else ''}from {self}{self._unit_of(value)}")
         return value
+
+    def _unit_of(self, value: float) -> str:
+        """What a length beyond the range looks like, "" if it is no length or far beyond."""
+        if self.unit == "m" and self.high < abs(value) <= _PER_METER * self.high:
+            return f"; {value:g} looks like millimeters: {value / _PER_METER:g} m"
+        return ""
 
 
 WHEEL_RADIUS = Range(1e-3, 10.0, "m")

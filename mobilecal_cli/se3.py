@@ -154,9 +154,14 @@ def rotation_z(angle_rad: FloatArray) -> FloatArray:
 
 def from_rpy(rpy_rad: FloatArray) -> FloatArray:
     """URDF's fixed-axis roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll), (3,) → (3, 3)."""
-    roll, pitch, yaw = (np.asarray(a) for a in rpy_rad)
-    x, y, z = np.eye(3)
-    return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def to_rpy(rotation: FloatArray) -> FloatArray:

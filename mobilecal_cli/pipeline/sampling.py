@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.pipeline.detecting import check_picture
 from mobilecal_cli.readers import Recording, pictures_near
-from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure
+from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 
 #: Number of moments, evenly spaced, at which an image of either camera is searched for the board.
 PICTURE_MOMENTS = 6
@@ -103,7 +103,7 @@ def sample_board(
                 "square size",
                 f"the squares measure {square_m * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
                 f"(limit {100 * _SQUARE_TOLERANCE:g} %)",
-                "correct board.square_m, or calibrate the stereo pair again (camera_info)",
+                square_cure(stated_m, square_m),
             )
         )
     size = board.columns, board.rows

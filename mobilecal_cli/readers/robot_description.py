@@ -85,14 +85,8 @@ def _read(
     The reason is noted, not raised, because the calibration may not use the topic.
     """
     found: dict[str, list[T]] = {topic: [] for topic in topics}
-    reasons: dict[str, str] = {}
-    readable = []
-    for topic in topics:
-        try:
-            recording.raw([topic])  # checks its type
-            readable.append(topic)
-        except RecordingError as error:
-            reasons[topic] = error.message
+    reasons = {topic: error.message for topic, error in recording.unsupported(topics).items()}
+    readable = [topic for topic in topics if topic not in reasons]
     together = [readable] if len(readable) > SEPARATE else [[topic] for topic in readable]
     for group in together:
         left = {topic: min(most, recording.topic(topic).count or most) for topic in group}

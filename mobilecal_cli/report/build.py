@@ -95,7 +95,7 @@ def build_report(case: Case) -> ReportData:
         constants=_constants(solution),
         error_budget=_budget(solution),
         evidence=tuple(EvidenceData(**_evidence(found)) for found in solution.evidence),
-        contradictions=tuple(_contradiction(found, solution) for found in each_once(solution)),
+        contradictions=tuple(_contradiction(found, solution, extraction) for found in each_once(solution)),
         scale=_scale(solution),
         logs=_between(solution),
         suggestions=_suggestions(solution, extraction),
@@ -295,8 +295,8 @@ def _evidence(found: Evidence) -> dict[str, Any]:
     }
 
 
-def _contradiction(found: Evidence, solution: Solution) -> ContradictionData:
-    text, cure = told(found, solution)
+def _contradiction(found: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
+    text, cure = told(found, solution, extraction)
     return ContradictionData(**_evidence(found), text=text, cure=cure)
 
 

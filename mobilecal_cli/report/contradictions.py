@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mobilecal_cli.model import Evidence, Solution
+from mobilecal_cli.model import Evidence, Extraction, Solution
 from mobilecal_cli.report.check import Check, Outcome
 from mobilecal_cli.report.wording.contradictions import SCALES, contradiction_sentences
 
@@ -12,7 +12,7 @@ from mobilecal_cli.report.wording.contradictions import SCALES, contradiction_se
 CONTRADICTION_SIGMAS, SHIFT_SIGMAS = 4.0, 2.0
 
 
-def contradiction_checks(solution: Solution) -> Iterator[Check]:
+def contradiction_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     """Whether the data contradict the robot description: each contradiction, or the largest evidence."""
     if solution.uncertainty is None:
         return
@@ -27,6 +27,7 @@ def contradiction_checks(solution: Solution) -> Iterator[Check]:
             "evidence": found,
             "scale": solution.scale,
             "meanings": _meanings(solution),
+            "square_stated": extraction.board.square_m is not None,
             "several": found is solution.contradictions[-1] and len(solution.contradictions) > 1,
         }
         name = f"contradiction.{found.kind}.{found.part}"
@@ -44,9 +45,10 @@ def each_once(solution: Solution) -> tuple[Evidence, ...]:
     return tuple(found.values())
 
 
-def told(found: Evidence, solution: Solution) -> tuple[str, str]:
+def told(found: Evidence, solution: Solution, extraction: Extraction) -> tuple[str, str]:
     """What the data contradict and by how much, and the cure."""
-    return contradiction_sentences(found, solution.scale, _meanings(solution))
+    square_stated = extraction.board.square_m is not None
+    return contradiction_sentences(found, solution.scale, _meanings(solution), square_stated)
 
 
 def _meanings(solution: Solution) -> dict[str, str]:

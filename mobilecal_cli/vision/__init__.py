@@ -3,7 +3,7 @@
 Other packages use only the names exported here.
 """
 
-from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square
+from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square, square_cure
 from mobilecal_cli.vision.board_size import SizeVote, identify_size
 from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.detection import detect
@@ -35,6 +35,7 @@ __all__ = [
     "resolve_numbering",
     "resolve_square",
     "snapshot_jpeg",
+    "square_cure",
     "square_from_points",
     "triangulate",
 ]

@@ -23,6 +23,7 @@ _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart
 _FLAT_PX = 3.0
 _TIMES_THE_MEDIAN = 3.0
 _UNIT_TOLERANCE = 0.3  # a wrong unit is off by far more
+_UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 1 / 0.0254}
 _FEWEST = 5  # stations that make a median
 #: A misfit of this size is beyond the priors of camera_info: the estimate does not find its cause.
 _GROSS_PX = 5.0
@@ -189,7 +190,7 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     """Compare the stated side of a square with the stereo pair's.
 
     Raises:
-        ObservationError: they differ at the median of enough stations; names millimeters given as meters.
+        ObservationError: they differ at the median of enough stations; names a unit given as meters.
     """
     sides_m = [one.square_m for one in measured if isinstance(one, Measured)]
     if len(sides_m) < _FEWEST:
@@ -197,11 +198,19 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     side_m = float(np.median(sides_m))
     if abs(side_m - square_m) <= SQUARE_TOLERANCE * square_m:
         return
-    cure = "correct board.square_m, or calibrate the stereo pair again (camera_info)"
-    if abs(square_m / 1000 - side_m) <= _UNIT_TOLERANCE * side_m:
-        cure = f"{square_m:g} looks like millimeters: set board.square_m to {square_m / 1000:g} (meters)"
+    cure = square_cure(square_m, side_m)
     raise ObservationError(
         f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} stations, but board.square_m is "
         f"{square_m:g} m (limit {100 * SQUARE_TOLERANCE:g} %)",
         cure,
     )
+
+
+def square_cure(square_m: float, side_m: float) -> str:
+    """What to do about squares that do not have their stated side, m, but another one, m."""
+    for unit, per_meter in _UNITS.items():
+        if abs(square_m / per_meter - side_m) <= _UNIT_TOLERANCE * side_m:
+            return (
+                f"{square_m:g} looks like {unit}: set board.square_m to {square_m / per_meter:.4g} (meters)"
+            )
+    return "correct board.square_m, or calibrate the stereo pair again (camera_info)"

@@ -176,7 +176,7 @@ def test_an_unevenness_of_the_floor_is_told():
 def test_a_turned_camera_is_named_with_its_cure():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
     (found,) = solution.contradictions
-    what, cure = told(found, solution)
+    what, cure = told(found, solution, extraction)
     assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
     assert what.endswith("deg from camera_info (prior 0.050 deg).")
     assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
@@ -204,6 +204,25 @@ def test_squares_and_baseline_disagree_together():
     assert verdict.reason.startswith("The stated squares and the stereo baseline disagree by ")
     assert "The recording cannot tell which of the two is wrong." in verdict.next_step
     assert solution.scale.ratio == pytest.approx(1.02, abs=0.005)
+
+
+def test_no_stated_size_is_named_where_none_is_stated():
+    solution, extraction = solved(("square_scale", 0.02))
+    found = next(one for one in solution.contradictions if one.kind == "square_size")
+    unstated = replace(extraction, board=replace(extraction.board, square_m=None))
+    what, cure = told(found, replace(solution, scale=None), unstated)
+    assert what.startswith("Board: size of the squares differs by ")
+    assert "from the size that the stereo pair measures at each station (prior " in what
+    assert cure == "Check that camera_info belongs to these images, and state board.square_m in rig.yaml."
+
+
+def test_constants_that_the_recording_shows_only_together_are_named():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    (found,) = solution.contradictions
+    together = replace(found, values={name: (value, np.inf) for name, (value, _) in found.values.items()})
+    what, _ = told(together, solution, extraction)
+    assert what.startswith("Right camera: rotation about the left camera's x and rotation about")
+    assert what.endswith(" together differ from camera_info (prior 0.050 deg).")
 
 
 # -- error budget -----------------------------------------------------------------------------------

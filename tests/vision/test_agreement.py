@@ -114,6 +114,8 @@ def test_a_gross_misfit_is_named() -> None:
     ("square_m", "cure"),
     [
         (60.0, "60 looks like millimeters: set board.square_m to 0.06 (meters)"),
+        (6.0, "6 looks like centimeters: set board.square_m to 0.06 (meters)"),
+        (2.375, "2.375 looks like inches: set board.square_m to 0.06032 (meters)"),
         (0.08, "correct board.square_m, or calibrate the stereo pair again (camera_info)"),
     ],
 )

@@ -226,11 +226,21 @@ class Recording:
         names = frozenset(topics)
         for name in sorted(names):
             self.topic(name)
+        for error in self.unsupported(names).values():
+            raise error
+        return self._stream(names, extent)
+
+    def unsupported(self, topics: Collection[str]) -> dict[str, RecordingError]:
+        """Those of the topics whose encoding is not supported → the error; one pass over all channels."""
+        names, found = frozenset(topics), dict[str, RecordingError]()
         for part in self.parts:
             for channel in part.channels.values():
-                if channel.topic in names:
-                    channel.check()
-        return self._stream(names, extent)
+                if channel.topic in names and channel.topic not in found:
+                    try:
+                        channel.check()
+                    except RecordingError as error:
+                        found[channel.topic] = error
+        return found
 
     def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
         seen = dict.fromkeys(topics, 0)

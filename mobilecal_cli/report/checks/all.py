@@ -43,7 +43,7 @@ def all_checks(solution: Solution, extraction: Extraction, limits: Mapping[str, 
     if not extraction.observations:
         return
     yield from camera_info(extraction)
-    yield from contradiction_checks(solution)
+    yield from contradiction_checks(solution, extraction)
     yield second_solution(solution)
     yield wheel_difference(solution)
     yield from nominal_checks(solution, extraction)

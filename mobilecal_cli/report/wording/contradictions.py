@@ -63,6 +63,10 @@ _BY_KIND = {
     "joint_position": _HEAD,
     "backlash": _Stated("no backlash", "Repair the joint, or approach each head pose from the same side."),
 }
+_MEASURED_SQUARE = _Stated(
+    "the size that the stereo pair measures at each station",
+    "Check that camera_info belongs to these images, and state board.square_m in rig.yaml.",
+)
 _SCALE_CURE = (
     "The recording cannot tell which of the two is wrong. Measure ten squares with a ruler. If they are as stated, "
     "recalibrate the stereo pair."
@@ -81,7 +85,9 @@ def part_text(found: Evidence) -> str:
 
 def contradiction_words(c: Check) -> Words:
     """A contradiction."""
-    what, cure = contradiction_sentences(c.facts["evidence"], c.facts["scale"], c.facts["meanings"])
+    what, cure = contradiction_sentences(
+        c.facts["evidence"], c.facts["scale"], c.facts["meanings"], c.facts["square_stated"]
+    )
     widened = _SEVERAL if c.facts["several"] else ""
     return Words(
         f"robot description: {visible(c.facts['evidence'].part)}, {nuisance.kind(c.facts['evidence'].kind).meaning}",
@@ -93,7 +99,7 @@ def contradiction_words(c: Check) -> Words:
 
 
 def contradiction_sentences(
-    found: Evidence, scale: ScaleCheck | None, meanings: Mapping[str, str]
+    found: Evidence, scale: ScaleCheck | None, meanings: Mapping[str, str], square_stated: bool
 ) -> tuple[str, str]:
     """What the data contradict and by how much, and the cure.
 
@@ -101,6 +107,7 @@ def contradiction_sentences(
         found: the contradiction.
         scale: stated squares against the baseline, if both are stated.
         meanings: constant → its meaning.
+        square_stated: whether a size of the squares is stated.
     """
     if found.kind in SCALES and scale is not None:
         off = (
@@ -112,10 +119,11 @@ def contradiction_sentences(
             f"(stated: {scale.square_m * 1e3:.2f} mm).",
             _SCALE_CURE,
         )
-    stated = _BY_KIND[found.kind]
+    measured = found.kind == "square_size" and not square_stated
+    stated = _MEASURED_SQUARE if measured else _BY_KIND[found.kind]
     shown = (
         " and ".join(_difference(found, name, meanings) for name in _worst(found))
-    ) or "the stated values"
+    ) or f"{' and '.join(meanings.get(name, name) for name in found.values)} together differ"
     return f"{part_text(found)}: {shown} from {stated.against} ({_prior(found)}).", stated.cure
 
 

@@ -1,0 +1,97 @@
+"""Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF.
+
+`python -m tests.bench.large` prints the table in docs/explanation/results.md.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from tests.bench.tables import table
+from tests.cli.edited import edited
+from tests.conftest import REPOSITORY
+
+LOG = REPOSITORY / "sample_logs" / "paper_robot.mcap"
+_MESSAGES = 20  # of each additional topic
+TOPICS = (500, 1000, 2000, 4000, 8000)
+LINKS = (20_000, 100_000)
+
+
+def with_topics(count: int, path: Path) -> None:
+    """The sample recording with so many more topics of joint states."""
+    with LOG.open("rb") as stream, path.open("wb") as out:
+        writer = Writer(out, compression=CompressionType.NONE)
+        writer.start(profile="ros2")
+        channels: dict[int, int] = {}
+        more: list[int] = []
+        written = 0
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            joints = channel.topic == "/joint_states"
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+                if joints:
+                    names = (f"/robot{k}/joint_states" for k in range(count))
+                    more = [writer.register_channel(name, "cdr", number) for name in names]
+            copies = more if joints and written < _MESSAGES else []
+            written += joints
+            for target in (channels[channel.id], *copies):
+                writer.add_message(target, message.log_time, message.data, message.publish_time)
+        writer.finish()
+
+
+def with_links(count: int, path: Path) -> None:
+    """The sample recording with so many more links in its URDF, one behind the other."""
+
+    def edit(topic: str, message: Any) -> Any:
+        if topic != "/robot_description":
+            return message
+        more = [
+            f'<link name="x{k}"/><joint name="j{k}" type="fixed"><parent link="{f"x{k - 1}" if k else "base_link"}"/>'
+            f'<child link="x{k}"/><origin xyz="0 0 0.001"/></joint>'
+            for k in range(count)
+        ]
+        return replace(message, data=message.data.replace("</robot>", "".join(more) + "</robot>"))
+
+    edited(LOG, path, edit)
+
+
+def inspected_s(path: Path) -> float:
+    """Processor time of `inspect`, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "mobilecal_cli", "inspect", str(path)]
+    subprocess.run(command, check=True, capture_output=True, cwd=path.parent)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main() -> None:
+    """Print the table: times beyond those of the sample recording alone."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.mcap"
+        alone = min(inspected_s(LOG) for _ in range(3))
+        make: Callable[[int, Path], None]
+        for what, counts, make in (("topics", TOPICS, with_topics), ("links", LINKS, with_links)):
+            for count in counts:
+                make(count, path)
+                more = min(inspected_s(path) for _ in range(3)) - alone
+                rows.append([f"{count:,} {what}", f"{alone + more:.1f}", f"{1e3 * more / count:.2f}"])
+    print(
+        table(["sample recording with", "inspect (s)", f"beyond {alone:.1f} s without, per item (ms)"], rows)
+    )
+
+
+if __name__ == "__main__":
+    main()
