@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
-from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners
+from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
 from mobilecal_cli.vision.values import Appearance, Miss
@@ -24,14 +24,20 @@ def check_size(grid: FloatArray) -> Miss | None:
     return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
-def limit_px(grid_map: GridMap, edge_px: float) -> float:
-    """Largest distance of a corner from the smooth map through the others, px."""
-    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * float(np.median(grid_map.off_px))))
+def limit_px(off_px: FloatArray, edge_px: float) -> float:
+    """Largest distance of a corner from the smooth map through the others, px.
+
+    Args:
+        off_px: (rows, columns) see `GridMap.off_px`.
+        edge_px: shortest distance between corners, px.
+    """
+    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * upper_median(off_px.ravel())))
 
 
 def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
     """(rows, columns) whether a corner is off the grid of the others."""
-    return np.asarray(grid_map.off_px > limit_px(grid_map, edge_px))
+    off_px = grid_map.off_px
+    return np.asarray(off_px > limit_px(off_px, edge_px))
 
 
 def fit_board(
@@ -47,7 +53,9 @@ def fit_board(
     """
     fit = fit_corners(image, grid, outer_whole, appearance)
     corners = fit.pixels.reshape(grid.shape)
-    grid_map = fit_grid(corners, image.shape)
+    # Where most corners are not corners, no lens would make them a board.
+    is_board = np.mean(fit.fitted) >= 1 - _MOST_BAD
+    grid_map = fit_grid(corners, image.shape if is_board else None)
     bad = off_grid(grid_map, smallest_edge_px(corners)) | ~fit.fitted.reshape(grid.shape[:2])
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
@@ -58,10 +66,11 @@ def fit_board(
 def check_grid(fit: FittedCorners, grid_map: GridMap) -> Miss | None:
     """A Miss if a corner is not fitted or off the grid of the others, None otherwise."""
     edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
-    if off_grid(grid_map, edge_px).any():
+    off_px = grid_map.off_px
+    worst_px, most_px = float(off_px.max()), limit_px(off_px, edge_px)
+    if worst_px > most_px:
         return Miss(
-            "corners not on a regular grid",
-            f"worst corner {grid_map.off_px.max():.2f} px, limit {limit_px(grid_map, edge_px):.2f} px",
+            "corners not on a regular grid", f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px"
         )
     if not fit.fitted.all():
         return Miss(

@@ -37,6 +37,7 @@ _STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur i
 # in units of sigma, another iteration would reduce the variance by less than 1 %.
 _CONVERGED = 6.0
 _FAR_PX = 0.5  # a corner that still moves this far is on its way, whatever the others do
+_MOST_FAR = 0.2  # if more corners do, there is no board, and another iteration would not find one
 # Approximation of erf(z / sqrt(2)) within 4e-4 by tanh, which is fast in single precision.
 _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
@@ -90,13 +91,22 @@ class FittedCorners:
     @property
     def half_contrast_grey(self) -> float:
         """Median over the board of half the step from dark to light, gray levels."""
-        return _median(np.abs(self.contrast_grey))
+        return upper_median(np.abs(self.contrast_grey))
 
 
 def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Steps to the next corner along a row and along a column, (M, 2) each, by differences of second order."""
-    down, along = np.gradient(grid, axis=(0, 1), edge_order=2)
-    return along.reshape(-1, 2), down.reshape(-1, 2)
+    along, down = np.empty_like(grid), np.empty_like(grid)
+    along[:, 1:-1], down[1:-1] = grid[:, 2:] - grid[:, :-2], grid[2:] - grid[:-2]
+    along[:, 0], down[0] = (
+        4 * grid[:, 1] - 3 * grid[:, 0] - grid[:, 2],
+        4 * grid[1] - 3 * grid[0] - grid[2],
+    )
+    along[:, -1], down[-1] = (
+        3 * grid[:, -1] - 4 * grid[:, -2] + grid[:, -3],
+        3 * grid[-1] - 4 * grid[-2] + grid[-3],
+    )
+    return 0.5 * along.reshape(-1, 2), 0.5 * down.reshape(-1, 2)
 
 
 def _normals(along: FloatArray, down: FloatArray) -> FloatArray:
@@ -220,7 +230,7 @@ class _Fit:
             return
         level = (right_side[:, 4] / np.maximum(normal[:, 4, 4], 1)).reshape(self.shape)
         squares = ((level[1:] - level[:-1]) ** 2).sum() + ((level[:, 1:] - level[:, :-1]) ** 2).sum()
-        gradient = squares / max(2 * level.size - sum(self.shape), 1) / _median(self.edge_px) ** 2
+        gradient = squares / max(2 * level.size - sum(self.shape), 1) / upper_median(self.edge_px) ** 2
         normal[:, [5, 6], [5, 6]] += self.noise_grey**2 / max(gradient, 1e-6)
 
     def round(self) -> Round:
@@ -255,11 +265,11 @@ class _Fit:
         self.pixels = self.pixels + np.minimum(np.maximum(step, -_STEP_PX), _STEP_PX)
         wider = np.minimum(np.maximum(-unknowns[:, 2] * unit, -_STEP_BLUR_PX), _STEP_BLUR_PX)
         self.blur = np.minimum(np.maximum(self.blur + wider, _LEAST_BLUR_PX), _MOST_BLUR_PX)
-        self.noise_grey = float(np.sqrt(_median(variance)))
+        self.noise_grey = float(np.sqrt(upper_median(variance)))
         return Round(step, cov, np.asarray(contrast, dtype=np.float64), np.asarray(np.sqrt(variance)))
 
 
-def _median(values: FloatArray) -> float:
+def upper_median(values: FloatArray) -> float:
     """The upper median; faster than `np.median` for short arrays."""
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
@@ -301,8 +311,9 @@ def _fitted(
         last = fit.round()
         variance = (last.cov[:, 0, 0] + last.cov[:, 1, 1]) / 2
         moved = (last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
-        converged = _median(moved) < _CONVERGED**2 * _median(variance) and moved.max() < _FAR_PX**2
-        if (appearance is not None or done > 1) and converged:
+        far = np.count_nonzero(moved >= _FAR_PX**2)
+        converged = upper_median(moved) < _CONVERGED**2 * upper_median(variance)
+        if (appearance is not None or done > 1) and converged and not 0 < far <= _MOST_FAR * len(moved):
             break
     start = grid.reshape(-1, 2)
     off = fit.pixels - start
@@ -317,6 +328,6 @@ def _fitted(
         np.where(fitted[:, None, None], last.cov, poor),
         last.contrast_grey,
         fitted,
-        _median(fit.blur),
+        upper_median(fit.blur),
         fit.noise_grey,
     )

@@ -70,7 +70,7 @@ class GridMap:
         A corner at the edge of the board draws the map to itself; its residual shows a small part of its error.
         """
         frame = _frame(*self.residual.shape[:2])
-        return np.asarray(np.hypot(*np.moveaxis(self.residual, -1, 0)) / frame.freedom)
+        return np.asarray(np.hypot(self.residual[..., 0], self.residual[..., 1]) / frame.freedom)
 
     def predicted(self, grid: FloatArray, bad: BoolArray) -> FloatArray:
         """The corners (rows, columns, 2) this map was fitted to, px, the bad ones as the others predict them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,8 +11,10 @@ from mobilecal_cli.model import Board
 from mobilecal_cli.simulate.actual import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.vision import corner_model
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.values import Appearance
 from tests.vision.scenes import pose
 
 BOARD = Board(9, 6, 0.08)
@@ -81,6 +84,21 @@ def test_a_covered_corner_does_not_run_away(scenes):
     assert fit.sigma_px[covered] > 5 * np.median(fit.sigma_px)
     others = np.delete(np.arange(54), [covered, covered - 1, covered + 1, covered - 9, covered + 9])
     assert moved[others].max() < 0.05
+
+
+def test_without_a_board_it_ends_soon(scenes, monkeypatch):
+    """Where most corners are far from any, further iterations are in vain."""
+    rounds = []
+    original = corner_model._Fit.round
+    monkeypatch.setattr(corner_model._Fit, "round", lambda fit: rounds.append(1) or original(fit))
+    picture, truth = scenes[1]
+    image = eight_bit(picture, 2.0, np.random.default_rng(4))
+    assert fit_corners(image, truth + 0.2, True, Appearance()).fitted.all()
+    with_board = len(rounds)
+    wall = np.random.default_rng(5).normal(120, 20, image.shape)
+    wall = np.clip(cv2.GaussianBlur(wall, (0, 0), 1.5) * 3 - 240, 0, 255).astype(np.uint8)
+    assert fit_corners(wall, truth, True, Appearance()).fitted.mean() < 0.8
+    assert len(rounds) - with_board == 1
 
 
 def test_narrow_outer_squares_are_left_out(scenes):

@@ -141,6 +141,25 @@ class TestRendered:
         miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), 9, 6))
         assert miss.reason == "board partly occluded or outside the image"
 
+    @pytest.mark.parametrize("squares", [0.3, 0.4])
+    def test_the_border_cuts_a_corner_of_the_board(self, squares: float) -> None:
+        """All inner corners are in the image, one or two outer squares are not."""
+        T_c_k = pose(0.0, 0.0, 0.9, (0.1, 0.0, 0.35), BOARD, SQUARE_M)
+        right = truth(T_c_k)[:, 0].max() + squares * smallest_edge_px(truth(T_c_k).reshape(6, 9, 2))
+        image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=1)[:, : int(right)]
+        found = detect(image, 9, 6)
+        assert isinstance(found, Detection), found
+        assert np.abs(found.pixels - truth(T_c_k)).max() < 0.1
+        for wrong in ((8, 6), (9, 5), (10, 6)):
+            assert isinstance(detect(image, *wrong), Miss), wrong
+
+    def test_the_border_cuts_a_side_of_the_board(self) -> None:
+        T_c_k = pose(0.0, 0.0, 0.9, (0.1, 0.0, 0.0), BOARD, SQUARE_M)
+        right = int(truth(T_c_k)[:, 0].max()) + 10  # a third of a square
+        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7)[:, :right], 9, 6))
+        assert miss.reason == "board partly occluded or outside the image"
+        assert "of the board's 70 squares are outside the image" in miss.detail
+
     @pytest.mark.parametrize("cover", [(0, 2), (0, 0), (4, 3), (8, 5)])
     def test_hidden_corners(self, cover: tuple[int, int]) -> None:
         image = np.array(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7))
