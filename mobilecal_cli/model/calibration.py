@@ -43,6 +43,10 @@ class Parameters:
         T_h_c = se3.transform(R, self.T_h_c[:3, 3] + delta[3:6])
         return Parameters(T_h_c, WheelGeometry.of(self.wheels.vector + delta[6:]))
 
+    def seen_from(self, T_c_other: FloatArray) -> Parameters:
+        """The parameters of another camera, which has the pose (4, 4) in the coordinates of this one."""
+        return Parameters(self.T_h_c @ T_c_other, self.wheels)
+
     def minus(self, other: Parameters) -> FloatArray:
         """(9,) step from other parameters to these: other.plus(self.minus(other)) is self."""
         turn = se3.log_so3(self.T_h_c[:3, :3] @ other.T_h_c[:3, :3].T)

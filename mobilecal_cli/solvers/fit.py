@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
@@ -39,6 +39,7 @@ NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the ba
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 _OBSERVABILITY_ROUNDS = 4
+_STILL = 1e-9  # rad, m: a fixed value of the right camera follows the stereo pair no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,16 +204,24 @@ class Fitter:
         nine = [priors[name][1] ** -2 if name in priors else 0.0 for name in NINE]
         return np.array(nine + [row.sigma**-2 for row in self.data.layout.constants])
 
-    def priors(self, found: Parameters, unobservable: FloatArray | None = None) -> Priors:
+    def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
 
+        Values of the head-eye transform are those of the reference camera. Displacements are the left camera's: the
+        right one's differ from them as far as the state's stereo pair differs from the stated one.
+
         Args:
-            found: parameters to count displacements from where there is no nominal value.
+            state: where displacements count from without a nominal value, and the stereo pair.
             unobservable: (K, 9) directions that keep their prior.
         """
-        layout, anchor = self.data.layout, self._anchor(found)
+        layout, anchor = self.data.layout, self._anchor(state.parameters)
         scales = layout.prior_sigmas(anchor.wheels)
-        origin = np.concatenate([np.zeros(3), anchor.vector[3:], np.zeros(len(layout.constants))])
+        stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
+        meant = anchor.seen_from(stated)
+        apart = state.parameters.seen_from(cameras.T_c_reference).minus(meant) - state.parameters.minus(
+            anchor
+        )
+        origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
         has_prior = np.ones(layout.named, dtype=np.bool_)
         has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
         mean, weight = np.zeros(layout.named), np.where(has_prior, scales**-2, 0.0)
@@ -221,8 +230,9 @@ class Fitter:
             mean[k], weight[k] = value - origin[k], sigma**-2
         fixed = np.array([name in self._constraints.fixed for name in layout.names])
         for k in np.flatnonzero(fixed).tolist():
-            stated = self._constraints.fixed[layout.names[k]]
-            mean[k], weight[k] = 0.0 if stated is None else stated - origin[k], 0.0
+            exact = self._constraints.fixed[layout.names[k]]
+            mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
+        mean[: len(NINE)] -= apart
         none = np.zeros((0, len(NINE)))
         return Priors(
             layout, anchor, mean, weight, fixed, scales, none if unobservable is None else unobservable
@@ -264,7 +274,7 @@ class Fitter:
             inliers, noise: the measurements that are used, and their noise.
             tolerances: `coarse` by default.
         """
-        start = Linearization.at(self.data, state, inliers, noise, self.priors(state.parameters))
+        start = Linearization.at(self.data, state, inliers, noise, self.priors(state))
         return self._fit_from(start, (tolerances or self.coarse).near)
 
     def _fit_from(self, start: Linearization, near: float) -> Fit:
@@ -273,12 +283,14 @@ class Fitter:
             unobservable = start.observable_directions(user).unobservable
             if len(unobservable) or self._constraints.fixed:
                 self._require_nominal(unobservable)
-            priors = self.priors(start.state.parameters, unobservable)
+            priors = self.priors(start.state, unobservable)
             optimum = optimize(start.under(priors), near, self._on_step)
             shown = optimum.lin.observable_directions(user)
-            if _same_space(shown.unobservable, unobservable):
+            again = self.priors(optimum.lin.state, unobservable)
+            still = bool(np.all(np.abs(again.mean - priors.mean)[priors.fixed] < _STILL))
+            if _same_space(shown.unobservable, unobservable) and still:
                 break
-            start = optimum.lin.under(self.priors(optimum.lin.state.parameters))
+            start = optimum.lin.under(self.priors(optimum.lin.state))
         return self._fitted(optimum.lin, optimum.history, shown)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -310,7 +322,7 @@ class Fitter:
             if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
             lin = fit.lin.with_noise(noise)
-            fit = self._fit_from(lin.under(self.priors(lin.state.parameters)), tolerances.near)
+            fit = self._fit_from(lin.under(self.priors(lin.state)), tolerances.near)
             fitted = True
         return fit
 

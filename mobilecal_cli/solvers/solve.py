@@ -218,6 +218,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
 def uncertainty_of(fit: Fit) -> Uncertainty:
     """Uncertainty of the nine parameters of a fit."""
     jackknife, J = jackknife_covariance(fit), reference_jacobian(fit)
+    J[fit.lin.priors.fixed[:9]] = 0.0  # exact, whatever the stereo pair is
     widened = widening(fit, np.sqrt(np.diag(jackknife)[:9]))
     named = np.s_[: J.shape[1], : J.shape[1]]
     factor = np.ones(len(fit.covariance))

@@ -110,7 +110,7 @@ def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArr
     fitter = Fitter(extraction, Constraints())
     noise = Noise(encoder_rad=0.0, **given(USUAL).given)
     state = initial_state(data, parameters, everything)
-    lin = Linearization.at(data, state, everything, noise, fitter.priors(parameters))
+    lin = Linearization.at(data, state, everything, noise, fitter.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound
 

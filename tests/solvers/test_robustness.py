@@ -8,15 +8,15 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import JointLink, Nominal, Parameters, WheelTrack
+from mobilecal_cli.model import NINE, JointLink, Nominal, Parameters, WheelTrack
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, actual_robot, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.corners import gross_corners
 from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
@@ -232,6 +232,28 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     found = solve(extraction)
     assert not found.outliers
     assert "distortion" in {e.kind for e in found.contradictions}
+
+
+@pytest.mark.parametrize("fixed", [NINE[:6], ("t_x", "r_z")])
+def test_fixed_values_are_those_of_the_reference_camera(fixed):
+    """The stereo pair is 0.3 degrees off: the right camera stays, and the left one moves with the estimated pair."""
+    robot = tick_robot()
+    pair_noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
+    pair = Imperfection({"stereo_r_y": 0.005, "baseline_scale": 0.02}, pair_noise)
+    ideal = imperfect_extraction(robot, plan_route(robot, stations=12, seed=3), pair, seed=3)
+    cameras = replace(ideal.rig.cameras, reference="right")
+    true_pair = actual_robot(robot, pair).rig_cameras
+    T_h_right = robot.T_h_c @ true_pair.T_c_r
+    nominal = replace(ideal.rig.nominal, T_h_reference=T_h_right)
+    extraction = replace(ideal, rig=replace(ideal.rig, cameras=cameras, nominal=nominal))
+    found = solve(extraction, constraints=Constraints(fixed=dict.fromkeys(fixed)))
+    right = Parameters(found.parameters.T_h_c @ found.cameras.T_c_r, found.parameters.wheels)
+    off = right.minus(Parameters(T_h_right, robot.wheels))
+    std = np.sqrt(np.diag(found.uncertainty.reference_covariance))
+    exact = np.isin(NINE, fixed)
+    assert np.abs(off[exact]).max() < 1e-8
+    assert not std[exact].any()
+    assert np.all(np.abs(off[~exact]) < 4 * std[~exact])
 
 
 def test_a_used_robot_has_true_standard_deviations():
