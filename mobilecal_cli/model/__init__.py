@@ -12,6 +12,7 @@ from mobilecal_cli.model.findings import (
     Diagnosis,
     EstimatedConstant,
     Evidence,
+    HeightStep,
     ScaleCheck,
     Suggestion,
 )
@@ -113,6 +114,7 @@ __all__ = [
     "FloatArray",
     "GrayImage",
     "HeadChain",
+    "HeightStep",
     "Inspection",
     "IntArray",
     "JointField",

@@ -161,6 +161,21 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True)
+class HeightStep:
+    """A moment from which on the board is higher or lower above the floor than before.
+
+    Attributes:
+        log: index of the recording.
+        stations: numbers of the station before and of the one after.
+        higher_m: by how much the board is higher afterwards, m.
+    """
+
+    log: int
+    stations: tuple[int, int]
+    higher_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """A mistake in the robot's description that explains why a recording does not fit.
 

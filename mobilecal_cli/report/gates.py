@@ -48,6 +48,7 @@ _CRITERIA = (
     "noise.wheel",
     "noise.wheel_share",
     "noise.floor",
+    "noise.height",
     "noise.stamp",
     "outliers",
     "point_error",

@@ -13,10 +13,24 @@ from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.predict import gradients_at, variance
 from mobilecal_cli.likelihood.state import cameras_at
-from mobilecal_cli.model import NINE, Budget, EstimatedConstant, Evidence, Extraction, FloatArray, ScaleCheck
+from mobilecal_cli.model import (
+    NINE,
+    Budget,
+    EstimatedConstant,
+    Evidence,
+    Extraction,
+    FloatArray,
+    HeightStep,
+    ScaleCheck,
+)
 from mobilecal_cli.solvers.fit import Fit
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
+_FEWEST_EACH_SIDE = 2  # stations before and after a step of height
+_STEP_M, _STEP_SHARE = (
+    0.004,
+    0.9,
+)  # a smaller step, or one that leaves more of the variance, is an uneven floor
 _STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
@@ -48,6 +62,25 @@ def scale_of(
     wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
     apart_too_far = wrong or chi2 > _APART_CHI2
     return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, apart_too_far)
+
+
+def height_steps(extraction: Extraction, fit: Fit) -> tuple[HeightStep, ...]:
+    """Where the height of the base above its plane, estimated at each station, is one step: at most one a recording."""
+    steps = []
+    for log in np.unique(fit.data.log):
+        rows = np.flatnonzero((fit.data.log == log) & fit.inliers.views)
+        height, count = fit.lin.state.floor[rows, 2], len(rows)
+        splits = range(_FEWEST_EACH_SIDE, count - _FEWEST_EACH_SIDE + 1)
+        step_m, k = max(
+            ((height[:k].mean() - height[k:].mean(), k) for k in splits),
+            key=lambda s: abs(s[0]),
+            default=(0.0, 0),
+        )
+        explained = k * (count - k) / count**2 * step_m**2
+        if abs(step_m) > _STEP_M and explained > _STEP_SHARE * height.var():
+            before, after = (extraction.observations[rows[i]].station for i in (k - 1, k))
+            steps.append(HeightStep(int(log), (before, after), float(step_m)))
+    return tuple(steps)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

@@ -33,6 +33,7 @@ from mobilecal_cli.solvers.diagnosis import diagnose
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
+    height_steps,
     jackknife_covariance,
     over_logs,
     reference_jacobian,
@@ -211,6 +212,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
+        height_steps=height_steps(extraction, fit),
         suggestions=suggested,
     )
 

@@ -435,7 +435,7 @@ WRONG: dict[str, Wrong] = {
     "right images of the previous station": Wrong(old_images(False, True, False), _CAMERA + "|station"),
     "both images of the previous station": Wrong(old_images(True, True, False), _TIME),
     "board 3 cm to the side from the middle": Wrong(moved_board((0, 0, 0), (0.03, 0, 0)), _BOARD),
-    "board 3 cm higher from the middle": Wrong(moved_board((0, 0, 0), (0, 0.03, 0)), _BOARD),
+    "board 3 cm lower from the middle": Wrong(moved_board((0, 0, 0), (0, 0.03, 0)), _BOARD),
     "board 10 cm nearer from the middle": Wrong(moved_board((0, 0, 0), (0, 0, -0.1)), _BOARD),
     "board turned by 5 degrees from the middle": Wrong(moved_board((0, 0, 0.087), (0, 0, 0)), _BOARD),
     "board tilted by 5 degrees from the middle": Wrong(moved_board((0.087, 0, 0), (0, 0, 0)), _BOARD),

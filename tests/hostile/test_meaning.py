@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.wording import words
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
 
 
@@ -31,3 +39,25 @@ def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):
 )
 def test_outcomes(name, kind):
     assert outcome(name).kind == kind
+
+
+def test_a_board_that_sinks_is_named():
+    made = WRONG["board 3 cm lower from the middle"].change(recorded())
+    solution = solve(made)
+    (step,) = solution.height_steps
+    assert step.stations == (9, 10)
+    assert step.higher_m == pytest.approx(-0.03, abs=1e-3)
+    (said,) = (words(check) for check in judge(solution, made).checks if check.id == "height_step")
+    assert said.why.startswith("From station 10 on, the board is 30 mm lower than")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_uneven_floor_is_no_step(seed):
+    """Heights vary by 10 mm from station to station."""
+    uneven, robot = Imperfection({}, replace(STATION_NOISE, floor_m=0.01)), tick_robot()
+    made = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed), uneven, seed)
+    solution = solve(made)
+    assert solution.height_steps == ()
+    (height,) = (check for check in judge(solution, made).checks if check.id == "noise.height")
+    assert height.value == pytest.approx(10, rel=0.5)
+    assert height.outcome == "look"

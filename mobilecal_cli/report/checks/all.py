@@ -7,7 +7,13 @@ from collections.abc import Iterator, Mapping
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report.at_work import use_checks, uses
 from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.checks.estimate import noise_checks, outlier_checks, square_checks, unobservable
+from mobilecal_cli.report.checks.estimate import (
+    height_checks,
+    noise_checks,
+    outlier_checks,
+    square_checks,
+    unobservable,
+)
 from mobilecal_cli.report.checks.faults import (
     error_checks,
     leg_checks,
@@ -49,6 +55,7 @@ def all_checks(solution: Solution, extraction: Extraction, limits: Mapping[str, 
     yield from nominal_checks(solution, extraction)
     yield stereo_error(solution, extraction)
     yield from square_checks(solution, extraction)
+    yield from height_checks(solution, extraction)
     if len(solution.residuals.legs):
         yield from leg_checks(solution, extraction)
         yield from error_checks(solution, extraction)

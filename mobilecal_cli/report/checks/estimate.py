@@ -16,6 +16,7 @@ OUTLIERS_BAD_PERCENT = 30.0
 # Noise levels (look, bad). The estimate allows for them, so the limits are wide.
 JOINT_DEG, JOINT_MM, WHEEL = (0.2, 0.4), (0.35, 0.7), (0.015, 0.03)
 FLOOR_DEG, STAMP_MS, WHEEL_SHARE_PERCENT = (0.3, 1.5), (2.0, 20.0), (1.0, 5.0)
+HEIGHT_MM = (4.0, 30.0)
 
 
 def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
@@ -90,6 +91,18 @@ def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     }.items():
         if level:
             yield Check(f"noise.{name}", level, bad, unit, graded(level, look, bad), facts={"usual": look})
+
+
+def height_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Steps of the board's height above the floor, and the noise of that height."""
+    several = len(extraction.wheels) > 1
+    for step in solution.height_steps:
+        names = [f"{step.log}:{station}" if several else str(station) for station in step.stations]
+        facts = {"stations": names}
+        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "mm", "look", facts=facts)
+    if solution.uncertainty is not None and solution.uncertainty.noise.floor_m and not solution.height_steps:
+        level, (look, bad) = 1e3 * solution.uncertainty.noise.floor_m, HEIGHT_MM
+        yield Check("noise.height", level, bad, "mm", graded(level, look, bad), facts={"usual": look})
 
 
 def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:

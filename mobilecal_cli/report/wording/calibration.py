@@ -23,6 +23,7 @@ _NOISE = {
     "wheel": ("wheels", "the wheels for slip"),
     "wheel_share": ("wheels in proportion to their rotation", "the wheels for slip, the tires and the load"),
     "floor": ("floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock"),
+    "height": ("floor (height of the base)", "that the floor is flat and that the board does not move"),
     "stamp": ("image time stamps", "that images have hardware time stamps, or stop for each image"),
 }
 _NOISY = {"views": "stations' images", "legs": "legs' wheel rotations", "readings": "joint readings"}
@@ -260,6 +261,18 @@ def _noise(c: Check) -> Words:
     )
 
 
+def _height_step(c: Check) -> Words:
+    (before, after), higher_mm = c.facts["stations"], c.value or 0.0
+    return Words(
+        "height of the board above the floor",
+        f"{higher_mm:+.0f} mm from station {after} on",
+        f"constant within {c.limit:g} mm",
+        f"From station {after} on, the board is {abs(higher_mm):.0f} mm {'higher' if higher_mm > 0 else 'lower'} than "
+        f"up to station {before}.",
+        "Check that the board is fixed and that the floor has no step. Then record again.",
+    )
+
+
 def _rejected(c: Check) -> Words:
     lost, often = f"{c.facts['rejected']} of {c.facts['found']}", c.facts["often"]
     return Words(
@@ -324,6 +337,7 @@ WORDS: dict[str, Callable[[Check], Words]] = {
     "outliers": _outliers,
     "outliers_as_noise": _outliers_as_noise,
     "noise": _noise,
+    "height_step": _height_step,
     "use": use_words,
     "rejected": _rejected,
     "change": _change,
