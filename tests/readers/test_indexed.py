@@ -97,26 +97,21 @@ def logged(recording, extent):
     return [m.log_time_ns for m in recording.messages(["/left/image_raw"], extent)]
 
 
-def test_sqlite_reads_the_log_times_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.readers.containers.sqlite._TIMES_AT_ONCE", 2)
+@pytest.mark.parametrize("indexed", [True, False])
+def test_sqlite_reads_the_log_times_asked_for(tmp_path, indexed):
+    (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
+    if not indexed:
+        connection = sqlite3.connect(file)
+        connection.execute("DROP INDEX timestamp_idx")
+        connection.commit()
+        connection.close()
     times = LOGGED["/left/image_raw"]
     at_ns = np.array([times[0] - 1, times[1], times[2], times[4], times[5]])
-    with open_recording([r.write_bag2(tmp_path / "log", ITEMS)]) as recording:
+    with open_recording([file]) as recording:
         assert logged(recording, Extent(at_ns=at_ns)) == [times[1], times[2], times[4], times[5]]
         assert recording.share(["/left/image_raw"], Extent(at_ns=at_ns)) == pytest.approx(4 / 6)
         assert recording.damage == ()
         assert logged(recording, Extent()) == times
-
-
-def test_sqlite_without_an_index_by_time_reads_all(tmp_path):
-    (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
-    connection = sqlite3.connect(file)
-    connection.execute("DROP INDEX timestamp_idx")
-    connection.commit()
-    connection.close()
-    times = LOGGED["/left/image_raw"]
-    with open_recording([file]) as recording:
-        assert logged(recording, Extent(at_ns=np.array(times[:2]))) == times
 
 
 def test_bytes_of_topics_in_sqlite(tmp_path):

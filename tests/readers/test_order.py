@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.containers.blocks import BlockStorage
+from mobilecal_cli.readers.containers.storage import Extent
 
 from . import recordings as r
 
@@ -40,3 +41,71 @@ def test_messages_come_in_order(tmp_path, write, times_s):
         expected = sorted(stored, key=lambda message: message[0])
         assert [(m.log_time_ns, bytes(m.payload)) for m in recording.messages(["/n"])] == expected
     assert sorted(number for _, number in found) == list(range(len(items)))
+
+
+WRITERS = {"mcap": r.write_mcap, "bag": r.write_bag, "db3": r.write_bag2}
+STEP_NS = 10 * 10**9
+
+
+def stepping(lengths_s=(20.0, 20.0), hz=(50, 5, 1)):
+    """Messages of some topics; the clock of the recorder, and that of the stamps, steps back after each stretch."""
+    items = []
+    for k in range(round(sum(lengths_s) * max(hz))):
+        true_s = k / max(hz)
+        behind = STEP_NS * int((true_s >= np.cumsum(lengths_s)[:-1]).sum())
+        log_ns = r.START_NS + round(true_s * 1e9) - behind
+        for rate in hz:
+            if k % (max(hz) // rate) == 0:
+                make = r.joint_state(["a"], [true_s], stamp_ns=log_ns)
+                items.append(r.Item(f"/hz{rate}", "sensor_msgs/msg/JointState", log_ns + rate, make))
+    return items
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+@pytest.mark.parametrize("lengths_s", [(20, 20), (5, 30), (12, 13, 14)])
+def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, lengths_s):
+    items = stepping(lengths_s)
+    with open_recording([write(tmp_path / "log", items)]) as recording:
+        topics = [info.name for info in recording.topics]
+        found = list(recording.messages(topics))
+        values = [m.decode().position[0] for m in found]
+        assert values == sorted(values)
+        assert len(values) == len(items)
+        log_s = (np.array([m.log_time_ns for m in found]) - r.START_NS) / 1e9
+        assert np.abs(log_s - values).max() < 0.05
+        steps = len(lengths_s) - 1
+        (note, *more) = recording.damage
+        assert "the recorder's clock steps back by 10.0" in note
+        assert len(more) <= steps - 1
+        for topic, times in recording.log_times().items():
+            own = [m.log_time_ns for m in found if m.topic == topic]
+            assert times.tolist() == own
+            some = own[:: len(own) // 7]
+            assert [m.log_time_ns for m in recording.near([topic], some)] == some
+            inside = [
+                m.log_time_ns
+                for m in recording.messages([topic], Extent(at_ns=np.array(some)))
+                if m.log_time_ns in some
+            ]
+            assert inside == some
+        assert recording.end_ns - recording.start_ns == pytest.approx(sum(lengths_s) * 1e9, abs=1e8)
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_a_file_written_topic_by_topic_has_no_steps(tmp_path, write):
+    items = sorted(stepping((30,)), key=lambda item: item.topic)
+    with open_recording([write(tmp_path / "log", items)]) as recording:
+        times = [m.log_time_ns for m in recording.messages([info.name for info in recording.topics])]
+        assert times == sorted(item.log_ns for item in items)
+        assert recording.damage == ()
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_a_stray_log_time_is_no_step(tmp_path, write):
+    items = stepping((30,))
+    stray = items[400]
+    items[400] = r.Item(stray.topic, stray.type, stray.log_ns + 3600 * 10**9, stray.make)
+    with open_recording([write(tmp_path / "log", items)]) as recording:
+        times = [m.log_time_ns for m in recording.messages([info.name for info in recording.topics])]
+        assert sorted(times) == sorted(item.log_ns for item in items)
+        assert recording.damage == ()

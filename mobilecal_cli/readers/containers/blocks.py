@@ -6,14 +6,15 @@ import heapq
 from abc import abstractmethod
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import count, islice
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import count, islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from mobilecal_cli.model import IntArray
+from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
@@ -42,6 +43,8 @@ class Block:
         is_chunk: whether it is a chunk record; otherwise it consists of plain records.
         start_ns, end_ns: log times of its messages.
         channels: ids of the channels with messages in it, None if unknown.
+        first, last: numbers of its messages that count; the others come before and after a step of the clock.
+        shift_ns: what log times are later than stored, because the recorder's clock stepped back.
     """
 
     offset: int
@@ -50,6 +53,13 @@ class Block:
     start_ns: int
     end_ns: int
     channels: frozenset[int] | None
+    first: int = 0
+    last: int | None = None
+    shift_ns: int = 0
+
+
+class _UnindexedError(Exception):
+    """Log times are not in an index, and too many bytes would be read for them."""
 
 
 class BlockStorage(Storage):
@@ -70,6 +80,7 @@ class BlockStorage(Storage):
         except BaseException:
             self.close()
             raise
+        self._undo_steps()
         self.set_time_range()
 
     def close(self) -> None:
@@ -109,8 +120,8 @@ class BlockStorage(Storage):
         return data
 
     @abstractmethod
-    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id and log times of a block's messages from its index; nothing without an index."""
+    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Channel id, and (n, 2) log time and position of its messages in a chunk; nothing without an index."""
 
     def _blocks_with(self, topics: Collection[str]) -> list[Block]:
         """Blocks that may contain messages of the topics, in order of time."""
@@ -184,21 +195,75 @@ class BlockStorage(Storage):
 
     def log_times(self) -> dict[int, IntArray]:
         """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
-        found: dict[int, list[IntArray]] = {}
+        try:
+            parts = [times for _, times in self._times(self.blocks)]
+        except _UnindexedError:
+            return {}
+        channel, log_ns = np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
+        return {number: log_ns[channel == number] for number in np.unique(channel).tolist()}
+
+    def _times(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, IntArray]]:
+        """Blocks in file order, each with (2, n) channel ids and log times of its messages.
+
+        Raises:
+            _UnindexedError: they are not available without reading all.
+        """
         unindexed = 0
-        for block in sorted(self.blocks, key=lambda block: block.offset):
+        for block in sorted(blocks, key=lambda block: (block.offset, block.first)):
             try:
-                times = list(self.indexed_times(block)) if block.is_chunk else []
+                entries = list(self.index_of(block)) if block.is_chunk else []
             except Exception:  # a damaged index may raise anything; the block itself is read
-                times = []
-            if not times:
-                unindexed += block.size
-                if unindexed > UNINDEXED_BYTES:
-                    return {}
-                times = [(number, np.array([at_ns])) for number, at_ns, _ in self._messages_of(block)]
-            for number, some in times:
-                found.setdefault(number, []).append(some)
-        return {number: np.concatenate(parts).astype(np.int64) for number, parts in found.items()}
+                entries = []
+            if entries:
+                channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
+                log_ns, place = np.concatenate([some for _, some in entries]).T
+                order = np.argsort(place, kind="stable")[block.first : block.last]
+                yield block, np.stack([channel[order], log_ns[order] + block.shift_ns])
+                continue
+            unindexed += block.size
+            if unindexed > UNINDEXED_BYTES:
+                raise _UnindexedError
+            found = [
+                (number, time_ns) for number, time_ns, _ in self._messages_of(block) if time_ns < LATEST_NS
+            ]
+            yield block, np.array(found, dtype=np.int64).reshape(-1, 2).T
+
+    def _undo_steps(self) -> None:
+        """Let log times go on in the order of the file where the recorder's clock stepped back."""
+        try:
+            if not self._goes_back():
+                return
+            blocks, parts = zip(*self._times(self.blocks), strict=True)
+        except _UnindexedError:
+            return
+        steps = steps_back(*np.concatenate(parts, axis=1))
+        sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
+        if not steps or max(block.end_ns for block in blocks) + sizes[-1] >= LATEST_NS:
+            return
+        self.blocks.clear()
+        begin = 0
+        for block, (_, log_ns) in zip(blocks, parts, strict=True):
+            end = begin + len(log_ns)
+            inside = [place - begin for place, _ in steps if begin < place < end]
+            before = sum(place <= begin for place, _ in steps)
+            for number, (first, last) in enumerate(pairwise([0, *inside, len(log_ns)]), before):
+                if first < last:
+                    own = log_ns[first:last] + sizes[number]
+                    start_ns, end_ns = int(own.min()), int(own.max())
+                    part = Block(block.offset, block.size, block.is_chunk, start_ns, end_ns, block.channels)
+                    self.blocks.append(replace(part, first=first, last=last, shift_ns=sizes[number]))
+            begin = end
+        self.note_steps([size for _, size in steps])
+
+    def _goes_back(self) -> bool:
+        """Whether log times of a channel may go back, judged by as few indexes as possible."""
+        latest_ns = 0
+        for block in sorted(self.blocks, key=lambda block: block.offset):
+            if block.start_ns < latest_ns - LEAST_STEP_NS:
+                return True
+            latest_ns = max(latest_ns, block.end_ns)
+        long = [block for block in self.blocks if block.end_ns - block.start_ns > LEAST_STEP_NS]
+        return any(goes_back(*times) for _, times in self._times(long))
 
     def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block up to the first damage, which is noted."""
@@ -219,8 +284,9 @@ class BlockStorage(Storage):
             ValueError: too many messages. Damaged bytes may raise anything.
         """
         messages = self.parse(self.load(block))
-        yield from islice(messages, _MOST_MESSAGES)
-        if next(messages, None) is not None:
+        for number, time_ns, payload in islice(messages, block.first, block.last or _MOST_MESSAGES):
+            yield number, time_ns + block.shift_ns, payload
+        if block.last is None and next(messages, None) is not None:
             raise ValueError(f"more than {_MOST_MESSAGES} messages")
 
     def _note_block(self, block: Block, found: int, error: Exception) -> None:

@@ -168,8 +168,8 @@ class McapStorage(BlockStorage):
                 raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
             at = end
 
-    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id and log times of a chunk's messages, from the message indexes after it."""
+    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Channel id, and (n, 2) log time and position of its messages, from the message indexes after a chunk."""
         at = block.offset + block.size
         while at + _HEAD.size <= self.size:
             opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
@@ -177,8 +177,8 @@ class McapStorage(BlockStorage):
                 return
             body = self.read_at(at + _HEAD.size, length)
             (number,) = struct.unpack_from("<H", body)
-            times = np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)[:, 0]
-            yield number, times[times < LATEST_NS].astype(np.int64)
+            entries = np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)
+            yield number, entries[entries[:, 0] < LATEST_NS].astype(np.int64)
             at += _HEAD.size + length
 
     def define(self, opcode: int, body: bytes) -> None:

@@ -202,15 +202,16 @@ class BagStorage(BlockStorage):
                 self.define(fields, data[body:end])
             at = end
 
-    def indexed_times(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Connection id and log times of a chunk's messages, from the index records after it."""
+    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
+        """Connection id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
         at = block.offset + block.size
         while at < self.size:
             fields, body, end = self.head(at)
             if fields[b"op"][0] != _INDEX:
                 return
             entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
-            yield _u32(fields, b"conn"), entries[:, 0] * 10**9 + entries[:, 1]
+            log_ns = entries[:, 0] * 10**9 + entries[:, 1]
+            yield _u32(fields, b"conn"), np.stack([log_ns, entries[:, 2]], axis=1)
             at = end
 
     def define(self, fields: Fields, data: bytes) -> None:

@@ -9,6 +9,7 @@ from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,6 +19,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.compression import message_payload
+from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
 from mobilecal_cli.readers.messages.channels import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.definitions import DefinitionFormat
@@ -29,8 +31,6 @@ MAGIC = b"SQLite format 3\x00"
 _HEADER = struct.Struct(">16xH6xII60xI")
 #: Consecutive damaged or missing rows after which the search ends.
 MOST_FAILURES = 10_000
-#: Log times per query; older versions of SQLite accept 999 values at most.
-_TIMES_AT_ONCE = 500
 #: Log time and row number: the position of a row in either order.
 _Key = tuple[int, int]
 
@@ -50,7 +50,12 @@ class SqliteStorage(Storage):
         super().__init__(path)
         self._copies = ExitStack()
         self._connection: sqlite3.Connection | None = None
-        self._size_of: dict[int, int] | None = None
+        #: Topic id → bytes of its messages, stored.
+        self._bytes: dict[int, int] = {}
+        #: Row, topic id and log time of each message, in the order of the table; None if it is damaged.
+        self._log: tuple[IntArray, IntArray, IntArray] | None = None
+        #: First row after each step of the recorder's clock, and the size of the step.
+        self._steps: list[tuple[int, int]] = []
         try:
             self._connection = self._connect(path)
             # Otherwise SQLite refuses a file that is shorter than its header states.
@@ -60,7 +65,7 @@ class SqliteStorage(Storage):
         except BaseException:
             self.close()
             raise
-        self._count(self._connection)
+        self._scan(self._connection)
 
     def _connect(self, path: Path) -> sqlite3.Connection:
         log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
@@ -128,45 +133,57 @@ class SqliteStorage(Storage):
                 _FORMATS.get(language, ""),
             )
 
-    def _count(self, connection: sqlite3.Connection) -> None:
-        """Message counts and times; unknown if the table is damaged."""
+    def _scan(self, connection: sqlite3.Connection) -> None:
+        """Message counts, sizes and log times; unknown if the table is damaged."""
+        columns = [array("q") for _ in range(4)]
         try:
-            rows = connection.execute(
-                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages GROUP BY topic_id"
-            ).fetchall()
-        except sqlite3.Error:
+            # SQLite reads only the length of large messages.
+            for row in connection.execute(
+                "SELECT id, topic_id, timestamp, LENGTH(data) FROM messages ORDER BY id"
+            ):
+                if all(isinstance(value, int) for value in row[:3]):  # SQLite stores values of any type
+                    for column, value in zip(columns, row, strict=True):
+                        column.append(value or 0)
+        except (sqlite3.Error, OverflowError):
             return  # noted when the messages are read
-        self.counts = {number: count for number, count, _, _ in rows}
-        times = [
-            time_ns for _, _, first, last in rows for time_ns in (first, last) if isinstance(time_ns, int)
-        ]
-        if times:
-            self.start_ns, self.end_ns = min(times), max(times)
+        rows, topics, log_ns, sizes = (np.array(column, dtype=np.int64) for column in columns)
+        for number in np.unique(topics).tolist():
+            self._bytes[number] = int(sizes[topics == number].sum())
+        self.counts = {number: int((topics == number).sum()) for number in self._bytes}
+        steps = steps_back(topics, log_ns) if goes_back(topics, log_ns) else []
+        for first, size_ns in steps:
+            log_ns[first:] += size_ns
+            self._steps.append((int(rows[first]), size_ns))
+        self.note_steps([size_ns for _, size_ns in steps])
+        self._log = rows, topics, log_ns
+        if len(log_ns):
+            self.start_ns, self.end_ns = int(log_ns.min()), int(log_ns.max())
+
+    def _shift_ns(self, row: int) -> int:
+        """What the log time of a row is later than stored, because the recorder's clock stepped back."""
+        return sum(size_ns for first, size_ns in self._steps if first <= row)
 
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the table can be read.
 
-        Rows of other topics are not read, so a limit in bytes does not apply. Log times are looked up in the index, if
-        there is one; damage to it may go unnoticed.
+        Rows of other topics are not read, so a limit in bytes does not apply.
         """
-        connection = self._connection
-        wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
+        connection, wanted = self._connection, self._wanted(topics)
         if connection is None or not wanted:
             return
         seen: Counter[int] = Counter()
-        order = self._order(connection)
         last: _Key | None = None
         try:
-            for row, number, time_ns, payload in _rows(connection, "data", wanted, order, extent):
+            for row, number, time_ns, payload in self._rows(connection, "data", wanted, extent):
                 if isinstance(time_ns, int):  # a damaged row may contain anything
                     last = (time_ns, row)
                     seen[number] += 1
-                    yield self.channels[number], time_ns, self._payload(number, payload)
+                    yield self.channels[number], time_ns + self._shift_ns(row), self._payload(number, payload)
         except sqlite3.Error:
-            for number, time_ns, payload in _row_by_row(connection, order, last):
+            for row, number, time_ns, payload in _row_by_row(connection, self._order, last):
                 if number in wanted:
                     seen[number] += 1
-                    yield self.channels[number], time_ns, self._payload(number, payload)
+                    yield self.channels[number], time_ns + self._shift_ns(row), self._payload(number, payload)
             self.note(
                 f"the message table is damaged; {sum(seen.values())} messages of the topics in use could be read"
             )
@@ -175,60 +192,43 @@ class SqliteStorage(Storage):
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         """Number of bytes that `raw` reads: the messages, or the whole file if the table is damaged."""
-        connection = self._connection
-        wanted = [number for number, channel in self.channels.items() if channel.topic in topics]
-        if connection is None or not wanted:
+        wanted = self._wanted(topics)
+        if self._connection is None or not wanted:
             return 0
-        try:
-            if extent.at_ns is None:
-                return sum(self._sizes(connection).get(number, 0) for number in wanted)
-            rows = _rows(connection, "LENGTH(data)", wanted, self._order(connection), extent)
-            return sum(size or 0 for *_, size in rows)
-        except sqlite3.Error:
+        if self._log is None:
             return self.path.stat().st_size
-
-    def _sizes(self, connection: sqlite3.Connection) -> dict[int, int]:
-        """Topic id → bytes of its messages, stored. SQLite reads only the length of large ones."""
-        if self._size_of is None:
-            # Summed here, because SQLite would load whole messages to group them.
-            found: Counter[int] = Counter()
-            for number, size in connection.execute("SELECT topic_id, LENGTH(data) FROM messages"):
-                found[number] += size or 0
-            self._size_of = dict(found)
-        return self._size_of
+        if extent.at_ns is None:
+            return sum(self._bytes.get(number, 0) for number in wanted)
+        return sum(size or 0 for *_, size in self._rows(self._connection, "LENGTH(data)", wanted, extent))
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """First message of each topic at or after each time."""
-        connection = self._connection
-        if connection is None:
+        if self._connection is None or self._log is None:
             return
-        order = self._order(connection)
+        rows, channel, log_ns = self._log
+        own = [np.flatnonzero(channel == number) for number in self._wanted(topics)]
         for time_ns in times_ns:
-            for number in [number for number, channel in self.channels.items() if channel.topic in topics]:
-                try:
-                    found = connection.execute(
-                        "SELECT timestamp, data FROM messages WHERE topic_id = ? AND timestamp >= ? "
-                        f"ORDER BY {order} LIMIT 1",
-                        (number, time_ns),
-                    ).fetchone()
-                except sqlite3.Error:  # a damaged page
+            for places in own:
+                later = places[log_ns[places] >= time_ns]
+                if not len(later):
                     continue
-                if found is not None and isinstance(found[0], int):
-                    yield self.channels[number], found[0], self._payload(number, found[1])
+                first = later[np.argmin(log_ns[later])]
+                with suppress(sqlite3.Error):  # a damaged page
+                    (payload,) = self._connection.execute(
+                        "SELECT data FROM messages WHERE id = ?", (int(rows[first]),)
+                    ).fetchone()
+                    number = int(channel[first])
+                    yield self.channels[number], int(log_ns[first]), self._payload(number, payload)
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order; empty if the table is damaged."""
-        times: dict[int, array[int]] = {}
-        if self._connection is None:
+        if self._log is None:
             return {}
-        try:
-            for number, time_ns in self._connection.execute(
-                "SELECT topic_id, timestamp FROM messages ORDER BY id"
-            ):
-                times.setdefault(number, array("q")).append(time_ns)
-        except (sqlite3.Error, TypeError, OverflowError):
-            return {}
-        return {number: np.array(values, dtype=np.int64) for number, values in times.items()}
+        _, channel, log_ns = self._log
+        return {number: log_ns[channel == number] for number in self._bytes}
+
+    def _wanted(self, topics: Collection[str]) -> list[int]:
+        return [number for number, channel in self.channels.items() if channel.topic in topics]
 
     def _payload(self, number: int, payload: object) -> bytes:
         data = payload if isinstance(payload, bytes) else str(payload).encode()
@@ -239,41 +239,36 @@ class SqliteStorage(Storage):
         except Exception:  # a damaged frame; the message is reported as undecodable on use
             return data
 
-    def _order(self, connection: sqlite3.Connection) -> str:
+    @cached_property
+    def _order(self) -> str:
         """Order of rows: by time if an intact index gives it without sorting in memory, otherwise as written."""
-        if self.counts is None:
+        if self._connection is None or self.counts is None or self._steps:
             return "id"
-        for _, name, *_ in connection.execute("PRAGMA index_list(messages)").fetchall():
-            columns = [row[2] for row in connection.execute(f'PRAGMA index_info("{name}")')]
+        for _, name, *_ in self._connection.execute("PRAGMA index_list(messages)").fetchall():
+            columns = [row[2] for row in self._connection.execute(f'PRAGMA index_info("{name}")')]
             if columns[:1] == ["timestamp"]:
                 return "timestamp, id"
         return "id"
 
-
-def _rows(
-    connection: sqlite3.Connection, what: str, wanted: Sequence[int], order: str, extent: Extent
-) -> Iterator[tuple[Any, ...]]:
-    """Row number, topic, time and another column of the rows of some topics, in order."""
-    select = (
-        f"SELECT id, topic_id, timestamp, {what} FROM messages WHERE topic_id IN ({_places(len(wanted))})"
-    )
-    if extent.at_ns is None or order == "id":
-        yield from connection.execute(f"{select} ORDER BY {order}", wanted)
-        return
-    for begin in range(0, len(extent.at_ns), _TIMES_AT_ONCE):
-        times = extent.at_ns[begin : begin + _TIMES_AT_ONCE].tolist()
-        at_times = f"{select} AND timestamp IN ({_places(len(times))}) ORDER BY {order}"
-        yield from connection.execute(at_times, [*wanted, *times])
-
-
-def _places(count: int) -> str:
-    return ",".join("?" * count)
+    def _rows(
+        self, connection: sqlite3.Connection, what: str, wanted: Sequence[int], extent: Extent
+    ) -> Iterator[tuple[Any, ...]]:
+        """Row number, topic, time and another column of the rows of some topics, in order."""
+        select = f"SELECT id, topic_id, timestamp, {what} FROM messages WHERE"
+        if extent.at_ns is None or self._log is None:
+            places = ",".join("?" * len(wanted))
+            yield from connection.execute(f"{select} topic_id IN ({places}) ORDER BY {self._order}", wanted)
+            return
+        rows, channel, log_ns = self._log
+        own = np.flatnonzero(np.isin(log_ns, extent.at_ns) & np.isin(channel, wanted))
+        for row in rows[own[np.argsort(log_ns[own], kind="stable")]].tolist():
+            yield from connection.execute(f"{select} id = ?", (row,))
 
 
 def _row_by_row(
     connection: sqlite3.Connection, order: str, last: _Key | None
-) -> Iterator[tuple[int, int, object]]:
-    """Topic, time and payload of the rows after `last`, each looked up by its number.
+) -> Iterator[tuple[int, int, int, object]]:
+    """Row number, topic, time and payload of the rows after `last`, each looked up by its number.
 
     A damaged page then costs only the rows on it, whatever the topics. The pass ends at the last row, or after many
     consecutive damaged rows if the number of the last row is also lost.
@@ -288,12 +283,12 @@ def _row_by_row(
         row += 1
         try:
             found = connection.execute(
-                "SELECT topic_id, timestamp, data FROM messages WHERE id = ?", (row,)
+                "SELECT id, topic_id, timestamp, data FROM messages WHERE id = ?", (row,)
             ).fetchone()
         except sqlite3.Error:
             found = None
-        if found and not isinstance(found[1], int):
+        if found and not isinstance(found[2], int):
             found = None  # damage that the lookup did not detect
         failures = 0 if found else failures + 1
-        if found and (last is None or order == "id" or (found[1], row) > last):
+        if found and (last is None or order == "id" or (found[2], row) > last):
             yield found

@@ -81,6 +81,13 @@ class Storage(ABC):
             f"the file is truncated: {size} of {whole} bytes or more ({100 * size / whole:.0f} %) are left"
         )
 
+    def note_steps(self, sizes_ns: Sequence[int]) -> None:
+        """Note steps of the recorder's clock by their sizes."""
+        for size_ns in sizes_ns:
+            self.note(
+                f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
+            )
+
     @abstractmethod
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, as far as the file is intact."""

@@ -11,14 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mobilecal_cli.model import IntArray
+from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, steps_of
 from mobilecal_cli.readers.signals.series import Samples
 
 _NS = 1_000_000_000
-#: Smallest step, also in multiples of a topic's usual change of its lag: a slow playback is no step.
-LEAST_STEP_S = 1.0
-_LEAST_RATIO = 10
-#: Messages on each side of a step whose median lag must differ by it: single wrong stamps are none.
-_AROUND = 5
 #: Messages on each side that give its size.
 _MEASURED = 101
 #: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
@@ -26,29 +22,6 @@ _TOGETHER_NS, _SAME_NS = 2 * _NS, _NS // 2
 
 #: The samples of one piece, in the order of all series.
 Piece = tuple[Samples, ...]
-
-
-def steps_of(stamp_ns: IntArray, log_ns: IntArray) -> IntArray:
-    """(k,) indices of the first messages after steps of a clock.
-
-    A clock that steps back gives a stamp before the last one, one that steps forward a stamp that is later by much more
-    than the log time. A message that comes late does neither.
-
-    Args:
-        stamp_ns, log_ns: (n,) stamps and increasing log times, in order of arrival.
-    """
-    if len(stamp_ns) < 2 * _AROUND:
-        return np.zeros(0, dtype=np.int64)
-    lag = log_ns - stamp_ns
-    jump = np.diff(lag)
-    limit = max(LEAST_STEP_S * _NS, _LEAST_RATIO * float(np.median(np.abs(jump))))
-    sudden = np.where(np.diff(stamp_ns) <= 0, jump > limit, -jump > limit)
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(lag, _AROUND), axis=1)
-    # Medians of the messages before and after each place that has enough of them on both sides.
-    change = middle[_AROUND:] - middle[:-_AROUND]
-    lasting = np.zeros(len(jump), dtype=np.bool_)
-    lasting[_AROUND - 1 : len(jump) - _AROUND + 1] = np.abs(change) > limit
-    return np.asarray(np.flatnonzero(sudden & lasting) + 1, dtype=np.int64)
 
 
 def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
@@ -103,7 +76,7 @@ def _size(one: Samples, start: int, begin: int) -> int | None:
     if not len(before) or not len(after):
         return None
     size = int(np.median(after)) - int(np.median(before))
-    return size if abs(size) > LEAST_STEP_S * _NS else 0
+    return size if abs(size) > LEAST_STEP_NS else 0
 
 
 def _common(size: int, known: Sequence[int]) -> int:
