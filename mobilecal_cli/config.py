@@ -23,7 +23,7 @@ from pydantic import (
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
+from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text, reason_of
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -403,7 +403,7 @@ def read_urdf(config: RigConfig) -> str | None:
         return read_text(config.head.urdf, LARGEST_URDF_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(
-            f"head.urdf: {config.head.urdf} cannot be read: {error}", "check the path"
+            f"head.urdf: {config.head.urdf} cannot be read: {reason_of(error)}", "check the path"
         ) from error
 
 

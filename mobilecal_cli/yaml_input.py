@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from pathlib import Path
 from typing import Any
@@ -37,21 +38,39 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     return value
 
 
-def read_text(path: Path, largest_bytes: int) -> str:
-    """Contents of a text file.
+def read_bytes(path: Path, largest_bytes: int) -> bytes:
+    """Contents of a small file.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: not a regular file (a device, a pipe), too long, or not UTF-8.
+        OSError: it cannot be read, or is not a regular file (a directory, a device, a pipe).
+        ValueError: too long.
     """
     if not path.is_file():
         path.stat()  # raises if nothing exists there
-        raise ValueError("not a file")
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     with path.open("rb") as stream:
         data = stream.read(largest_bytes + 1)
     if len(data) > largest_bytes:
         raise ValueError(f"larger than {largest_bytes} bytes")
-    return data.decode("utf-8")
+    return data
+
+
+def read_text(path: Path, largest_bytes: int) -> str:
+    """Contents of a text file.
+
+    Raises:
+        OSError: see `read_bytes`.
+        ValueError: too long, or not UTF-8.
+    """
+    try:
+        return read_bytes(path, largest_bytes).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"not UTF-8 text (byte {error.start})") from error
+
+
+def reason_of(error: OSError | ValueError) -> str:
+    """Why a file cannot be read, without its path and the number of the error."""
+    return str((isinstance(error, OSError) and error.strerror) or error)
 
 
 def _open_brackets(text: str) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -41,7 +41,13 @@ class MethodName(StrEnum):
 
 
 @contextmanager
-def _errors_to(junit: Path | None, name: str, force: bool, output: Path | None = None) -> Iterator[None]:
+def _errors_to(
+    junit: Path | None,
+    logs: Sequence[Path],
+    force: bool,
+    others: Sequence[Path | None],
+    output: Path | None = None,
+) -> Iterator[None]:
     """Write an error to the JUnit file as well, unless that file must not be replaced."""
     from mobilecal_cli.export import check_file, write_file
     from mobilecal_cli.report.junit import junit_error_xml
@@ -52,12 +58,12 @@ def _errors_to(junit: Path | None, name: str, force: bool, output: Path | None =
                 f"--junit {junit}: inside the output directory, which is replaced as a whole",
                 "choose a path outside of it",
             )
-        check_file(junit, force)
+        check_file(junit, force, [*logs, *others])
     try:
         yield
     except MobilecalError as error:
         if junit is not None:
-            write_file(junit, junit_error_xml(name, error), force)
+            write_file(junit, junit_error_xml(str(logs[0]), error), force)
         raise
 
 
@@ -143,7 +149,7 @@ def calibrate(
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import open_page, progress_bar
 
-    with _errors_to(junit, str(logs[0]), force, output or calibrating.default_output(logs[0])):
+    with _errors_to(junit, logs, force, [config, last], output or calibrating.default_output(logs[0])):
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
@@ -211,7 +217,7 @@ def evaluate(
     from mobilecal_cli.report.verdict import verdict_data
     from mobilecal_cli.terminal import progress_bar
 
-    with _errors_to(junit, str(logs[0]), force):
+    with _errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
             found = evaluating.evaluate(
                 logs,

@@ -118,7 +118,7 @@ def export(
         layout = output.with_suffix(".layout.json")
     for path in (output, layout):
         if path is not None:
-            check_file(path, force)
+            check_file(path, force, [params, urdf, *(log or [])])
     joints = {side: name for side, name in given.items() if name}
     made = exporting.export(params, to, urdf, joints, with_chain, rate, distance, log or [])  # type: ignore[arg-type]
     if output is None:

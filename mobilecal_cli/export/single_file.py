@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.placing import already_exists, partial_of, place
 
 
-def check_file(path: Path, force: bool) -> None:
+def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Check before the work whether a file can be written.
 
+    Args:
+        path: the file.
+        force: replace an existing file.
+        inputs: files and directories that the command reads.
+
     Raises:
-        OutputError: the file exists and `force` is not set, is not a regular file, or cannot be created.
+        OutputError: the file exists and `force` is not set, is not a regular file, is an input or in one, or cannot be
+            created.
     """
     check_parent(path)
     if os.path.lexists(path):
         recognized_file(path)
         if not force:
             raise already_exists(path)
+        real = path.resolve()
+        if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
+            raise OutputError(f"{path}: this command reads this file", "choose another output path")
 
 
 def check_parent(path: Path) -> None:

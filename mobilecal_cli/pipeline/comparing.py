@@ -95,7 +95,7 @@ def compare(
     if len(files) < 2:
         raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
     if plot is not None:
-        check_file(plot, force)
+        check_file(plot, force, files)
     robots = tuple(read_params(path) for path in files)
     names = tuple(str(path) for path in files)
     differences = tuple(difference(robots[0], robot) for robot in robots[1:])

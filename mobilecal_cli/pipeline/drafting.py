@@ -70,7 +70,7 @@ def write_draft(
         RecordingError, ConfigError: see `draft`.
         OutputError: the file already exists or cannot be written.
     """
-    check_file(output, force)
+    check_file(output, force, [*logs, urdf])
     made = draft(logs, urdf, output.parent, progress)
     write_file(output, made.text.encode(), force)
     return made

@@ -34,7 +34,7 @@ from mobilecal_cli.report.wording.evaluation import dependence
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.uncertainty import motion_gaps, require_stations
-from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
+from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text, reason_of
 
 #: Two legs between held-out stations are the least that gives an error.
 _LEAST_HELD_OUT = 3
@@ -70,9 +70,8 @@ def read_params(path: Path) -> CalibratedRobot:
     try:
         text = read_text(path, LARGEST_BYTES)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
-            f"{path}: cannot be read: {reason}", "give a params.yaml that mobilecal wrote"
+            f"{path}: cannot be read: {reason_of(error)}", "give a params.yaml that mobilecal wrote"
         ) from error
     return parameters_from_yaml(text, str(path))
 

@@ -33,6 +33,7 @@ from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import Target
+from mobilecal_cli.yaml_input import read_bytes, reason_of
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1
@@ -157,13 +158,11 @@ def _urdf(
     if path is None:
         raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
     try:
-        content = path.read_bytes() if path.stat().st_size <= LARGEST_URDF_BYTES else None
-    except OSError as error:
+        content = read_bytes(path, LARGEST_URDF_BYTES)
+    except (OSError, ValueError) as error:
         raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}", "check the path after --urdf"
+            f"{path}: cannot be read: {reason_of(error)}", "check the path after --urdf"
         ) from error
-    if content is None:
-        raise ConfigError(f"{path}: larger than {LARGEST_URDF_BYTES} bytes", "give a URDF")
     patched = patched_urdf(content, robot, joints, chain)
     missing = [side for side in _SIDES if side not in joints]
     notes = patched.changes

@@ -26,7 +26,7 @@ from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.readers import sha256_of
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
-from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
+from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text, reason_of
 
 #: Number of attempts at a job whose process dies.
 _ATTEMPTS = 3
@@ -116,7 +116,7 @@ def _text(path: Path) -> str:
     try:
         return read_text(path, LARGEST_BYTES)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}", "check the path") from error
+        raise ConfigError(f"{path}: cannot be read: {reason_of(error)}", "check the path") from error
 
 
 def _finished(job: FleetJob, key: str) -> FleetRow | None:

@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     IntArray,
     JointRange,
     Lack,
+    LogSource,
     MotionView,
     Parts,
     PictureIndex,
@@ -32,6 +33,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.pipeline.extracting import board_of
 from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.pipeline.repeated import refuse_equal_files
 from mobilecal_cli.pipeline.sampling import sample_board
 from mobilecal_cli.readers import (
     Extent,
@@ -40,6 +42,7 @@ from mobilecal_cli.readers import (
     open_recording,
     read_description,
     read_signals,
+    sha256_of,
 )
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.gates import gates_of
@@ -128,8 +131,14 @@ def recordings(logs: Sequence[Path]) -> list[list[Path]]:
     """The recordings that the user's paths are, as `calibrate` groups them; see `join_splits`.
 
     Paths of which one cannot be opened stay together: reading them says what is wrong.
+
+    Raises:
+        ConfigError: two paths have the same content.
     """
     try:
+        sizes = [_size_bytes([log]) for log in logs]
+        equal = [log for log, size in zip(logs, sizes, strict=True) if size and sizes.count(size) > 1]
+        refuse_equal_files([LogSource(str(log), sha256_of(log)) for log in equal])
         return join_splits(logs)
     except RecordingError:
         return [list(logs)]

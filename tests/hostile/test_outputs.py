@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import html.parser
 import json
+import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -91,6 +93,45 @@ def test_names_that_try_to_steer(sample_logs, tmp_path, tmp_path_factory):
     params = YAML(typ="safe").load((tmp_path / "out/params.yaml").read_text(encoding="utf-8"))
     assert params["head_eye"]["child_frame"] == EVIL
     assert json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
+
+
+PARAMS, LOG, URDF = "params.yaml", "log.mcap", "robot.urdf"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (("init", LOG, "--output", LOG), LOG),
+        (("init", LOG, "--urdf", URDF, "--output", "./robot.urdf"), URDF),
+        (("init", "bag", "--output", "bag/metadata.yaml"), "bag/metadata.yaml"),
+        (("calibrate", LOG, "--junit", LOG), LOG),
+        (("calibrate", LOG, "--last", PARAMS, "--junit", PARAMS), PARAMS),
+        (("evaluate", LOG, PARAMS, "--junit", PARAMS), PARAMS),
+        (("compare", PARAMS, PARAMS, "--plot", PARAMS), PARAMS),
+        (("export", PARAMS, "--to", "ros2_control", "--output", PARAMS), PARAMS),
+        (("export", PARAMS, "--to", "urdf", "--urdf", URDF, "--output", URDF), URDF),
+        (("export", PARAMS, "--to", "foxglove", "--log", LOG, "--output", LOG), LOG),
+    ],
+)
+def test_no_input_is_replaced(sample_logs, tmp_path, arguments, name):
+    shutil.copy(REPOSITORY / "tests/export/golden/params.yaml", tmp_path / PARAMS)
+    shutil.copy(sample_logs / "straight.mcap", tmp_path / LOG)
+    shutil.copytree(sample_logs / "paper_robot_rosbag2", tmp_path / "bag")
+    (tmp_path / URDF).write_text("<robot name='r'/>")
+    before = (tmp_path / name).read_bytes()
+    result = run(*arguments, "--force", cwd=tmp_path)
+    assert result.code == 7, result.err
+    assert "this command reads this file" in result.err
+    assert (tmp_path / name).read_bytes() == before
+    assert result.left == []
+
+
+def test_a_pipe_as_the_urdf_to_patch(tmp_path):
+    shutil.copy(REPOSITORY / "tests/export/golden/params.yaml", tmp_path / PARAMS)
+    os.mkfifo(tmp_path / URDF)
+    result = run("export", PARAMS, "--to", "urdf", "--urdf", URDF, cwd=tmp_path)
+    assert (result.code, result.out) == (2, "")
+    assert "robot.urdf: cannot be read: not a regular file" in result.err
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import json
+import os
 import resource
 import signal
 import struct
@@ -19,7 +20,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_description
+from mobilecal_cli.readers import open_recording, read_description, sha256_of
 from mobilecal_cli.readers.images.selection import decode_image
 from mobilecal_cli.readers.messages.channels import Channel
 from tests.readers import recordings as r
@@ -395,3 +396,11 @@ def test_a_database_of_other_types_than_it_says(tmp_path):
         assert any("5" in info.name for info in recording.topics)
         assert recording.end_ns is not None
         assert sum(1 for part in recording.parts for _ in part.raw({"/ticks", "/left/image_raw"})) >= 12
+
+
+def test_the_hash_of_no_recording(tmp_path):
+    with pytest.raises(RecordingError, match="no such file or directory"):
+        sha256_of(tmp_path / "log.mcap")
+    os.mkfifo(tmp_path / "log.mcap")
+    with bounded(), pytest.raises(RecordingError, match="not a regular file"):
+        sha256_of(tmp_path / "log.mcap")

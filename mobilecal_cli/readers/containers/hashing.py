@@ -12,9 +12,13 @@ def sha256_of(path: Path) -> str:
     """SHA-256 of a file; of a directory: of the bytes of its files, concatenated in order of name.
 
     Raises:
-        RecordingError: a file cannot be read.
+        RecordingError: a file does not exist, is a device or a pipe, or cannot be read.
     """
     digest = hashlib.sha256()
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or directory", "check the path")
+    if not path.is_dir() and not path.is_file():  # reading a pipe would wait forever
+        raise RecordingError(f"{path}: not a regular file", "give a recording: a file or a directory")
     try:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         for file in files:
