@@ -136,12 +136,17 @@ class SqliteStorage(Storage):
     def _scan(self, connection: sqlite3.Connection) -> None:
         """Message counts, sizes and log times; unknown if the table is damaged."""
         columns = [array("q") for _ in range(4)]
+        counts: Counter[int] = Counter()
         try:
             # SQLite reads only the length of large messages.
             for row in connection.execute(
                 "SELECT id, topic_id, timestamp, LENGTH(data) FROM messages ORDER BY id"
             ):
-                if all(isinstance(value, int) for value in row[:3]):  # SQLite stores values of any type
+                _, topic, time_ns, _ = row
+                if not isinstance(topic, int):  # SQLite stores values of any type
+                    continue
+                counts[topic] += 1
+                if isinstance(time_ns, int):
                     for column, value in zip(columns, row, strict=True):
                         column.append(value or 0)
         except (sqlite3.Error, OverflowError):
@@ -149,7 +154,7 @@ class SqliteStorage(Storage):
         rows, topics, log_ns, sizes = (np.array(column, dtype=np.int64) for column in columns)
         for number in np.unique(topics).tolist():
             self._bytes[number] = int(sizes[topics == number].sum())
-        self.counts = {number: int((topics == number).sum()) for number in self._bytes}
+        self.counts = dict(counts)
         steps = steps_back(topics, log_ns) if goes_back(topics, log_ns) else []
         for first, size_ns in steps:
             log_ns[first:] += size_ns
