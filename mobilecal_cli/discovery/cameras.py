@@ -12,6 +12,7 @@ from mobilecal_cli.discovery.names import mirrored, pairs, side_of, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import (
     IMAGES,
+    SIDES,
     Camera,
     CameraInfo,
     FloatArray,
@@ -22,7 +23,6 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import Range
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: Distance between the cameras of a stereo pair.
 BASELINE = Range(1e-4, 5.0, "m")
 #: Relative difference of the focal lengths of both rectified images, which are the same.
@@ -72,7 +72,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side,
             f"topics present: {_present(description)}",
         )
     candidates = [
-        pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in _SIDES)
+        pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in SIDES)
     ]
     if config.cameras.both is not None:
         both = config.cameras.both.image

@@ -22,6 +22,7 @@ from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import (
     IMAGES,
+    SIDES,
     BoardView,
     Draft,
     Filled,
@@ -35,7 +36,6 @@ from mobilecal_cli.model import (
     Todo,
 )
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _WIDTH = 100
 #: Whole boards that must be seen before their size is filled in.
 _ENOUGH_BOARDS = 3
@@ -223,7 +223,7 @@ def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None
         page.add("")
         return
     page.add("cameras:")
-    for side in _SIDES:
+    for side in SIDES:
         info = infos.get(side)
         entry = f"image: {_quoted(images[side])}" + ("" if info is None else f", info: {_quoted(info)}")
         value = images[side] if info is None else f"{images[side]}, {info}"
@@ -243,7 +243,7 @@ def _wheels(
     page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
     if survey.wheels is not None:
         page.add("wheels:")
-        for side in _SIDES:
+        for side in SIDES:
             source = survey.wheels[side]
             entry = f"{{topic: {_quoted(source.topic)}, joint: {_quoted(source.joint or '')}, sign: {source.sign}}}"
             page.fill(
@@ -260,7 +260,7 @@ def _wheels(
     ]
     if len(found) == 1 and counters:
         page.add("wheels:")
-        for side in _SIDES:
+        for side in SIDES:
             _counter(page, side, counters[0][side])
         page.ask(
             "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",

@@ -23,6 +23,7 @@ from mobilecal_cli.discovery.wheels import nominal_wheels, wheel_sources
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.model import (
+    SIDES,
     HeadChain,
     JointField,
     JointLink,
@@ -38,7 +39,6 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 T = TypeVar("T")
 _Lack = RecordingError | ConfigError
 #: Parts of a rig that can be unknown.
@@ -310,13 +310,13 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
     topics: dict[Side, str] = {}
     rectified, cameras = False, None
     if images is not None:
-        for side in _SIDES:
+        for side in SIDES:
             topic = tried("camera infos", partial(info_topic, side, images[side], config, description))
             topics |= {side: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(images["left"]) if told is None else told
     infos = {side: description.infos[topic] for side, topic in topics.items()}
-    if len(infos) == len(_SIDES):
+    if len(infos) == len(SIDES):
         tried("camera infos", lambda: check_sizes(infos))
         cameras = tried(
             "camera infos", lambda: stereo_rig(infos["left"], infos["right"], rectified, reference)

@@ -34,9 +34,8 @@ from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, dark_squares
-from mobilecal_cli.model import Camera, FloatArray, Side
+from mobilecal_cli.model import SIDES, Camera, FloatArray, Side
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15
 _GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85, 0.2, 1.0)
@@ -221,7 +220,7 @@ def _add_station(messages: _Messages, scene: Scene, station: StationView) -> Non
     time_ns, names = station.time_ns, scene.names
     board = _transform(time_ns, names.world, names.board, station.T_w_k)
     messages.add("/tf_board", time_ns, FrameTransforms(transforms=[board]))
-    for side in _SIDES:
+    for side in SIDES:
         view = station.corners[side]
         messages.add(f"/camera/{side}/corners", time_ns, _annotations(view, time_ns))
         if view.jpeg:

@@ -16,9 +16,8 @@ from mobilecal_cli.export.improved import ImprovedChain
 from mobilecal_cli.export.urdf_chain import joint_origins
 from mobilecal_cli.export.xml_text import attribute, comment
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
-from mobilecal_cli.model import CalibratedRobot, FloatArray, Side
+from mobilecal_cli.model import SIDES, CalibratedRobot, FloatArray, Side
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: A frame is at ground level if the wheel centers are one radius above it, to this much, m.
 _GROUND_M = 1e-3
 _SAME_PLACE_M = 1e-6
@@ -117,7 +116,7 @@ def patched_urdf(
         moved, told = _chain(content, places, urdf, chain)
         edits += moved
         changes += told
-    if len(wheel_joints) == len(_SIDES):
+    if len(wheel_joints) == len(SIDES):
         height_m, heights = _height(content, places, urdf, robot, wheel_joints)
         for name, T in _wheel_origins(urdf, robot, wheel_joints):
             if height_m is not None:
@@ -262,9 +261,9 @@ def _height(
     A height that follows from the wheel radius has to change with it. It does in the wheel joints; other joints, such
     as that of a base_footprint, may also place the body, so a note names them with both numbers.
     """
-    joints = [_joint(urdf, wheel_joints[side]) for side in _SIDES]
+    joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
     radii = [_radius(content, tag) for joint in joints for tag in places.wheels.get(joint.child, [])[:1]]
-    if len(radii) != len(_SIDES) or None in radii:
+    if len(radii) != len(SIDES) or None in radii:
         return None, ()
     old_m = sum(radius for radius in radii if radius is not None) / 2
     new_m = (robot.wheels.radius_left_m + robot.wheels.radius_right_m) / 2

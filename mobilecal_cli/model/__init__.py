@@ -35,6 +35,7 @@ from mobilecal_cli.model.observations import (
     WheelTrack,
 )
 from mobilecal_cli.model.rig import (
+    SIDES,
     Board,
     Camera,
     CameraInfo,
@@ -87,6 +88,7 @@ __all__ = [
     "IMAGES",
     "JOINT_STATE",
     "NINE",
+    "SIDES",
     "STRING",
     "TRANSFORMS",
     "AtWork",

@@ -72,7 +72,7 @@ class MotionView:
         wheels_deg: side → total rotation forward and back over the recording, degrees.
         driven_m, turned_deg: path length and heading range, by the nominal wheels; None without these.
         rests: number of rests of base and head with images; None if the times of the images are unknown.
-        share: share of the recording that was read for this, 1 for all of it.
+        share_read: share of the recording that was read for this, 1 for all of it.
     """
 
     joints: Mapping[str, JointRange]
@@ -80,7 +80,7 @@ class MotionView:
     driven_m: float | None
     turned_deg: float | None
     rests: int | None
-    share: float
+    share_read: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,19 +160,19 @@ class Inspection:
     )
 
     name: str
-    containers: tuple[str, ...]
-    size_bytes: int
-    start_ns: int | None
-    end_ns: int | None
-    topics: tuple[TopicView, ...]
-    rig: Rig | None
-    parts: Parts
-    board: BoardView | None
-    motion: MotionView | None
-    covered: tuple[int, int] | None
-    missing: tuple[Lack, ...]
-    weak: tuple[Lack, ...]
-    notes: tuple[str, ...]
+    containers: tuple[str, ...] = ()
+    size_bytes: int = 0
+    start_ns: int | None = None
+    end_ns: int | None = None
+    topics: tuple[TopicView, ...] = ()
+    rig: Rig | None = None
+    parts: Parts = Parts()
+    board: BoardView | None = None
+    motion: MotionView | None = None
+    covered: tuple[int, int] | None = None
+    missing: tuple[Lack, ...] = ()
+    weak: tuple[Lack, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:

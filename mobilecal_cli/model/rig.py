@@ -11,6 +11,7 @@ import numpy as np
 from mobilecal_cli.model.arrays import FloatArray, freeze
 
 Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 Distortion = Literal["none", "plumb_bob", "rational_polynomial", "equidistant"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import unicodedata
 from collections.abc import Iterable
 
@@ -29,3 +30,16 @@ def listed(names: Iterable[str], most: int = MOST_LISTED) -> str:
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return f"{', '.join(every[:most])}{more}" if every else "none"
+
+
+def wrapped(text: str, start: str = "  ", indent: str = "", width: int = 96) -> list[str]:
+    """The lines of a paragraph for the terminal, escaped.
+
+    Args:
+        text: the paragraph.
+        start: in front of the first line.
+        indent: in front of the others; by default as wide as `start`, or two more for a short one.
+        width: of the lines.
+    """
+    indent = indent or " " * (len(start) + 2 if start.isspace() else len(start))
+    return textwrap.wrap(visible(text), width, initial_indent=visible(start), subsequent_indent=indent)

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
+    SIDES,
     Board,
     GrayImage,
     PictureIndex,
@@ -37,7 +38,6 @@ SIZE_VOTES = 3  # number of agreeing images that determine the board's size
 #: Stereo pairs per segment. Tracking runs inside a segment, so segments and results do not depend on the
 #: number of processes.
 SEGMENT_PAIRS = 250
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(slots=True)

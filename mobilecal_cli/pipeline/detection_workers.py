@@ -10,9 +10,8 @@ from pathlib import Path
 
 import cv2
 
-from mobilecal_cli.model import Rejection, Snapshot, Station
+from mobilecal_cli.model import SIDES, Rejection, Snapshot, Station
 from mobilecal_cli.pipeline.detecting import (
-    SIDES,
     Scene,
     Segment,
     StationDetections,

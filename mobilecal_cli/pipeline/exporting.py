@@ -29,7 +29,7 @@ from mobilecal_cli.export import (
     static_transform_yaml,
     xacro_properties,
 )
-from mobilecal_cli.model import CalibratedRobot, Extraction, Side, StereoRig
+from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import Target
@@ -39,7 +39,6 @@ from mobilecal_cli.yaml_input import read_bytes, reason_of
 _LENS_PX = 0.1
 #: Shorter legs are those between images in motion, or hardly a drive.
 _LEAST_LEG_M = 0.25
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +163,7 @@ def _urdf(
             f"{path}: cannot be read: {reason_of(error)}", "check the path after --urdf"
         ) from error
     patched = patched_urdf(content, robot, joints, chain)
-    missing = [side for side in _SIDES if side not in joints]
+    missing = [side for side in SIDES if side not in joints]
     notes = patched.changes
     if chain is None and robot.constants:
         notes += (

@@ -15,6 +15,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, 
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    SIDES,
     BoardView,
     Inspection,
     IntArray,
@@ -25,7 +26,6 @@ from mobilecal_cli.model import (
     Parts,
     PictureIndex,
     Rig,
-    Side,
     Signals,
     TopicInfo,
     TopicView,
@@ -53,7 +53,6 @@ from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
 MOTION_BYTES = 2**28
 #: A smaller share of images during which joints and wheels were recorded limits a calibration.
 _LEAST_COVERED = 0.9
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 def inspect(
@@ -162,38 +161,15 @@ def check(
         about = "recording"
         return inspect(logs, config_path, flags, progress)
     except (ConfigError, RecordingError) as error:
-        missing = (_lack(about, error),)
-    return Inspection(
-        name=str(logs[0]),
-        containers=(),
-        size_bytes=0,
-        start_ns=None,
-        end_ns=None,
-        topics=(),
-        rig=None,
-        parts=Parts(),
-        board=None,
-        motion=None,
-        covered=None,
-        missing=missing,
-        weak=(),
-        notes=(),
-    )
+        return Inspection(str(logs[0]), missing=(_lack(about, error),))
 
 
 def _parts(survey: Survey) -> Parts:
-    head = survey.head
     joints = survey.joints
     if joints is not None:
-        joints = (*joints, *(source.topic for source in survey.elsewhere.values()))
-    return Parts(
-        survey.images,
-        survey.cameras,
-        survey.wheels,
-        None if head is None else head.chain,
-        "" if head is None else head.origin,
-        None if joints is None else tuple(dict.fromkeys(joints)),
-    )
+        joints = tuple(dict.fromkeys([*joints, *(source.topic for source in survey.elsewhere.values())]))
+    chain, origin = (None, "") if survey.head is None else (survey.head.chain, survey.head.origin)
+    return Parts(survey.images, survey.cameras, survey.wheels, chain, origin, joints)
 
 
 def _size_bytes(logs: Sequence[Path]) -> int:
@@ -279,7 +255,7 @@ def _motion(
         joints[name] = JointRange(float(readings.min()) * scale, float(readings.max()) * scale, unit)
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
-        for side in _SIDES
+        for side in SIDES
     }
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:
@@ -306,7 +282,7 @@ def _rests(
     rig: Rig, logs: Sequence[Signals], times: Mapping[str, IntArray], share: float, missing: list[Lack]
 ) -> tuple[int | None, tuple[Lack, ...]]:
     """Number of rests with images, and what is unobservable; what prevents a calibration goes to `missing`."""
-    images = {side: times.get(rig.sources.image[side]) for side in _SIDES}
+    images = {side: times.get(rig.sources.image[side]) for side in SIDES}
     # Where a clock steps, log times do not tell which readings belong to an image.
     if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
         return None, ()

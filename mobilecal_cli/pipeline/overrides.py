@@ -10,9 +10,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.config import RigConfig, WheelConfig
 from mobilecal_cli.discovery import nominal_of, prior_sigmas
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Extraction, Nominal, Rig, Side, Track, WheelSource, WheelTrack
+from mobilecal_cli.model import SIDES, Extraction, Nominal, Rig, Side, Track, WheelSource, WheelTrack
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.
 CHANGEABLE = (
     "priors",
@@ -20,7 +19,7 @@ CHANGEABLE = (
     "gates",
     "nominal",
     "cameras.reference",
-    *(f"wheels.{side}.{name}" for side in _SIDES for name in ("sign", "ticks_per_revolution")),
+    *(f"wheels.{side}.{name}" for side in SIDES for name in ("sign", "ticks_per_revolution")),
 )
 
 
@@ -63,7 +62,7 @@ def with_settings(extraction: Extraction, config: RigConfig, given: Collection[s
     if any(key.startswith("nominal") for key in given):
         rig = _with_nominal(rig, config)
     tracks = extraction.wheels
-    for side in _SIDES:
+    for side in SIDES:
         keys = {key for key in given if key.startswith(f"wheels.{side}.")}
         if keys:
             rig, tracks = _rescaled(rig, tracks, side, getattr(config.wheels, side), keys)

@@ -9,6 +9,7 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError
 from mobilecal_cli.model import (
+    SIDES,
     Board,
     BoardView,
     GrayImage,
@@ -28,7 +29,6 @@ from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify
 PICTURE_MOMENTS = 6
 #: `calibrate` rejects stations whose squares differ by this share from the stated size.
 _SQUARE_TOLERANCE = 0.1
-_SIDES: tuple[Side, Side] = ("left", "right")
 _Images = Mapping[Side, Sequence[GrayImage | Rejection]]
 
 
@@ -60,11 +60,11 @@ def sample_board(
     sources = Sources(images, {}, (), {}, layout=layout)
     found = {
         side: list(pictures_near(recording, replace(sources, image={side: images[side]}), moments))
-        for side in _SIDES
+        for side in SIDES
     }
-    readable = [image for side in _SIDES for image in found[side] if not isinstance(image, Rejection)]
+    readable = [image for side in SIDES for image in found[side] if not isinstance(image, Rejection)]
     if not readable:
-        broken = [image for side in _SIDES for image in found[side] if isinstance(image, Rejection)]
+        broken = [image for side in SIDES for image in found[side] if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
         return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")]
     lacks = [] if cameras is None else _wrong_sizes(found, cameras)
@@ -93,8 +93,8 @@ def sample_board(
             )
         )
         return BoardView(len(readable), 0, None, other_sizes=others), lacks
-    detections = {side: [_detected(image, board) for image in found[side]] for side in _SIDES}
-    seen = sum(isinstance(one, Detection) for side in _SIDES for one in detections[side])
+    detections = {side: [_detected(image, board) for image in found[side]] for side in SIDES}
+    seen = sum(isinstance(one, Detection) for side in SIDES for one in detections[side])
     squares_m = () if cameras is None or lacks else _squares_m(cameras, board, detections)
     square_m = float(np.median(squares_m)) if squares_m else None
     if square_m and stated_m and abs(square_m - stated_m) > _SQUARE_TOLERANCE * stated_m:
@@ -117,7 +117,7 @@ def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = Observa
 def _wrong_sizes(found: _Images, cameras: StereoRig) -> list[Lack]:
     """Images that do not have the size that their camera_info states."""
     lacks = []
-    for side in _SIDES:
+    for side in SIDES:
         image = next((image for image in found[side] if not isinstance(image, Rejection)), None)
         try:
             if image is not None:

@@ -14,6 +14,7 @@ from mobilecal_cli.export import from_plain, improved_cameras, improved_chain
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.model import (
+    SIDES,
     CalibratedRobot,
     Extraction,
     FloatArray,
@@ -36,7 +37,6 @@ from mobilecal_cli.stations import images_of
 from mobilecal_cli.vision import snapshot_jpeg
 
 _STEP_NS = 10**8  # between two poses of the base
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: Observation → its images.
 Images = Mapping[int, Mapping[Side, bytes]]
 
@@ -103,7 +103,7 @@ def _stations(
     for number, o in enumerate(extraction.observations):
         leg = legs.get(number)
         corners: dict[Side, CornerView] = {}
-        for side in _SIDES:
+        for side in SIDES:
             found = o.left if side == "left" else o.right
             jpeg = images.get(number, {}).get(side, b"")
             corners[side] = CornerView(

@@ -8,11 +8,8 @@ from dataclasses import dataclass
 
 from mobilecal_cli.model import AtWork, Solution
 from mobilecal_cli.report.budget import shares_of
-from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome
+from mobilecal_cli.report.check import LEAST_MOTION, Check, Outcome
 from mobilecal_cli.report.wording.budget import advice, limiting_sentence
-
-# With less head motion, a parameter depends on a difference about as small as the noise.
-MIN_PAN_DEG, MIN_TILT_DEG = 10.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,14 +125,12 @@ def _small_motion(solution: Solution, figure: Figure) -> Sequence[tuple[str, flo
     fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
     head = (of_camera or of_point) and not all(fixed[:6])
     base = not of_camera and not all(fixed[6:])
-    wanted = (
-        (head, "pan_range_deg", MIN_PAN_DEG),
-        (head, "tilt_range_deg", MIN_TILT_DEG),
-        (base, "turned_deg", MIN_TURNED_DEG),
-        (base, "driven_m", MIN_DRIVEN_M),
-    )
     motion = solution.motion
-    return [(key, motion[key]) for on, key, least in wanted if on and motion.get(key, least) < least]
+    return [
+        (key, motion[key])
+        for (key, least), wanted in zip(LEAST_MOTION.items(), (head, head, base, base), strict=True)
+        if wanted and motion.get(key, least) < least
+    ]
 
 
 def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ OUTCOMES: dict[Outcome, Literal["pass", "warning", "fail", "not_enough"]] = {
 }
 OUTCOME_LABELS = {outcome: name.replace("_", " ") for outcome, name in OUTCOMES.items()}
 
-# With less movement, a parameter depends on a difference about as small as the noise.
-MIN_TURNED_DEG, MIN_DRIVEN_M = 20.0, 0.2
+#: Extent of the motion → with less, a parameter depends on a difference about as small as the noise.
+LEAST_MOTION = {"pan_range_deg": 10.0, "tilt_range_deg": 5.0, "turned_deg": 20.0, "driven_m": 0.2}
 
 
 @dataclass(frozen=True, slots=True)

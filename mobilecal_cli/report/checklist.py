@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import textwrap
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.model import Inspection, Lack, Parts, Side, StereoRig, WheelSource, listed
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model import SIDES, Inspection, Lack, Parts, StereoRig, WheelSource, listed
+from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.report.values import json_text
 
-_WIDTH = 96
-_SIDES: tuple[Side, Side] = ("left", "right")
 #: Criteria without which no other can be checked.
 _FIRST = ("rig.yaml", "recording")
 State = Literal["ok", "limit", "problem", "unknown"]
@@ -74,11 +71,11 @@ def _good(about: str, found: Inspection) -> Line:
 def _known(parts: Parts) -> dict[str, str]:
     said = {}
     if parts.images is not None:
-        said["cameras"] = " and ".join(dict.fromkeys(parts.images[side] for side in _SIDES))
+        said["cameras"] = " and ".join(dict.fromkeys(parts.images[side] for side in SIDES))
     if parts.cameras is not None:
         said["camera infos"] = _geometry(parts.cameras)
     if parts.wheels is not None:
-        said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in _SIDES)
+        said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in SIDES)
     if parts.chain is not None:
         chain = parts.chain
         said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {parts.chain_from}"
@@ -90,7 +87,7 @@ def _known(parts: Parts) -> dict[str, str]:
 def _geometry(cameras: StereoRig) -> str:
     sides = [
         f"{side} {camera.width} x {camera.height} {camera.distortion}"
-        for side, camera in zip(_SIDES, (cameras.left, cameras.right), strict=True)
+        for side, camera in zip(SIDES, (cameras.left, cameras.right), strict=True)
     ]
     kind = "rectified" if cameras.rectified else "raw"
     return f"{', '.join(sides)}; {kind} images; baseline {np.linalg.norm(cameras.T_c_r[:3, 3]) * 1e3:.1f} mm"
@@ -133,11 +130,8 @@ def checklist_text(found: Inspection) -> str:
     for line in lines:
         start = f"{line.state:<7}  {line.about:<{width}}  "
         indent = " " * len(start)
-        text += textwrap.wrap(visible(line.what), _WIDTH, initial_indent=start, subsequent_indent=indent)
-        if line.cure:
-            text += textwrap.wrap(
-                visible(f"hint: {line.cure}"), _WIDTH, initial_indent=indent, subsequent_indent=indent
-            )
+        text += wrapped(line.what, start, indent)
+        text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
     text += [f"note     {visible(note)}" for note in found.notes]
     problems = sum(line.state == "problem" for line in lines)
     limits = sum(line.state == "limit" for line in lines)
@@ -149,15 +143,5 @@ def checklist_text(found: Inspection) -> str:
 
 def checklist_json(found: Inspection) -> str:
     """The criteria for programs; docs/reference/cli.md lists the keys."""
-    lines = [
-        {
-            "about": line.about,
-            "state": line.state,
-            "what": line.what,
-            "cure": line.cure,
-            "exit_code": line.exit_code,
-        }
-        for line in checklist(found)
-    ]
-    data = {"lines": lines, "notes": list(found.notes), "exit_code": found.exit_code}
-    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+    data = {"lines": checklist(found), "notes": found.notes, "exit_code": found.exit_code}
+    return json_text(data, sort_keys=False)

@@ -18,9 +18,7 @@ from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, FloatArr
 from mobilecal_cli.report.check import Check, Checks, Outcome, enough
 from mobilecal_cli.report.checks.faults import PIXEL_ERROR_BAD
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
-from mobilecal_cli.report.values import Level
-from mobilecal_cli.report.verdict import Verdict
-from mobilecal_cli.report.wording import words
+from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
 from mobilecal_cli.report.wording.evaluation import agreement
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
@@ -74,25 +72,18 @@ def judge_evaluation(
         gates: the user's limits, see `gate_checks`.
     """
     checks = Checks((*_checks(found, cameras, robot, own), *gates))
-    levels: tuple[tuple[Outcome, Level], ...] = (("bad", "FAIL"), ("short", "NOT ENOUGH"))
-    for outcome, level in levels:
-        for check in checks:
-            if check.outcome == outcome:
-                return Verdict(level, words(check).why, words(check).next_step, checks)
+    order = ("good", "look", "short", "bad")
+    worst = max(checks, key=lambda check: order.index(check.outcome))
+    if worst.outcome in LEVELS:
+        return decided_by(worst, checks)
     return Verdict("PASS", *agreement(checks, independent=not used), checks)
 
 
 def _checks(
     found: Evaluation, cameras: StereoRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
 ) -> Iterator[Check]:
-    yield Check(
-        "evaluated_stations",
-        found.stations,
-        MIN_STATIONS,
-        "",
-        enough(found.stations, MIN_STATIONS),
-        at_least=True,
-    )
+    outcome = enough(found.stations, MIN_STATIONS)
+    yield Check("evaluated_stations", found.stations, MIN_STATIONS, "", outcome, at_least=True)
     yield _corners(found, cameras, own)
     if isinstance(own, MobilecalError):
         facts = {"message": own.message, "hint": own.hint}

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import textwrap
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.model import BoardView, Camera, Inspection, Lack, MotionView, Rig, StereoRig
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model import BoardView, Camera, HeadChain, Inspection, Lack, MotionView, Rig, StereoRig
+from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.report.values import json_text
 
-_WIDTH = 96
 #: Source of a setting in `Rig.setting_sources` → its text.
 _WHY = {
     "log": "from names and types in the recording",
@@ -24,55 +22,38 @@ _WHY = {
 
 def inspection_json(found: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
-    rig = found.rig
-    data: dict[str, Any] = {
+    rig, board, motion = found.rig, found.board, found.motion
+    columns, rows = (board.size if board is not None else None) or (None, None)
+    data = {
         "recording": {
             "name": found.name,
-            "containers": list(found.containers),
+            "containers": found.containers,
             "size_bytes": found.size_bytes,
             "start_ns": found.start_ns,
             "end_ns": found.end_ns,
             "duration_s": _duration_s(found),
         },
-        "topics": [
-            {
-                "name": topic.name,
-                "type": topic.type,
-                "messages": topic.messages,
-                "rate_hz": topic.rate_hz,
-                "longest_gap_s": topic.longest_gap_s,
-                "gap_at_s": topic.gap_at_s,
-                "steps_back": topic.steps_back,
-            }
-            for topic in found.topics
-        ],
-        "roles": dict(rig.setting_sources) if rig else None,
-        "head": _head(rig) if rig else None,
-        "cameras": _cameras(rig.cameras) if rig else None,
-        "board": None
-        if found.board is None
-        else {
-            "pictures": found.board.pictures,
-            "seen": found.board.seen,
-            "columns": found.board.size[0] if found.board.size else None,
-            "rows": found.board.size[1] if found.board.size else None,
-            "square_m": found.board.square_m,
-            "square_stated_m": found.board.stated_m,
+        "topics": found.topics,
+        "roles": rig and rig.setting_sources,
+        "head": rig and _head(rig.chain),
+        "cameras": rig and _cameras(rig.cameras),
+        "board": board
+        and {
+            "pictures": board.pictures,
+            "seen": board.seen,
+            "columns": columns,
+            "rows": rows,
+            "square_m": board.square_m,
+            "square_stated_m": board.stated_m,
         },
-        "motion": None if found.motion is None else _motion(found.motion),
-        "time": None
-        if found.covered is None
-        else {"images_covered": found.covered[0], "images": found.covered[1]},
-        "missing": [_lack(lack) for lack in found.missing],
-        "weak": [_lack(lack) for lack in found.weak],
+        "motion": motion,
+        "time": found.covered and {"images_covered": found.covered[0], "images": found.covered[1]},
+        "missing": found.missing,
+        "weak": found.weak,
         "exit_code": found.exit_code,
-        "notes": list(found.notes),
+        "notes": found.notes,
     }
-    return json.dumps(data, indent=1, allow_nan=False) + "\n"
-
-
-def _lack(lack: Lack) -> dict[str, Any]:
-    return {"about": lack.about, "what": lack.what, "cure": lack.cure, "exit_code": lack.exit_code}
+    return json_text(data, sort_keys=False)
 
 
 def _duration_s(found: Inspection) -> float | None:
@@ -81,47 +62,21 @@ def _duration_s(found: Inspection) -> float | None:
     return (found.end_ns - found.start_ns) * 1e-9
 
 
-def _head(rig: Rig) -> dict[str, Any]:
-    chain = rig.chain
-    return {
-        "base_frame": chain.base_frame,
-        "head_frame": chain.head_frame,
-        "joints": list(chain.joints),
-        "pan": chain.pan or None,
-        "tilt": chain.tilt or None,
-    }
+def _head(chain: HeadChain) -> dict[str, Any]:
+    frames = {"base_frame": chain.base_frame, "head_frame": chain.head_frame}
+    return {**frames, "joints": chain.joints, "pan": chain.pan or None, "tilt": chain.tilt or None}
 
 
 def _cameras(cameras: StereoRig) -> dict[str, Any]:
     def one(camera: Camera) -> dict[str, Any]:
-        return {
-            "frame": camera.frame_id,
-            "width": camera.width,
-            "height": camera.height,
-            "focal_px": [float(camera.K[0, 0]), float(camera.K[1, 1])],
-            "distortion": camera.distortion,
-        }
+        size = {"frame": camera.frame_id, "width": camera.width, "height": camera.height}
+        return {**size, "focal_px": camera.K.diagonal()[:2], "distortion": camera.distortion}
 
-    baseline_m = float(np.linalg.norm(cameras.T_c_r[:3, 3]))
     return {
         "left": one(cameras.left),
         "right": one(cameras.right),
-        "baseline_m": baseline_m,
+        "baseline_m": float(np.linalg.norm(cameras.T_c_r[:3, 3])),
         "rectified": cameras.rectified,
-    }
-
-
-def _motion(motion: MotionView) -> dict[str, Any]:
-    return {
-        "joints": {
-            name: {"low": span.low, "high": span.high, "unit": span.unit}
-            for name, span in motion.joints.items()
-        },
-        "wheels_deg": dict(motion.wheels_deg),
-        "driven_m": motion.driven_m,
-        "turned_deg": motion.turned_deg,
-        "rests": motion.rests,
-        "share_read": motion.share,
     }
 
 
@@ -137,13 +92,9 @@ def inspection_text(found: Inspection) -> str:
     lines += _lacks("Missing for a calibration", found.missing)
     lines += _lacks("Limits of a calibration", found.weak)
     if found.notes:
-        lines += ["", "Notes", *(line for note in found.notes for line in _wrapped(note))]
+        lines += ["", "Notes", *(line for note in found.notes for line in wrapped(note))]
     lines += ["", _conclusion(found)]
     return "\n".join(lines) + "\n"
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(visible(text), _WIDTH, initial_indent="  ", subsequent_indent="    ")
 
 
 def _file_facts(found: Inspection) -> str:
@@ -186,7 +137,7 @@ def _topics(found: Inspection) -> list[str]:
 def _roles(rig: Rig) -> Iterable[str]:
     cameras = rig.cameras
     for role, origin in rig.setting_sources.items():
-        yield from _wrapped(f"{role}: {_WHY.get(origin, origin)}")
+        yield from wrapped(f"{role}: {_WHY.get(origin, origin)}")
     for side, camera in (("left", cameras.left), ("right", cameras.right)):
         size, focal = f"{camera.width} x {camera.height}", f"focal length {camera.K[0, 0]:.1f} px"
         yield f"  {side} camera: {size}, {focal}, {camera.distortion}"
@@ -204,8 +155,8 @@ def _motion_lines(motion: MotionView) -> Iterable[str]:
         )
     if motion.rests is not None:
         yield f"  rests with images: {motion.rests}"
-    if motion.share < 1:
-        yield f"  (from {motion.share:.0%} of the recording, evenly spaced; the rest was not read)"
+    if motion.share_read < 1:
+        yield f"  (from {motion.share_read:.0%} of the recording, evenly spaced; the rest was not read)"
 
 
 def _board(board: BoardView) -> Iterable[str]:
@@ -225,11 +176,9 @@ def _board(board: BoardView) -> Iterable[str]:
 def _lacks(title: str, lacks: Iterable[Lack]) -> list[str]:
     lines = []
     for lack in lacks:
-        lines += _wrapped(lack.what)
+        lines += wrapped(lack.what)
         if lack.cure:
-            lines += textwrap.wrap(
-                visible(f"hint: {lack.cure}"), _WIDTH, initial_indent="    ", subsequent_indent="      "
-            )
+            lines += wrapped(f"hint: {lack.cure}", "    ")
     return ["", title, *lines] if lines else []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Side, Solution
+from mobilecal_cli.model import NINE, SIDES, Extraction, FloatArray, Side, Solution
 from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.budget import families
 from mobilecal_cli.report.drawn import plot
@@ -186,11 +186,10 @@ def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
 )
 def residual_histogram(_: Solution, extraction: Extraction) -> str:
     """How often the corners are off by how much from the fitted flat board, u and v of both cameras."""
-    sides: tuple[Side, Side] = ("left", "right")
     values = np.concatenate(
         [
             _board_residuals(extraction, side, i)[1].ravel()
-            for side in sides
+            for side in SIDES
             for i in range(len(extraction.observations))
         ]
     )

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import NINE, HeadChain, Setting, Side
+from mobilecal_cli.model import NINE, SIDES, HeadChain, Setting
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.case import Case
@@ -344,13 +344,12 @@ def inputs(case: Case) -> Rows:
     """Topics and board."""
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
-    sides: tuple[Side, Side] = ("left", "right")
     rows = [
-        ("images", ", ".join(sources.image[side] for side in sides)),
-        ("camera calibration", ", ".join(sources.info[side] or "not from the recording" for side in sides)),
+        ("images", ", ".join(sources.image[side] for side in SIDES)),
+        ("camera calibration", ", ".join(sources.info[side] or "not from the recording" for side in SIDES)),
         ("head joints", ", ".join((*sources.joints, *elsewhere))),
     ]
-    for side in sides:
+    for side in SIDES:
         wheel = sources.wheels[side]
         parts = [f"{wheel.topic} {wheel.joint or wheel.field or ''}"]
         if wheel.ticks_per_revolution is not None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import NEAR_LOCK_DEG
 from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
@@ -47,9 +46,9 @@ def summary_text(report: ReportData) -> str:
     if report.hold_out is not None:
         lines += ["Test on the held-out stations", evaluation_text(report.hold_out).rstrip("\n")]
     for each in report.contradictions:
-        lines += textwrap.wrap(f"Robot description: {each.text} {each.cure}", _WIDTH, subsequent_indent="  ")
+        lines += wrapped(f"{each.text} {each.cure}", "Robot description: ", "  ", _WIDTH)
     for sentence in report.outliers_text:
-        lines += textwrap.wrap(f"Outlier: {visible(sentence)}", _WIDTH, subsequent_indent="  ")
+        lines += wrapped(sentence, "Outlier: ", "  ", _WIDTH)
     return "\n".join(lines) + "\n"
 
 

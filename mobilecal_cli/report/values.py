@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
 
+import numpy as np
+
 from mobilecal_cli.model import AtWork, LogSource, NoiseLevels, Outlier, Rejection
 
 Number: TypeAlias = float | None
@@ -419,9 +421,9 @@ class ReportData:
     tables: tuple[TableData, ...]
 
 
-def json_text(value: object) -> str:
-    """A value as JSON: keys sorted, the same bytes for the same values."""
-    return json.dumps(_plain(value), indent=1, sort_keys=True, allow_nan=False) + "\n"
+def json_text(value: object, sort_keys: bool = True) -> str:
+    """A value as JSON: the same bytes for the same values."""
+    return json.dumps(_plain(value), indent=1, sort_keys=sort_keys, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
@@ -431,4 +433,6 @@ def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value.tolist()]
     return value + 0.0 if isinstance(value, float) else value  # no -0.0

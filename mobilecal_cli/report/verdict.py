@@ -19,6 +19,9 @@ from mobilecal_cli.report.values import CheckData, Level, VerdictData
 from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.use import passed
 
+#: Outcome of a check → the verdict that it alone decides.
+LEVELS: dict[Outcome, Level] = {"short": "NOT ENOUGH", "bad": "FAIL"}
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -58,11 +61,9 @@ def judge(
     found = [*all_checks(solution, extraction, use_limits(gates)), *change_checks(change)]
     metrics = figures_of(solution, extraction, trial) | {check.id: check.value for check in found}
     checks = Checks((*found, *gate_checks(gates, metrics)))
-    levels: dict[Outcome, Level] = {"short": "NOT ENOUGH", "bad": "FAIL"}
-    for check in checks:
-        if check.outcome in levels:
-            said = words(check)
-            return Verdict(levels[check.outcome], said.why, said.next_step, checks, metrics)
+    decisive = next((check for check in checks if check.outcome in LEVELS), None)
+    if decisive is not None:
+        return decided_by(decisive, checks, metrics)
     found_errors = None if solution.uncertainty is None else default_errors(solution.uncertainty.at_work)
     point_mm, distance_m = solution.point_rms_m * 1e3, board_distance_m(extraction)
     reason, next_step = passed(
@@ -72,6 +73,12 @@ def judge(
     if look:
         next_step += f" Check first: {look[0].why} {look[0].next_step}"
     return Verdict("PASS", reason, next_step, checks, metrics)
+
+
+def decided_by(check: Check, checks: Checks, metrics: Mapping[str, float | None] | None = None) -> Verdict:
+    """The verdict where one check decides."""
+    said = words(check)
+    return Verdict(LEVELS[check.outcome], said.why, said.next_step, checks, metrics or {})
 
 
 def check_data(check: Check) -> CheckData:

@@ -27,7 +27,7 @@ def test_sample_log(sample_logs, name):
     assert topics["/robot_description"].rate_hz is None
     assert found.motion is not None
     assert found.motion.rests == 12
-    assert found.motion.share == 1
+    assert found.motion.share_read == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
     assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
@@ -81,7 +81,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
 def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
     monkeypatch.setattr("mobilecal_cli.pipeline.inspecting.MOTION_BYTES", 2**20)
     found = inspecting.inspect([sample_logs / "paper_robot.mcap"])
-    assert 0 < found.motion.share < 1
+    assert 0 < found.motion.share_read < 1
     assert found.motion.rests is None
     assert "the rest was not read" in inspection_text(found)
     assert found.missing == ()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mobilecal_cli.model import NINE, Extraction, Solution
-from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, Outcome, graded
+from mobilecal_cli.report.check import LEAST_MOTION, Check, Outcome, graded
 
 # Stated square size against the stereo measurement; a difference scales all lengths.
 SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT = 1.0, 3.0
@@ -37,7 +37,7 @@ def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
     if set(fixed) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
     if set(fixed) & set(NINE[6:]):
-        turns, drives = motion["turned_deg"] >= MIN_TURNED_DEG, motion["driven_m"] >= MIN_DRIVEN_M
+        turns, drives = (motion[key] >= LEAST_MOTION[key] for key in ("turned_deg", "driven_m"))
         cures.append(
             "turn the base by 20 degrees or more between stops"
             if drives and not turns

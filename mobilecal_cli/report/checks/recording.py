@@ -6,19 +6,12 @@ import math
 from collections.abc import Iterator
 
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, Extraction, Solution
-from mobilecal_cli.report.at_work import MIN_PAN_DEG, MIN_TILT_DEG
-from mobilecal_cli.report.check import MIN_DRIVEN_M, MIN_TURNED_DEG, Check, enough, graded
+from mobilecal_cli.report.check import LEAST_MOTION, Check, enough, graded
 from mobilecal_cli.report.numbers import rejection_counts, stations_looked_at
 
 # Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
 MIN_STATIONS = 8
 REJECTED_LOOK_PERCENT = 50.0
-_MOTION = (
-    ("pan_range_deg", "degrees", MIN_PAN_DEG),
-    ("tilt_range_deg", "degrees", MIN_TILT_DEG),
-    ("turned_deg", "degrees", MIN_TURNED_DEG),
-    ("driven_m", "m", MIN_DRIVEN_M),
-)
 
 
 def mistakes(solution: Solution) -> Iterator[Check]:
@@ -44,9 +37,9 @@ def station_checks(extraction: Extraction) -> Iterator[Check]:
 
 def motion_checks(solution: Solution) -> Iterator[Check]:
     """Motion of head and base, for methods without standard deviations."""
-    for key, unit, least in _MOTION:
+    for key, least in LEAST_MOTION.items():
         if key in solution.motion:
-            value = solution.motion[key]
+            value, unit = solution.motion[key], "m" if key.endswith("_m") else "degrees"
             yield Check(f"motion.{key}", value, least, unit, enough(value, least), at_least=True)
 
 

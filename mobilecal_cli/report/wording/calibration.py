@@ -8,16 +8,10 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.parameters import std_text
 from mobilecal_cli.report.wording.contradictions import contradiction_words
-from mobilecal_cli.report.wording.use import use_words
+from mobilecal_cli.report.wording.use import MOTION, use_words
 from mobilecal_cli.report.wording.words import Words, part
 
 _SLIP = "Check for wheel slip, a moved board, and errors in the head joints or their URDF."
-_MOTION = {
-    "pan_range_deg": ("pan range of the head", "pan the head further left and right"),
-    "tilt_range_deg": ("tilt range of the head", "tilt the head further up and down"),
-    "turned_deg": ("rotation of the base", "turn the base between stops"),
-    "driven_m": ("path length of the base", "drive the base further between stops"),
-}
 _NOISE = {
     "joint": ("joint readings", "the head joints for play, and the head chain in the URDF"),
     "wheel": ("wheels", "the wheels for slip"),
@@ -65,7 +59,7 @@ def _mistake(c: Check) -> Words:
 
 
 def _motion(c: Check) -> Words:
-    name, more = _MOTION[part(c)]
+    name, more = MOTION[part(c)]
     return Words(
         name,
         f"{c.value:.1f} {c.unit}",

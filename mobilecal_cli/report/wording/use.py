@@ -9,12 +9,12 @@ from mobilecal_cli.report.parameters import std_text
 from mobilecal_cli.report.wording.budget import advice, limiting_sentence
 from mobilecal_cli.report.wording.words import Words
 
-#: Extent of the motion → what to do where it is small.
-_MORE = {
-    "pan_range_deg": "Pan the head further left and right (now {:.0f} degrees).",
-    "tilt_range_deg": "Tilt the head further up and down (now {:.0f} degrees).",
-    "turned_deg": "Turn the base between stops (now {:.0f} degrees).",
-    "driven_m": "Drive the base further between stops (now {:.1f} m).",
+#: Extent of the motion → its name, and what to do where it is small.
+MOTION = {
+    "pan_range_deg": ("pan range of the head", "pan the head further left and right"),
+    "tilt_range_deg": ("tilt range of the head", "tilt the head further up and down"),
+    "turned_deg": ("rotation of the base", "turn the base between stops"),
+    "driven_m": ("path length of the base", "drive the base further between stops"),
 }
 
 
@@ -28,7 +28,14 @@ def use_words(c: Check) -> Words:
         f"at most {limit}",
         f"The expected error (1 sigma) of the {meaning} is {value} (limit {limit}). "
         f"{limiting_sentence(shares, meaning)}",
-        " ".join((advice(shares), *(_MORE[key].format(now) for key, now in c.facts["small"]))),
+        " ".join((advice(shares), *(_more(key, now) for key, now in c.facts["small"]))),
+    )
+
+
+def _more(key: str, now: float) -> str:
+    more = MOTION[key][1]
+    return (
+        f"{more[0].upper()}{more[1:]} (now {f'{now:.1f} m' if key.endswith('_m') else f'{now:.0f} degrees'})."
     )
 
 
