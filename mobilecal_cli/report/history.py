@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from mobilecal_cli.comparison import History
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.parameters import PARAMETERS
@@ -38,7 +36,7 @@ def history_plot(labels: Sequence[str], past: History) -> str:
         axes.level(0.0, "faint thin")
         for n, (value, s) in enumerate(zip(change.tolist(), std.tolist(), strict=True), 1):
             if s > 0:
-                axes.line(np.array([[n, value - 2 * s], [n, value + 2 * s]]), "blue")
+                axes.line([(n, value - 2 * s), (n, value + 2 * s)], "blue")
             axes.dot(n, value, "blue" if s > 0 else "orange", tip=f"{n}: {value:+.3g} {unit}")
             canvas.text(axes.x(n), axes.y.start + 14, str(n), anchor="middle")
     for n, label in enumerate(shown):

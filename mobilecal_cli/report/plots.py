@@ -16,7 +16,7 @@ from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Limits, Scale
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
 _TRAIL_POINTS = 400
-_LEAST_SPAN_DEG = 20.0
+_LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 
 
 @plot(
@@ -96,7 +96,7 @@ def _rounds(solution: Solution) -> Limits:
 
 def _tolerance(axes: Axes, solution: Solution) -> None:
     at = solution.linear.rounds_to_tolerance
-    axes.line(np.array([[at, axes.y.low], [at, axes.y.high]]), "faint thin dash")
+    axes.line([(at, axes.y.low), (at, axes.y.high)], "faint thin dash")
 
 
 def _line_with_dots(axes: Axes, points: FloatArray, color: str) -> None:
@@ -137,15 +137,14 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
         tip = f"station {names[i]}"
-        axes.line(boards[k], "green", stations=[i], tip=f"board from {tip}")
+        axes.line(boards[k], "green", [i], f"board from {tip}")
         x_axis, z_axis = T_w_v[k, :2, 0], T_w_c[k, :2, 2]
         at, eye = T_w_v[k, :2, 3], T_w_c[k, :2, 3]
         axes.arrow(at, at + size * x_axis, "blue", [i], tip)
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
         axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
         if len(picked) <= _MOST_LABELS:
-            x, y = axes.at(at[None])[0]
-            canvas.label(float(x), float(y), names[i])
+            axes.named(float(at[0]), float(at[1]), names[i])
     entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
     canvas.legend(entries, 8.0, 16.0)
     return canvas.svg
@@ -178,21 +177,14 @@ def head_angles(_: Solution, extraction: Extraction) -> str:
     canvas = Canvas(HALF, 290.0, "head angles at each station")
     labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
     title = labels[1] if len(columns) == 2 else ""
-    axes = Axes.of(canvas, _at_least(pan), _at_least(other), title)
+    spans = (Limits.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
+    axes = Axes.of(canvas, next(spans), next(spans), title)
     axes.grid(labels[0])
     for i, (name, x, y) in enumerate(zip(station_names(extraction), pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
         if len(seen) <= _MOST_LABELS:
-            at = axes.at(np.array([[x, y]]))[0]
-            canvas.label(float(at[0]), float(at[1]), name)
+            axes.named(float(x), float(y), name)
     return canvas.svg
-
-
-def _at_least(values: FloatArray) -> Limits:
-    """Limits at least a span apart, so that the noise of a fixed head does not look like motion."""
-    found = Limits.of(values, margin=0.15)
-    more = max(0.0, _LEAST_SPAN_DEG - (found.high - found.low)) / 2
-    return Limits(found.low - more, found.high + more)
 
 
 def _short(name: str) -> str:
@@ -233,7 +225,5 @@ def picture_coverage(_: Solution, extraction: Extraction, side: Side) -> str:
         corners = getattr(seen[i], side)
         measured = corners.pixels[corners.seen]
         hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
-        axes.line(
-            measured[hull.ravel()], "blue thin outline", closed=True, stations=[i], tip=f"station {names[i]}"
-        )
+        axes.line(measured[hull.ravel()], "blue thin outline", [i], f"station {names[i]}", closed=True)
     return canvas.svg

@@ -12,7 +12,7 @@ from mobilecal_cli.report.budget import families
 from mobilecal_cli.report.drawn import plot
 from mobilecal_cli.report.numbers import predicted_point_rms_m, station_names
 from mobilecal_cli.report.plots import image_axes
-from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits, number
+from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits
 
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
@@ -100,25 +100,19 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     axes.grid("time since the first station [s]")
     for leg in mine:
         i, j = residuals.legs[leg].tolist()
-        ends = np.array(
-            [[(seen[k].time_ns - start) * 1e-9, residuals.leg_reprojection_px[leg]] for k in (i, j)]
-        )
-        axes.line(ends, "blue", stations=[i, j], tip=f"{names[i]}–{names[j]}: {ends[0, 1]:.2f} px")
+        px = float(residuals.leg_reprojection_px[leg])
+        ends = [((seen[k].time_ns - start) * 1e-9, px) for k in (i, j)]
+        axes.line(ends, "blue", [i, j], f"{names[i]}–{names[j]}: {px:.2f} px")
     for i, o in stations:
         tip = f"station {names[i]}: {o.reprojection_px:.2f} px"
         axes.dot((o.time_ns - start) * 1e-9, o.reprojection_px, "green", [i], tip, r=3)
     bottom, room = axes.y.low, 0.05 * (axes.y.high - axes.y.low)
     for r in rejected:
         at = (r.time_ns - start) * 1e-9
-        axes.line(np.array([[at, bottom], [at, bottom + room]]), "ink", tip=r.reason)
+        axes.line([(at, bottom), (at, bottom + room)], "ink", tip=r.reason)
     for outlier in outliers:
         at = (outlier.time_ns - start) * 1e-9
-        axes.line(
-            np.array([[at, bottom], [at, bottom + 2 * room]]),
-            "red",
-            stations=outlier.observations,
-            tip=outlier.text,
-        )
+        axes.line([(at, bottom), (at, bottom + 2 * room)], "red", outlier.observations, outlier.text)
     return canvas.svg
 
 
@@ -141,9 +135,7 @@ def station_residuals(_: Solution, extraction: Extraction) -> str:
     for i, o in enumerate(seen):
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
     axes.names(names, "")
-    size = Limits.of([*square_mm, *stated], margin=0.3)
-    room = max(0.0, _LEAST_SPAN_SHARE * square_mm[0] - (size.high - size.low)) / 2
-    size = Limits(size.low - room, size.high + room)
+    size = Limits.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)
     for value in stated:
@@ -175,7 +167,7 @@ def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
     names = station_names(extraction)
     for i, (pixels, residual) in enumerate(found):
         lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
-        axes.line(lines.reshape(-1, 2), "blue thin", stations=[i], tip=f"station {names[i]}")
+        axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {names[i]}")
     canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
     return canvas.svg
 
@@ -186,16 +178,11 @@ def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
 )
 def residual_histogram(_: Solution, extraction: Extraction) -> str:
     """How often the corners are off by how much from the fitted flat board, u and v of both cameras."""
-    values = np.concatenate(
-        [
-            _board_residuals(extraction, side, i)[1].ravel()
-            for side in SIDES
-            for i in range(len(extraction.observations))
-        ]
-    )
+    stations = range(len(extraction.observations))
+    values = np.concatenate([_board_residuals(extraction, side, i)[1] for side in SIDES for i in stations])
     most = float(np.percentile(np.abs(values), 99.5)) or 1.0
     counts, edges = np.histogram(values, bins=41, range=(-most, most))
-    share = 100 * counts / len(values)
+    share = 100 * counts / values.size
     canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
     axes = Axes.of(
         canvas, Limits(-most, most), Limits.of(share, zero=True), "corner residuals, share of all [%]"
@@ -237,10 +224,9 @@ def correlation_matrix(solution: Solution, _: Extraction) -> str:
         canvas.text(x, y, name, anchor="end", turn=-30)
     for (i, j), value in np.ndenumerate(correlation):
         if np.isfinite(value):
-            x, y = left + j * wide, top + i * high
-            at = f'x="{number(x)}" y="{number(y)}" width="{wide - 1:g}" height="{high - 1:g}"'
-            shade = f'fill-opacity="{min(1.0, abs(value)) * 0.6:.2f}"'
-            canvas.shape("rect", f"fill {'blue' if value > 0 else 'orange'}", f"{at} {shade}")
+            x, y, kind = left + j * wide, top + i * high, f"fill {'blue' if value > 0 else 'orange'}"
+            shade = 0.6 * min(1.0, abs(value))
+            canvas.shape("rect", kind, x=x, y=y, width=wide - 1, height=high - 1, fill_opacity=shade)
             canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
     return canvas.svg
 
@@ -271,9 +257,8 @@ def error_budget(solution: Solution, _: Extraction) -> str:
             width = wide * float(shares[k, column])
             if width <= 0:
                 continue
-            at = f'x="{number(x)}" y="{number(y)}" width="{number(width)}" height="18"'
-            share = f"{100 * shares[k, column]:.0f} %"
-            canvas.shape("rect", f"fill {_FAMILY_CLASSES[names[k]]}", at, tip=f"{label}: {names[k]} {share}")
+            share, kind = f"{100 * shares[k, column]:.0f} %", f"fill {_FAMILY_CLASSES[names[k]]}"
+            canvas.shape("rect", kind, (), f"{label}: {names[k]} {share}", x=x, y=y, width=width, height=18)
             if shares[k, column] > _LABELED_SHARE:
                 canvas.text(x + width / 2, y + 13, share, anchor="middle")
             x += width

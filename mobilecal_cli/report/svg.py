@@ -100,12 +100,17 @@ class Limits:
     log: bool = False
 
     @classmethod
-    def of(cls, values: Iterable[float], zero: bool = False, margin: float = 0.06) -> Limits:
-        """Limits around finite values, from zero on request."""
+    def of(
+        cls, values: Iterable[float], zero: bool = False, margin: float = 0.06, least: float = 0.0
+    ) -> Limits:
+        """Limits around finite values, from zero on request, and at least a span apart."""
         finite = [float(v) for v in values if math.isfinite(v)] or [0.0, 1.0]
         low, high = min(finite), max(finite)
+        if zero:
+            return cls(0.0, (high or 1.0) * (1 + margin))
         room = margin * (high - low) or max(abs(high), 1.0) * 0.1
-        return cls(0.0 if zero else low - room, (high or 1.0) * (1 + margin) if zero else high + room)
+        room += max(0.0, least - (high - low + 2 * room)) / 2
+        return cls(low - room, high + room)
 
 
 @dataclass(slots=True)
@@ -150,14 +155,25 @@ class Canvas:
                 return
 
     def shape(
-        self, tag: str, kind: str, attributes: str, stations: Sequence[int] = (), tip: str = ""
+        self, tag: str, kind: str, stations: Sequence[int] = (), tip: str = "", **attributes: float | str
     ) -> None:
-        """An element with a class, the stations it belongs to, and a tooltip."""
+        """An element with a class, the stations it belongs to, a tooltip, and attributes ("_" for "-")."""
+        shown = " ".join(
+            f'{name.replace("_", "-")}="{value if isinstance(value, str) else number(value)}"'
+            for name, value in attributes.items()
+        )
         linked = f' data-s="{" ".join(map(str, stations))}"' if len(stations) else ""
         inside = f"<title>{escape(visible(tip))}</title>" if tip else ""
-        self.parts.append(f'<{tag} class="{kind}" {attributes}{linked}>{inside}</{tag}>')
+        self.parts.append(f'<{tag} class="{kind}" {shown}{linked}>{inside}</{tag}>')
 
-    def path(self, points: FloatArray, kind: str, closed: bool = False, **more: object) -> None:
+    def path(
+        self,
+        points: FloatArray,
+        kind: str,
+        closed: bool = False,
+        stations: Sequence[int] = (),
+        tip: str = "",
+    ) -> None:
         """A line through points, (n, 2); gaps where they are not finite."""
         steps, up = [], True
         for x, y in points.tolist():
@@ -166,7 +182,7 @@ class Canvas:
                 continue
             steps.append(f"{'M' if up else 'L'}{number(x)} {number(y)}")
             up = False
-        self.shape("path", kind, f'd="{"".join(steps)}{"Z" if closed else ""}"', **more)  # type: ignore[arg-type]
+        self.shape("path", kind, stations, tip, d=f"{''.join(steps)}{'Z' if closed else ''}")
 
     def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> float:
         """Samples with labels in a row that wraps at the right edge: (class of the sample, label).
@@ -180,7 +196,7 @@ class Canvas:
             if at + wide > self.width and at > x:
                 at, y = x, y + 16
             if "fill" in kind:
-                self.shape("rect", kind, f'x="{number(at)}" y="{number(y - 9)}" width="11" height="11"')
+                self.shape("rect", kind, x=at, y=y - 9, width=11, height=11)
             else:
                 self.path(np.array([[at, y - 4], [at + 13, y - 4]]), kind)
             self.text(at + 17, y, label)
@@ -268,8 +284,7 @@ class Axes:
         self.canvas.text((self.x.start + self.x.end) / 2, self.y.start + 31, x_label, anchor="middle")
 
     def _line(self, x1: float, y1: float, x2: float, y2: float, kind: str) -> None:
-        ends = zip(("x1", "y1", "x2", "y2"), (x1, y1, x2, y2), strict=True)
-        self.canvas.shape("line", kind, " ".join(f'{name}="{number(v)}"' for name, v in ends))
+        self.canvas.shape("line", kind, x1=x1, y1=y1, x2=x2, y2=y2)
 
     def at(self, points: FloatArray) -> FloatArray:
         """Coordinates of points, (n, 2), on the canvas."""
@@ -279,9 +294,20 @@ class Axes:
         ]
         return np.array(found).reshape(-1, 2)
 
-    def line(self, points: FloatArray, kind: str, **more: object) -> None:
+    def line(
+        self,
+        points: Sequence[Sequence[float]] | FloatArray,
+        kind: str,
+        stations: Sequence[int] = (),
+        tip: str = "",
+        closed: bool = False,
+    ) -> None:
         """A line through points, (n, 2), in the units of the axes."""
-        self.canvas.path(self.at(points), f"line {kind}", **more)  # type: ignore[arg-type]
+        self.canvas.path(self.at(np.asarray(points)), f"line {kind}", closed, stations, tip)
+
+    def named(self, x: float, y: float, name: str) -> None:
+        """The name of a dot beside it, see `Canvas.label`."""
+        self.canvas.label(self.x(x), self.y(y), name)
 
     def level(self, value: float, kind: str) -> None:
         """A horizontal line."""
@@ -291,18 +317,13 @@ class Axes:
         self, x: float, y: float, kind: str, stations: Sequence[int] = (), tip: str = "", r: float = 3.5
     ) -> None:
         """A dot."""
-        at = f'cx="{number(self.x(x))}" cy="{number(self.y(y))}" r="{number(r)}"'
-        self.canvas.shape("circle", f"fill {kind}", at, stations, tip)
+        self.canvas.shape("circle", f"fill {kind}", stations, tip, cx=self.x(x), cy=self.y(y), r=r)
 
     def bar(self, x: float, value: float, kind: str, stations: Sequence[int], tip: str) -> None:
         """A bar from the axis to a value."""
-        wide = 0.76 * abs(self.x(1) - self.x(0))
-        top = self.y(value)
-        at = (self.x(x) - wide / 2, top, wide, max(self.y.start - top, 0.0))
-        box = zip(("x", "y", "width", "height"), at, strict=True)
-        self.canvas.shape(
-            "rect", f"fill {kind}", " ".join(f'{n}="{number(v)}"' for n, v in box), stations, tip
-        )
+        wide, top = 0.76 * abs(self.x(1) - self.x(0)), self.y(value)
+        left, high = self.x(x) - wide / 2, max(self.y.start - top, 0.0)
+        self.canvas.shape("rect", f"fill {kind}", stations, tip, x=left, y=top, width=wide, height=high)
 
     def arrow(
         self, start: FloatArray, end: FloatArray, kind: str, stations: Sequence[int] = (), tip: str = ""
@@ -315,12 +336,8 @@ class Axes:
             return
         u = along / length * min(6.0, 0.5 * length)
         side = np.array([-u[1], u[0]]) * 0.5
-        self.canvas.path(
-            np.array([a, b, [math.nan] * 2, b - u + side, b, b - u - side]),
-            f"line {kind}",
-            stations=stations,
-            tip=tip,
-        )
+        points = np.array([a, b, [math.nan] * 2, b - u + side, b, b - u - side])
+        self.canvas.path(points, f"line {kind}", stations=stations, tip=tip)
 
 
 def standalone(element: str) -> str:
