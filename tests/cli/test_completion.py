@@ -14,12 +14,14 @@ import pytest
 CASES = {
     "mobilecal che": {"check"},
     "mobilecal calibrate a.mcap --gate std.wheels.s": {"std.wheels.separation_m="},
+    "mobilecal calibrate a.mcap --set noise.p": {"noise.pixel_px="},
     "mobilecal evaluate a.mcap --gate drift_mm": {"drift_mm_per_m="},
     "mobilecal evaluate a.mcap --gate std.wheels": set(),
-    "mobilecal calibrate a.mcap --set noise.p": {"noise.pixel_px="},
     "mobilecal check a.yaml a.mcap --set priors.focal": {"priors.focal_length="},
     "mobilecal inspect a.mcap --set wheels.left.si": {"wheels.left.sign="},
 }
+#: A command, a gate and a setting: the names themselves do not depend on the shell.
+EACH = {line: CASES[line] for line in list(CASES)[:3]}
 
 
 def script(shell):
@@ -53,7 +55,7 @@ def test_bash(tmp_path):
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
 def test_fish(tmp_path):
     (tmp_path / "completion.fish").write_text(script("fish"), encoding="utf-8")
-    asked = "; echo ==; ".join(f"complete -C '{line}'" for line in CASES)
+    asked = "; echo ==; ".join(f"complete -C '{line}'" for line in EACH)
     done = subprocess.run(
         ["fish", "-c", f"source {tmp_path / 'completion.fish'}; {asked}"],
         capture_output=True,
@@ -61,14 +63,14 @@ def test_fish(tmp_path):
         env=environment(HOME=str(tmp_path)),
     )
     answers = [{row.split("\t")[0] for row in part.splitlines() if row} for part in done.stdout.split("==\n")]
-    assert answers == list(CASES.values()), done.stderr
+    assert answers == list(EACH.values()), done.stderr
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
 def test_zsh(tmp_path):
     """The candidates that the completion function hands to zsh."""
     (tmp_path / "completion.zsh").write_text(script("zsh"), encoding="utf-8")
-    lines = [f"words=({line}); CURRENT={len(line.split())}; _mobilecal_completion; echo ::" for line in CASES]
+    lines = [f"words=({line}); CURRENT={len(line.split())}; _mobilecal_completion; echo ::" for line in EACH]
     code = (
         "compdef() { }; _files() { }; _arguments() { print -r -- $1 }\n"
         f"source {tmp_path / 'completion.zsh'}\n" + "\n".join(lines)
@@ -77,4 +79,4 @@ def test_zsh(tmp_path):
     answers = done.stdout.split("::\n")[:-1]
     # Names are quoted; so are descriptions, after a colon.
     found = [set(re.findall(r'(?<!:)"([^"]+)"', answer)) for answer in answers]
-    assert found == list(CASES.values()), done.stderr
+    assert found == list(EACH.values()), done.stderr

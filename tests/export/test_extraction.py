@@ -167,7 +167,7 @@ def assert_same(a, b, where="extraction"):
         assert repr(a) == repr(b), where  # repr tells -0.0 from 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(extractions)
 def test_every_field_comes_back(extraction):
     data = extraction_to_npz(extraction)

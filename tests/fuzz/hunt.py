@@ -107,7 +107,10 @@ def _work(
 def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
     """Try so many cases."""
     workers = workers or os.cpu_count() or 1
-    context = mp.get_context("spawn")
+    context = mp.get_context(
+        "forkserver"
+    )  # a process that dies is replaced by a fork of one that has all modules
+    context.set_forkserver_preload(["tests.fuzz.hunt"])
     reports = context.SimpleQueue()  # what a process put is there, even if it dies next
     haul, last = Haul(), first + count
     with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:

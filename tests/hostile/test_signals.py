@@ -169,7 +169,7 @@ def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_p
 
 
 def test_what_a_killed_run_left_is_removed_by_the_next(sample_logs, tmp_path):
-    command = ["simulate", "log.mcap", "--stations", 6]
+    command = ["simulate", "log.mcap", "--stations", 2]
     process = started(command, tmp_path)
     while not list(tmp_path.glob(".log.mcap.*.partial/*")) and process.poll() is None:
         time.sleep(0.05)

@@ -74,6 +74,14 @@ def same(a, b) -> bool:
     )
 
 
+@pytest.fixture(scope="module")
+def alone(log):
+    """What one process sees in a log that is split into several segments."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(detecting, "SEGMENT_PAIRS", 12)
+        return everything(log, 1)
+
+
 @pytest.fixture(params=[True, False], ids=["called early", "called when needed"])
 def segmented(request, monkeypatch) -> None:
     """A short log is split into several segments; the workers start before or after the planning."""
@@ -82,8 +90,8 @@ def segmented(request, monkeypatch) -> None:
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
-def test_processes_see_what_one_sees(log, segmented):
-    alone, shown = everything(log, 1)
+def test_processes_see_what_one_sees(log, alone, segmented):
+    alone, shown = alone
     assert len(alone.observations) > 40
     assert not any(o.at_rest for o in alone.observations)
     assert alone.counts["pictures"] == 2 * alone.counts["stations"]
@@ -102,14 +110,12 @@ def test_the_threads_of_the_caller_are_left_as_they_are(log):
         cv2.setNumThreads(before)
 
 
-def test_where_processes_cannot_be_started_this_one_looks(log, segmented, monkeypatch):
-    alone, _ = everything(log, 1)
-
+def test_where_processes_cannot_be_started_this_one_looks(log, alone, segmented, monkeypatch):
     def refused(*_args, **_kwargs):
         raise OSError("no processes here")
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", refused)
-    assert same(alone, everything(log, 2)[0])
+    assert same(alone[0], everything(log, 2)[0])
 
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):

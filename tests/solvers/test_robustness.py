@@ -26,7 +26,9 @@ from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=[pytest.mark.long] * (seed > 2)) for seed in range(8)]
+)
 def test_large_turns_with_bad_stations(seed):
     """Headings after an excluded leg are compared modulo a full turn."""
     route = plan_route(ROBOT, "large_turns", seed=seed)

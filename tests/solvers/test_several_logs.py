@@ -123,7 +123,16 @@ def apart():
     return extraction, solve(extraction)
 
 
-@pytest.mark.parametrize("off_m", [0.0, -0.001, 0.004])
+def test_recordings_that_differ_are_as_uncertain_as_they_differ(apart):
+    """Half of their difference is 2 mm; Student's t with one degree of freedom makes it 7 times as wide."""
+    _, found = apart
+    assert found.between.between_std[RADIUS] == pytest.approx(0.004 / np.sqrt(2), rel=0.4)
+    assert 0.01 < found.uncertainty.std[RADIUS] < 0.02
+    mean_m = ROBOT.wheels.radius_right_m + 0.002
+    assert found.parameters.wheels.radius_right_m == pytest.approx(mean_m, abs=0.001)
+
+
+@pytest.mark.parametrize("off_m", [-0.001, 0.004])
 def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
     """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
     extraction, free = apart
