@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -181,6 +182,7 @@ def _nominal_head_eye(T_h_c: FloatArray) -> FloatArray:
     return result
 
 
+@cache
 def paper_robot() -> SimulatedRobot:
     """Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head."""
     T_h_c = _head_eye((-164.22, 89.38, -166.40), (13.60, -64.34, -70.77))
@@ -210,6 +212,7 @@ def paper_robot() -> SimulatedRobot:
     )
 
 
+@cache
 def tick_robot() -> SimulatedRobot:
     """Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution."""
     # Camera axes (right, down, forward) in a head frame (x forward, y left, z up), mounted with a small

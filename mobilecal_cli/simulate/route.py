@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -298,6 +299,7 @@ def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator
     )
 
 
+@lru_cache(maxsize=64)
 def plan_route(
     robot: SimulatedRobot,
     motion: Motion = "standard",
