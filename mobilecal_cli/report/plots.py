@@ -128,8 +128,8 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
     axes = Axes.equal(canvas, Limits.of(everything[:, 0]), Limits.of(everything[:, 1]), "y [m]", top=18.0)
     axes.grid("x at the first station [m]")
-    entries = [("line faint", "path of the base")]
-    axes.line(path, "faint")
+    entries = [("line soft", "path of the base")]
+    axes.line(path, "soft")
     nominal = extraction.rig.nominal.wheels
     if nominal is not None:
         axes.line(trail(extraction.wheels[log], times, nominal), "red thin dots")
@@ -143,8 +143,8 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         axes.arrow(at, at + size * x_axis, "blue", [i], tip)
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
         axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
-        if len(picked) <= _MOST_LABELS:
-            axes.named(float(at[0]), float(at[1]), names[i])
+    if len(picked) <= _MOST_LABELS:
+        axes.named(T_w_v[:, :2, 3], [names[i] for i in picked])
     entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
     canvas.legend(entries, 8.0, 16.0)
     return canvas.svg
@@ -180,10 +180,11 @@ def head_angles(_: Solution, extraction: Extraction) -> str:
     spans = (Limits.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
     axes = Axes.of(canvas, next(spans), next(spans), title)
     axes.grid(labels[0])
-    for i, (name, x, y) in enumerate(zip(station_names(extraction), pan, other, strict=True)):
+    names = station_names(extraction)
+    for i, (name, x, y) in enumerate(zip(names, pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
-        if len(seen) <= _MOST_LABELS:
-            axes.named(float(x), float(y), name)
+    if len(seen) <= _MOST_LABELS:
+        axes.named(np.column_stack([pan, other]), names)
     return canvas.svg
 
 

@@ -24,7 +24,7 @@ STYLE = """
 svg.plot text { fill: var(--ink); font: 12px system-ui, sans-serif; } svg.plot .small { font-size: 11px; }
 svg.plot .title { font-weight: 600; } svg.plot .grid { stroke: var(--line); } svg.plot .axis { stroke: var(--faint); }
 .blue { --c: var(--blue); } .orange { --c: var(--orange); } .green { --c: var(--green); } .red { --c: var(--red); }
-.ink { --c: var(--ink); } .faint { --c: var(--faint); }
+.ink { --c: var(--ink); } .soft { --c: var(--soft); } .faint { --c: var(--faint); }
 svg.plot .fill { fill: var(--c); } svg.plot .line { fill: none; stroke: var(--c); stroke-width: 1.7; }
 svg.plot .thin { stroke-width: 1; } svg.plot .dash { stroke-dasharray: 5 4; } svg.plot .dots { stroke-dasharray: 1 4; }
 svg.plot .dark { fill-opacity: .75; } svg.plot .half { fill-opacity: .55; } svg.plot .light { fill-opacity: .35; }
@@ -121,14 +121,12 @@ class Canvas:
         width, height: of its coordinates.
         title: for screen readers.
         parts: its content.
-        taken: boxes (left, top, right, bottom) of the labels beside marks.
     """
 
     width: float
     height: float
     title: str
     parts: list[str] = field(default_factory=list)
-    taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def text(
         self, x: float, y: float, text: str, kind: str = "small", anchor: str = "start", turn: float = 0
@@ -140,19 +138,23 @@ class Canvas:
             f"{escape(visible(text))}</text>"
         )
 
-    def label(self, x: float, y: float, text: str) -> None:
-        """A small label beside a mark, on the first side where it covers no other; none if it covers one on each."""
-        wide = _CHARACTER * len(visible(text))
-        sides = ((0.0, 16.0, "middle"), (0.0, -7.0, "middle"), (7.0, 4.0, "start"), (-7.0, 4.0, "end"))
-        for dx, dy, anchor in sides:
-            left = x + dx - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
-            box = (left, y + dy - 10, left + wide, y + dy + 2)
-            if not any(
-                box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in self.taken
-            ):
-                self.taken.append(box)
-                self.text(x + dx, y + dy, text, anchor=anchor)
-                return
+    def labels(self, points: FloatArray, names: Sequence[str]) -> None:
+        """Small labels beside dots at points, (n, 2): each on the first side where it covers no dot and no label.
+
+        Where each side is covered, it has none.
+        """
+        taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in points.tolist()]
+        for (x, y), name in zip(points.tolist(), names, strict=True):
+            wide = _CHARACTER * len(visible(name))
+            for dx, dy, anchor in ((0, 16, "middle"), (0, -7, "middle"), (7, 4, "start"), (-7, 4, "end")):
+                left = x + dx - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
+                box = (left, y + dy - 10, left + wide, y + dy + 2)
+                if not any(
+                    box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken
+                ):
+                    taken.append(box)
+                    self.text(x + dx, y + dy, name, anchor=anchor)
+                    break
 
     def shape(
         self, tag: str, kind: str, stations: Sequence[int] = (), tip: str = "", **attributes: float | str
@@ -305,9 +307,9 @@ class Axes:
         """A line through points, (n, 2), in the units of the axes."""
         self.canvas.path(self.at(np.asarray(points)), f"line {kind}", closed, stations, tip)
 
-    def named(self, x: float, y: float, name: str) -> None:
-        """The name of a dot beside it, see `Canvas.label`."""
-        self.canvas.label(self.x(x), self.y(y), name)
+    def named(self, points: FloatArray, names: Sequence[str]) -> None:
+        """Names beside dots at points, (n, 2), in the units of the axes; see `Canvas.labels`."""
+        self.canvas.labels(self.at(points), names)
 
     def level(self, value: float, kind: str) -> None:
         """A horizontal line."""

@@ -39,7 +39,7 @@
       `leg ${name(leg.from_observation)}–${name(leg.to_observation)}: ${leg.point_rms_mm.toFixed(1)} mm, ` +
       `${leg.reprojection_px.toFixed(2)} px`);
     return `Station ${name(k)}: base at x ${s.base_x_m.toFixed(2)} m, y ${s.base_y_m.toFixed(2)} m, heading ` +
-      `${s.base_heading_deg.toFixed(0)}°; ${joints}; board at ${s.board_distance_m.toFixed(2)} m, stereo residual ` +
+      `${s.base_heading_deg.toFixed(0)}°; joints (rad or m): ${joints}; board at ${s.board_distance_m.toFixed(2)} m, stereo residual ` +
       `${s.stereo_reprojection_px.toPrecision(2)} px. ${own.join("; ")}`;
   }
   const step = (by) => pick(picked < 0 ? (by > 0 ? 0 : stations.length - 1) : (picked + by + stations.length) % stations.length);
@@ -102,6 +102,7 @@
     for (let y = grid[2]; y <= grid[3]; y += every) line([[grid[0], y, 0], [grid[1], y, 0]], "line");
     line(path, "soft", 1.5);
     ends = [];
+    const names = [];
     own.forEach((station, n) => {
       const k = stations.indexOf(station), on = k === picked, faded = picked >= 0 && !on;
       context.globalAlpha = faded ? 0.3 : 1;
@@ -115,11 +116,24 @@
       if (on) boards[n].forEach((p, i) => line([usual[i], usual[i].map((v, a) => v + 10 * (p[a] - v))], "red", 2));
       context.globalAlpha = 1;
       ends.push([k, project(base([0, 0, 0]))], [k, project(eye([0, 0, 0]))]);
-      const [x, y] = project(base([0, 0, 0]));
-      context.fillStyle = color("ink");
-      context.font = `${on ? "600 14px" : "12px"} system-ui, sans-serif`;
-      if (on || own.length <= 40) context.fillText(name(k), x + 6, y + 14);
+      if (on || own.length <= 40) names[on ? "unshift" : "push"]([name(k), on, ...project(base([0, 0, 0]))]);
     });
+    // Names over the lines; the picked one first, and none over another.
+    const taken = [];
+    context.lineWidth = 3;
+    context.lineJoin = "round";
+    context.strokeStyle = color("card");
+    context.fillStyle = color("ink");
+    for (const [text, on, x, y] of names) {
+      context.font = `${on ? "600 14px" : "12px"} system-ui, sans-serif`;
+      const span = context.measureText(text).width;
+      const free = [[6, 14], [6, -5], [-6 - span, 14], [-6 - span, -5]].map(([dx, dy]) => [x + dx, y + dy]).find(([left, bottom]) =>
+        taken.every(([l, b, w]) => left > l + w || l > left + span || Math.abs(bottom - b) > 12));
+      if (!free) continue;
+      taken.push([...free, span]);
+      context.strokeText(text, ...free);
+      context.fillText(text, ...free);
+    }
   }
   let from = null, moved = false;
   view.addEventListener("pointerdown", (event) => {
