@@ -6,12 +6,12 @@ import shutil
 import sqlite3
 import struct
 from array import array
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -31,10 +31,20 @@ MAGIC = b"SQLite format 3\x00"
 _HEADER = struct.Struct(">16xH6xII60xI")
 #: Consecutive damaged or missing rows after which the search ends.
 MOST_FAILURES = 10_000
-#: Log time and row number: the position of a row in either order.
-_Key = tuple[int, int]
+#: Rows per query; older versions of SQLite accept 999 values at most.
+_BATCH = 500
+_SELECT = "SELECT id, topic_id, timestamp, {} FROM messages"
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
+
+
+class _Log(NamedTuple):
+    """(n,) row numbers, topic ids, log times and bytes of all messages, in the order of the table."""
+
+    row: IntArray
+    channel: IntArray
+    log_ns: IntArray
+    size: IntArray
 
 
 class SqliteStorage(Storage):
@@ -49,23 +59,21 @@ class SqliteStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._copies = ExitStack()
-        self._connection: sqlite3.Connection | None = None
-        #: Topic id → bytes of its messages, stored.
-        self._bytes: dict[int, int] = {}
-        #: Row, topic id and log time of each message, in the order of the table; None if it is damaged.
-        self._log: tuple[IntArray, IntArray, IntArray] | None = None
+        #: None if the table is damaged.
+        self._log: _Log | None = None
         #: First row after each step of the recorder's clock, and the size of the step.
         self._steps: list[tuple[int, int]] = []
         try:
             self._connection = self._connect(path)
+            self._copies.callback(self._connection.close)
             # Otherwise SQLite refuses a file that is shorter than its header states.
             self._connection.execute("PRAGMA writable_schema=ON")
-            self._read_topics(self._connection)
+            self._read_topics()
             self._check_size()
         except BaseException:
             self.close()
             raise
-        self._scan(self._connection)
+        self._scan()
 
     def _connect(self, path: Path) -> sqlite3.Connection:
         log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
@@ -95,12 +103,12 @@ class SqliteStorage(Storage):
 
     def close(self) -> None:
         """Close the file."""
-        if self._connection is not None:
-            self._connection.close()
         self._copies.close()
 
-    def _read_topics(self, connection: sqlite3.Connection) -> None:
-        tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type='table'")}
+    def _read_topics(self) -> None:
+        tables = {
+            row[0] for row in self._connection.execute("SELECT name FROM sqlite_master WHERE type='table'")
+        }
         if not {"topics", "messages"} <= tables:
             raise RecordingError(
                 f"{self.path}: an SQLite database, but not a rosbag2 recording (no tables topics and messages)",
@@ -109,7 +117,7 @@ class SqliteStorage(Storage):
         definitions: dict[str, tuple[str, str]] = {}
         if "message_definitions" in tables:
             try:
-                rows = connection.execute(
+                rows = self._connection.execute(
                     "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
                 )
                 definitions = {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
@@ -117,7 +125,7 @@ class SqliteStorage(Storage):
                 self.note(
                     f"the message definitions cannot be read ({error}); the common definitions are used"
                 )
-        for number, topic, name, encoding in connection.execute(
+        for number, topic, name, encoding in self._connection.execute(
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         ):
             if not isinstance(number, int):  # SQLite stores values of any type
@@ -133,15 +141,13 @@ class SqliteStorage(Storage):
                 _FORMATS.get(language, ""),
             )
 
-    def _scan(self, connection: sqlite3.Connection) -> None:
+    def _scan(self) -> None:
         """Message counts, sizes and log times; unknown if the table is damaged."""
         columns = [array("q") for _ in range(4)]
         counts: Counter[int] = Counter()
         try:
             # SQLite reads only the length of large messages.
-            for row in connection.execute(
-                "SELECT id, topic_id, timestamp, LENGTH(data) FROM messages ORDER BY id"
-            ):
+            for row in self._connection.execute(f"{_SELECT.format('LENGTH(data)')} ORDER BY id"):
                 _, topic, time_ns, _ = row
                 if not isinstance(topic, int):  # SQLite stores values of any type
                     continue
@@ -151,44 +157,31 @@ class SqliteStorage(Storage):
                         column.append(value or 0)
         except (sqlite3.Error, OverflowError):
             return  # noted when the messages are read
-        rows, topics, log_ns, sizes = (np.array(column, dtype=np.int64) for column in columns)
-        for number in np.unique(topics).tolist():
-            self._bytes[number] = int(sizes[topics == number].sum())
+        log = _Log(*(np.array(column, dtype=np.int64) for column in columns))
         self.counts = dict(counts)
-        steps = steps_back(topics, log_ns) if goes_back(topics, log_ns) else []
+        steps = steps_back(log.channel, log.log_ns) if goes_back(log.channel, log.log_ns) else []
         for first, size_ns in steps:
-            log_ns[first:] += size_ns
-            self._steps.append((int(rows[first]), size_ns))
+            log.log_ns[first:] += size_ns
+            self._steps.append((int(log.row[first]), size_ns))
         self.note_steps([size_ns for _, size_ns in steps])
-        self._log = rows, topics, log_ns
-        if len(log_ns):
-            self.start_ns, self.end_ns = int(log_ns.min()), int(log_ns.max())
-
-    def _shift_ns(self, row: int) -> int:
-        """What the log time of a row is later than stored, because the recorder's clock stepped back."""
-        return sum(size_ns for first, size_ns in self._steps if first <= row)
+        if len(log.row):
+            self.start_ns, self.end_ns = int(log.log_ns.min()), int(log.log_ns.max())
+        self._log = log
 
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
-        """Messages of the topics in order of log time, as far as the table can be read.
+        """Messages of the topics in order of log time, or as written if the table is damaged.
 
         Rows of other topics are not read, so a limit in bytes does not apply.
         """
-        connection, wanted = self._connection, self._wanted(topics)
-        if connection is None or not wanted:
-            return
         seen: Counter[int] = Counter()
-        last: _Key | None = None
-        try:
-            for row, number, time_ns, payload in self._rows(connection, "data", wanted, extent):
-                if isinstance(time_ns, int):  # a damaged row may contain anything
-                    last = (time_ns, row)
-                    seen[number] += 1
-                    yield self.channels[number], time_ns + self._shift_ns(row), self._payload(number, payload)
-        except sqlite3.Error:
-            for row, number, time_ns, payload in _row_by_row(connection, self._order, last):
-                if number in wanted:
-                    seen[number] += 1
-                    yield self.channels[number], time_ns + self._shift_ns(row), self._payload(number, payload)
+        damaged = self._log is None
+        wanted = self._wanted(topics)
+        for row in self._rows(self._batches(wanted, extent)):
+            damaged = damaged or row is None
+            if row is not None and row[1] in wanted and isinstance(row[2], int):
+                seen[row[1]] += 1
+                yield self._message(*row)
+        if damaged:
             self.note(
                 f"the message table is damaged; {sum(seen.values())} messages of the topics in use could be read"
             )
@@ -197,103 +190,82 @@ class SqliteStorage(Storage):
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         """Number of bytes that `raw` reads: the messages, or the whole file if the table is damaged."""
-        wanted = self._wanted(topics)
-        if self._connection is None or not wanted:
-            return 0
         if self._log is None:
             return self.path.stat().st_size
-        if extent.at_ns is None:
-            return sum(self._bytes.get(number, 0) for number in wanted)
-        return sum(size or 0 for *_, size in self._rows(self._connection, "LENGTH(data)", wanted, extent))
+        return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """First message of each topic at or after each time."""
-        if self._connection is None or self._log is None:
+        if self._log is None:
             return
-        rows, channel, log_ns = self._log
-        own = [np.flatnonzero(channel == number) for number in self._wanted(topics)]
+        own = [self._places(self._log, self._wanted([topic]), EVERYTHING) for topic in topics]
         for time_ns in times_ns:
             for places in own:
-                later = places[log_ns[places] >= time_ns]
-                if not len(later):
-                    continue
-                first = later[np.argmin(log_ns[later])]
-                with suppress(sqlite3.Error):  # a damaged page
-                    (payload,) = self._connection.execute(
-                        "SELECT data FROM messages WHERE id = ?", (int(rows[first]),)
-                    ).fetchone()
-                    number = int(channel[first])
-                    yield self.channels[number], int(log_ns[first]), self._payload(number, payload)
+                first = int(np.searchsorted(self._log.log_ns[places], time_ns))
+                batch = self._log.row[places[first : first + 1]].tolist()
+                yield from (self._message(*row) for row in self._rows([batch] if batch else []) if row)
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order; empty if the table is damaged."""
         if self._log is None:
             return {}
-        _, channel, log_ns = self._log
-        return {number: log_ns[channel == number] for number in self._bytes}
+        return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
+
+    def _message(self, row: int, number: int, time_ns: int, payload: object) -> RawMessage:
+        channel, data = (
+            self.channels[number],
+            payload if isinstance(payload, bytes) else str(payload).encode(),
+        )
+        if channel.encoding == "cdr":
+            with suppress(Exception):  # a damaged frame; the message is reported as undecodable on use
+                data = bytes(message_payload(data))
+        return channel, time_ns + sum(size_ns for first, size_ns in self._steps if first <= row), data
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]
 
-    def _payload(self, number: int, payload: object) -> bytes:
-        data = payload if isinstance(payload, bytes) else str(payload).encode()
-        if self.channels[number].encoding != "cdr":
-            return data
-        try:
-            return bytes(message_payload(data))
-        except Exception:  # a damaged frame; the message is reported as undecodable on use
-            return data
+    def _places(self, log: _Log, wanted: list[int], extent: Extent) -> IntArray:
+        """Places in the log of the messages that are read, in order of time."""
+        own = np.isin(log.channel, wanted)
+        if extent.at_ns is not None:
+            own &= np.isin(log.log_ns, extent.at_ns)
+        places = np.flatnonzero(own)
+        return np.asarray(places[np.argsort(log.log_ns[places], kind="stable")])
 
-    @cached_property
-    def _order(self) -> str:
-        """Order of rows: by time if an intact index gives it without sorting in memory, otherwise as written."""
-        if self._connection is None or self.counts is None or self._steps:
-            return "id"
-        for _, name, *_ in self._connection.execute("PRAGMA index_list(messages)").fetchall():
-            columns = [row[2] for row in self._connection.execute(f'PRAGMA index_info("{name}")')]
-            if columns[:1] == ["timestamp"]:
-                return "timestamp, id"
-        return "id"
-
-    def _rows(
-        self, connection: sqlite3.Connection, what: str, wanted: Sequence[int], extent: Extent
-    ) -> Iterator[tuple[Any, ...]]:
-        """Row number, topic, time and another column of the rows of some topics, in order."""
-        select = f"SELECT id, topic_id, timestamp, {what} FROM messages WHERE"
-        if extent.at_ns is None or self._log is None:
-            places = ",".join("?" * len(wanted))
-            yield from connection.execute(f"{select} topic_id IN ({places}) ORDER BY {self._order}", wanted)
+    def _batches(self, wanted: list[int], extent: Extent) -> Iterator[list[int]]:
+        """Increasing row numbers in the order of reading; all that the table may have if it is damaged."""
+        if self._log is None:
+            try:
+                (end,) = self._connection.execute("SELECT MAX(id) FROM messages").fetchone()
+            except sqlite3.Error:
+                end = 2**62
+            every = range(1, (end or 0) + 1)
+            yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
             return
-        rows, channel, log_ns = self._log
-        own = np.flatnonzero(np.isin(log_ns, extent.at_ns) & np.isin(channel, wanted))
-        for row in rows[own[np.argsort(log_ns[own], kind="stable")]].tolist():
-            yield from connection.execute(f"{select} id = ?", (row,))
+        rows = self._log.row[self._places(self._log, wanted, extent)]
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):
+            yield from (run[at : at + _BATCH].tolist() for at in range(0, len(run), _BATCH))
 
+    def _rows(self, batches: Iterable[list[int]]) -> Iterator[tuple[Any, ...] | None]:
+        """Row number, topic, time and payload of the rows that can be read; None for a damaged one.
 
-def _row_by_row(
-    connection: sqlite3.Connection, order: str, last: _Key | None
-) -> Iterator[tuple[int, int, int, object]]:
-    """Row number, topic, time and payload of the rows after `last`, each looked up by its number.
-
-    A damaged page then costs only the rows on it, whatever the topics. The pass ends at the last row, or after many
-    consecutive damaged rows if the number of the last row is also lost.
-    """
-    try:
-        (end,) = connection.execute("SELECT MAX(id) FROM messages").fetchone()
-    except sqlite3.Error:
-        end = 2**63
-    row = last[1] if last and order == "id" else 0
-    failures = 0
-    while row < end and failures < MOST_FAILURES:
-        row += 1
-        try:
-            found = connection.execute(
-                "SELECT id, topic_id, timestamp, data FROM messages WHERE id = ?", (row,)
-            ).fetchone()
-        except sqlite3.Error:
-            found = None
-        if found and not isinstance(found[2], int):
-            found = None  # damage that the lookup did not detect
-        failures = 0 if found else failures + 1
-        if found and (last is None or order == "id" or (found[2], row) > last):
-            yield found
+        A damaged page costs only the rows on it. The pass ends after many consecutive damaged or missing rows.
+        """
+        select, failures = _SELECT.format("data"), 0
+        for batch in batches:
+            left = batch
+            try:
+                places = ",".join("?" * len(batch))
+                for row in self._connection.execute(f"{select} WHERE id IN ({places}) ORDER BY id", batch):
+                    yield row
+                    left = batch[bisect_right(batch, row[0]) :]
+                failures = failures + len(left) if left is batch else 0
+            except sqlite3.Error:
+                for number in left:
+                    found = None
+                    with suppress(sqlite3.Error):
+                        found = self._connection.execute(f"{select} WHERE id = ?", (number,)).fetchone()
+                    yield found
+                    failures = 0 if found else failures + 1
+            if failures >= MOST_FAILURES:
+                return
