@@ -18,7 +18,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.compression import message_payload
+from mobilecal_cli.readers.containers.compression import ZSTD_MAGIC, message_payload
 from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
 from mobilecal_cli.readers.messages.channels import Channel, ros2_spelling
@@ -216,10 +216,12 @@ class SqliteStorage(Storage):
             self.channels[number],
             payload if isinstance(payload, bytes) else str(payload).encode(),
         )
-        if channel.encoding == "cdr":
+        if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
             with suppress(Exception):  # a damaged frame; the message is reported as undecodable on use
                 data = bytes(message_payload(data))
-        return channel, time_ns + sum(size_ns for first, size_ns in self._steps if first <= row), data
+        for first, size_ns in self._steps:
+            time_ns += size_ns * (first <= row)
+        return channel, time_ns, data
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]
