@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.containers.blocks import BlockStorage
+from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import Extent
 
 from . import recordings as r
@@ -109,3 +110,16 @@ def test_a_stray_log_time_is_no_step(tmp_path, write):
         times = [m.log_time_ns for m in recording.messages([info.name for info in recording.topics])]
         assert sorted(times) == sorted(item.log_ns for item in items)
         assert recording.damage == ()
+
+
+def test_log_times_of_damage_are_no_steps():
+    channel = np.zeros(40, dtype=np.int64)
+    for log_ns in (
+        np.array([2**63 - 1, -(2**63)] * 20),
+        np.repeat([2**62, 0], 20),
+        np.zeros(0, dtype=np.int64),
+    ):
+        assert not goes_back(channel[: len(log_ns)], log_ns)
+    huge = np.concatenate([start + np.arange(20) for start in (2**61, 2**60, 2**61, 0)])
+    assert goes_back(np.zeros(80, dtype=np.int64), huge)
+    assert steps_back(np.zeros(80, dtype=np.int64), huge) == []

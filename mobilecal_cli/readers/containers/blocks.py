@@ -236,9 +236,10 @@ class BlockStorage(Storage):
             blocks, parts = zip(*self._times(self.blocks), strict=True)
         except _UnindexedError:
             return
-        steps = steps_back(*np.concatenate(parts, axis=1))
+        channel, log_ns = np.concatenate(parts, axis=1)
+        steps = steps_back(channel, log_ns) if goes_back(channel, log_ns) else []
         sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
-        if not steps or max(block.end_ns for block in blocks) + sizes[-1] >= LATEST_NS:
+        if not steps:
             return
         self.blocks.clear()
         begin = 0
