@@ -73,7 +73,9 @@ def calibrate(
     config: Config = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Directory to write. [default: <log name>_calibration]"),
+        typer.Option(
+            "--output", "-o", readable=False, help="Directory to write. [default: <log name>_calibration]"
+        ),
     ] = None,
     method: Annotated[
         MethodName,
@@ -126,7 +128,9 @@ def calibrate(
     ] = None,
     last: Annotated[
         Path | None,
-        typer.Option(help="params.yaml to compare the result with. [default: the nominal values]"),
+        typer.Option(
+            readable=False, help="params.yaml to compare the result with. [default: the nominal values]"
+        ),
     ] = None,
     open_report: OpenReport = False,
     as_json: AsJson = False,
@@ -188,10 +192,13 @@ def calibrate(
 @app.command()
 def evaluate(
     logs: Logs,
-    params: Annotated[Path, typer.Argument(help="params.yaml of the calibration to test.")],
+    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of the calibration to test.")],
     before: Annotated[
         Path | None,
-        typer.Option(help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]"),
+        typer.Option(
+            readable=False,
+            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]",
+        ),
     ] = None,
     config: Config = None,
     setting: Settings = None,

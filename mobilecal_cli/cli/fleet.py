@@ -10,14 +10,18 @@ import typer
 from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.options import Config, Gates, Quiet, Settings, flags_of
 from mobilecal_cli.cli.verdict import conclude
+from mobilecal_cli.errors import OutputError, ResourceError
 
 
 @app.command()
 def batch(
     source: Annotated[
-        Path, typer.Argument(help="Directory with one recording per robot, or a manifest (YAML).")
+        Path,
+        typer.Argument(readable=False, help="Directory with one recording per robot, or a manifest (YAML)."),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Directory for the results of all robots.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", readable=False, help="Directory for the results of all robots.")
+    ],
     config: Config = None,
     setting: Settings = None,
     gate: Gates = None,
@@ -60,6 +64,13 @@ def batch(
     if not quiet:
         typer.echo(fleet_text(rows), nl=False)
     robots = [row for row in rows if row.verdict != "SKIPPED"]
+    stopped = [row for row in robots if row.verdict == "ERROR" and row.exit_code in fleet.OF_THE_MACHINE]
+    if stopped:
+        kind = OutputError if stopped[0].exit_code == OutputError.exit_code else ResourceError
+        raise kind(
+            f"{len(stopped)} of {len(robots)} robots were not calibrated: {stopped[0].name}: {stopped[0].reason}",
+            "see the reason, then run the same command again: it calibrates only what is missing",
+        )
     failed = [row.name for row in robots if row.verdict != "PASS"]
     names = ", ".join(failed[:10]) + (", ..." if len(failed) > 10 else "")
     conclude(

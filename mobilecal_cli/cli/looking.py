@@ -44,7 +44,7 @@ def inspect(
 
 @app.command()
 def check(
-    rig: Annotated[Path, typer.Argument(help="Configuration to check (rig.yaml).")],
+    rig: Annotated[Path, typer.Argument(readable=False, help="Configuration to check (rig.yaml).")],
     logs: Logs,
     setting: Settings = None,
     as_json: AsJson = False,
@@ -88,10 +88,11 @@ def _show(found: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> N
 def init(
     logs: Logs,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write; - for standard output.")
+        Path, typer.Option("--output", "-o", readable=False, help="File to write; - for standard output.")
     ] = Path("rig.yaml"),
     urdf: Annotated[
-        Path | None, typer.Option(help="URDF of the robot. [default: robot_description in the recording]")
+        Path | None,
+        typer.Option(readable=False, help="URDF of the robot. [default: robot_description in the recording]"),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,

@@ -12,10 +12,14 @@ from mobilecal_cli.cli.completion import gate_names, setting_keys
 from mobilecal_cli.errors import ConfigError
 
 Logs = Annotated[
-    list[Path], typer.Argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")
+    list[Path],
+    typer.Argument(readable=False, help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag."),
 ]
 Config = Annotated[
-    Path | None, typer.Option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
+    Path | None,
+    typer.Option(
+        "--config", "-c", readable=False, help="Configuration (rig.yaml); `mobilecal init` drafts one."
+    ),
 ]
 Settings = Annotated[
     list[str] | None,
@@ -47,7 +51,8 @@ OpenReport = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[
-    Path | None, typer.Option("--junit", help="Also write every criterion to this file as JUnit XML.")
+    Path | None,
+    typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
 ]
 
 

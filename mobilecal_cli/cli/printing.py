@@ -34,7 +34,9 @@ def board(
         Paper,
         typer.Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs."),
     ] = Paper.auto,
-    output: Annotated[Path, typer.Option("--output", "-o", help="PDF to write.")] = Path("board.pdf"),
+    output: Annotated[Path, typer.Option("--output", "-o", readable=False, help="PDF to write.")] = Path(
+        "board.pdf"
+    ),
     force: Force = False,
 ) -> None:
     """Make a board to print at true scale, as PDF.

@@ -65,7 +65,9 @@ class PictureName(StrEnum):
 
 @app.command()
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Recording to write: a file, or a directory for rosbag2.")],
+    out: Annotated[
+        Path, typer.Argument(readable=False, help="Recording to write: a file, or a directory for rosbag2.")
+    ],
     robot: Annotated[
         RobotName, typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters.")
     ] = (RobotName.paper),

@@ -17,7 +17,8 @@ from mobilecal_cli.targets import Target
 @app.command()
 def compare(
     files: Annotated[
-        list[Path], typer.Argument(help="params.yaml files of one robot; the first is the reference.")
+        list[Path],
+        typer.Argument(readable=False, help="params.yaml files of one robot; the first is the reference."),
     ],
     max_sigma: Annotated[
         float | None, typer.Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
@@ -29,7 +30,8 @@ def compare(
         float | None, typer.Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="SVG file to write: every parameter over all calibrations.")
+        Path | None,
+        typer.Option(readable=False, help="SVG file to write: every parameter over all calibrations."),
     ] = None,
     as_json: AsJson = False,
     force: Force = False,
@@ -62,10 +64,11 @@ def compare(
 
 @app.command()
 def export(
-    params: Annotated[Path, typer.Argument(help="params.yaml of a calibration.")],
+    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of a calibration.")],
     to: Annotated[Target, typer.Option(help="Output format.")],
     urdf: Annotated[
-        Path | None, typer.Option(help="URDF to patch, for --to urdf; the file itself is not changed.")
+        Path | None,
+        typer.Option(readable=False, help="URDF to patch, for --to urdf; the file itself is not changed."),
     ] = None,
     left_joint: Annotated[
         str | None, typer.Option(help="Joint of the left wheel. [default: as calibrated]")
@@ -93,10 +96,14 @@ def export(
     ] = None,
     log: Annotated[
         list[Path] | None,
-        typer.Option(help="For --to foxglove: recording of the calibration, for its images. Repeatable."),
+        typer.Option(
+            readable=False,
+            help="For --to foxglove: recording of the calibration, for its images. Repeatable.",
+        ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write. [default: standard output]")
+        Path | None,
+        typer.Option("--output", "-o", readable=False, help="File to write. [default: standard output]"),
     ] = None,
     force: Force = False,
 ) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mobilecal_cli import __version__, se3
-from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
+from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, ResourceError
 from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
 from mobilecal_cli.export.placing import already_exists
 from mobilecal_cli.model import FleetJob, FleetRow
@@ -30,6 +30,8 @@ from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text, reason_of
 
 #: Number of attempts at a job whose process dies.
 _ATTEMPTS = 3
+#: Exit codes of robots that could not be written or lacked memory or space: they are calibrated again.
+OF_THE_MACHINE = (OutputError.exit_code, ResourceError.exit_code)
 _CRASHED = "the worker process died (out of memory, or killed)"
 
 Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
@@ -63,8 +65,10 @@ def run_job(job: FleetJob) -> FleetRow:
         row = _row(job, report)
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
+        if error.exit_code in OF_THE_MACHINE:
+            key = ""
     except Exception as error:  # a bug must not stop the other robots
-        row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
+        key, row = "", FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
     _write_record(job, {"key": key, "row": to_plain(row), "params": _params_digest(job)})
     return row
 

@@ -1,15 +1,19 @@
-"""Commands on a file system that is full: the message says so, and the old output stays as it is."""
+"""Commands on a file system that is full, or that may not be read: the message says so, and outputs stay as they are."""
 
 from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 
 import pytest
 import zstandard
 
+from mobilecal_cli.errors import OutputError
+from mobilecal_cli.model import FleetJob
+from mobilecal_cli.pipeline import fleet
 from tests.hostile.refusals import extraction
 
 #: A file system of some bytes, mounted for one command only.
@@ -69,3 +73,53 @@ def test_a_full_directory_for_temporary_files(sample_logs, tmp_path):
         "cannot be written: No space left on device\nhint: free space there, or set TMPDIR" in result.stderr
     )
     assert result.stdout.split() == ["disk:"]
+
+
+def test_a_disk_that_fills_during_a_batch(sample_logs, tmp_path):
+    (tmp_path / "robots").mkdir()
+    shutil.copy(sample_logs / "straight.mcap", tmp_path / "robots")
+    result = on_a_small_disk(tmp_path, "64k", "true", "batch", "robots", "-o", "disk/fleet", "--jobs", 1)
+    assert result.returncode == 7, result.stderr
+    error = result.stderr.splitlines()[0]
+    assert error.startswith("error: 1 of 1 robots were not calibrated: straight: ")
+    assert error.endswith("/disk/fleet/straight: cannot be written: No space left on device")
+    assert "did not pass" not in result.stdout + result.stderr
+
+
+def test_a_robot_that_could_not_be_written_is_calibrated_again(sample_logs, tmp_path, monkeypatch):
+    job = FleetJob("straight", (sample_logs / "straight.mcap",), None, tmp_path)
+
+    def full(*_: object, **__: object) -> None:
+        raise OutputError("straight: cannot be written: No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(fleet, "calibrate", full)
+        assert fleet.run_job(job).exit_code == 7
+    row = fleet.run_job(job)
+    assert row.skipped == ""
+    assert row.stations > 0
+
+
+UNREADABLE = {
+    ("calibrate", "log.mcap"): 3,
+    ("check", "rig.yaml", "log.mcap"): 3,
+    ("init", "log.mcap", "--output", "new.yaml"): 3,
+    ("calibrate", "e.npz", "--config", "log.mcap"): 2,
+    ("evaluate", "e.npz", "log.mcap"): 2,
+    ("batch", "log.mcap", "--output", "out"): 2,
+}
+
+
+@pytest.mark.parametrize("arguments", UNREADABLE)
+def test_a_file_that_may_not_be_read(solved, arguments):
+    (solved / "log.mcap").touch(mode=0)
+    (solved / "rig.yaml").touch()
+    command = [sys.executable, "-m", "mobilecal_cli", *arguments]
+    if os.geteuid() == 0:  # the administrator may read everything
+        if shutil.which("setpriv") is None:
+            pytest.skip("needs setpriv")
+        command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
+    result = subprocess.run(command, cwd=solved, capture_output=True, text=True)
+    assert result.returncode == UNREADABLE[arguments], result.stderr
+    assert "log.mcap: cannot be read: Permission denied" in result.stdout + result.stderr
+    assert "Usage" not in result.stderr
