@@ -74,7 +74,22 @@ def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, 
     unwind_on_signals()
     atexit.register(resources.close)
     Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
-    work(get_ready, *given)
+    work(_get_ready, get_ready, *given)
+
+
+def _get_ready(get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    get_ready(*given)
+
+
+@contextmanager
+def _blocked(number: signal.Signals) -> Iterator[None]:
+    """Block a signal in processes started inside the block; here, it is delivered at the end of the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
@@ -95,11 +110,8 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
         initializer: arguments of `stand_by`.
     """
     # A hangup reaches all processes of the terminal: the one that removes leaked semaphores must outlive them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
-    try:
+    with _blocked(signal.SIGHUP):
         resource_tracker.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
     # Spawned, not forked: a fork would copy locked mutexes of other threads.
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
     try:
@@ -164,8 +176,10 @@ class Processes:
             if self._files is None:
                 self._files = self._stack.enter_context(scratch_directory())
             self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
-            for _ in range(count):  # the pool starts a process with each of the first tasks
-                self._pool.submit(int)
+            # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
+            with _blocked(signal.SIGINT):
+                for _ in range(count):  # the pool starts a process with each of the first tasks
+                    self._pool.submit(int)
 
     def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
         """Submit a task to the next free process.

@@ -28,6 +28,23 @@ if __name__ == "__main__":
 """
 
 
+_STARTING = """
+import os, signal, sys, time
+from mobilecal_cli.interruption import unwind_on_signals
+from mobilecal_cli.pipeline.processes import Processes
+
+if __name__ != "__main__":
+    time.sleep(20)  # as if a worker process imported large modules
+else:
+    unwind_on_signals()
+    with Processes() as some:
+        some.start(2, int)
+        time.sleep(float(sys.argv[1]))
+        os.killpg(0, signal.SIGINT)
+        time.sleep(60)
+"""
+
+
 def test_tasks_are_done_in_other_processes_and_leave_no_files():
     with Processes() as some:
         assert not some.started
@@ -85,3 +102,20 @@ def test_a_caller_that_is_killed_leaves_neither_process_nor_files(tmp_path):
         time.sleep(0.05)
     assert not _runs(number)
     assert not Path(folder).exists()
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.3, 1.0])
+def test_an_interrupt_while_processes_start_leaves_no_traceback(tmp_path, after_s):
+    script = tmp_path / "starting.py"
+    script.write_text(_STARTING)
+    ended = subprocess.run(
+        [sys.executable, str(script), str(after_s)],
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=50,
+        start_new_session=True,
+    )
+    assert ended.returncode == 128 + signal.SIGINT
+    assert ended.stderr == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["starting.py"]
