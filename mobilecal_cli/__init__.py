@@ -17,15 +17,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mobilecal_cli.comparison import difference as compare
-    from mobilecal_cli.pipeline.steps import Data, Fit, Report, export_to, extract, load, solve
+    from mobilecal_cli.pipeline.evaluating import read_params as load
+    from mobilecal_cli.pipeline.exporting import export as export_to
+    from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, solve
 
 __version__ = "0.1.0"
 __all__ = ["Data", "Fit", "Report", "compare", "export_to", "extract", "load", "solve"]
 
 
+_ELSEWHERE = {
+    "compare": ("comparison", "difference"),
+    "export_to": ("pipeline.exporting", "export"),
+    "load": ("pipeline.evaluating", "read_params"),
+}
+
+
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
-    if name == "compare":
-        return import_module("mobilecal_cli.comparison").difference
-    if name in __all__:
-        return getattr(import_module("mobilecal_cli.pipeline.steps"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, there = _ELSEWHERE.get(name, ("pipeline.steps", name))
+    return getattr(import_module(f"{__name__}.{module}"), there)

@@ -127,7 +127,16 @@ def export(
         if path is not None:
             check_file(path, force, [params, urdf, *(log or [])])
     joints = {side: name for side, name in given.items() if name}
-    made = exporting.export(params, to, urdf, joints, with_chain, rate, distance, log or [])  # type: ignore[arg-type]
+    made = exporting.export(
+        params,
+        to,
+        urdf=urdf,
+        wheel_joints=joints,  # type: ignore[arg-type]
+        with_chain=with_chain,
+        rate_hz=rate,
+        distance_m=distance,
+        logs=log or [],
+    )
     if output is None:
         typer.echo(made.content, nl=False)
     else:

@@ -23,7 +23,7 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.pipeline.loading import load
+from mobilecal_cli.pipeline.loading import AnyPath, load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
@@ -61,12 +61,13 @@ class Evaluated:
     notes: tuple[str, ...] = ()
 
 
-def read_params(path: Path) -> CalibratedRobot:
+def read_params(params: AnyPath) -> CalibratedRobot:
     """The calibration in a params.yaml.
 
     Raises:
         ConfigError: the file cannot be read, or is not a params.yaml.
     """
+    path = Path(params)
     try:
         text = read_text(path, LARGEST_BYTES)
     except (OSError, ValueError) as error:

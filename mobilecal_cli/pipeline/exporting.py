@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from mobilecal_cli.export import (
 )
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
+from mobilecal_cli.pipeline.loading import AnyPath, paths_of
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import Target
 from mobilecal_cli.yaml_input import read_bytes, reason_of
@@ -57,21 +58,22 @@ class Exported:
 
 
 def export(
-    params: Path,
-    target: Target,
-    urdf: Path | None = None,
+    params: AnyPath,
+    target: str,
+    *,
+    urdf: AnyPath | None = None,
     wheel_joints: Mapping[Side, str] | None = None,
     with_chain: bool = False,
     rate_hz: float | None = None,
     distance_m: float | None = None,
-    logs: Sequence[Path] = (),
+    logs: AnyPath | Iterable[AnyPath] = (),
 ) -> Exported:
-    """A calibration in another format.
+    """A calibration in the format of another program, as `mobilecal export --to`.
 
     Args:
         params: params.yaml; camera_info, camchain, the head chain, odometry_covariance and foxglove also need
             extraction.npz next to it.
-        target: the format.
+        target: the format, see `mobilecal export --help`.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target urdf, also write the estimated head chain.
@@ -80,30 +82,35 @@ def export(
         logs: for the target foxglove, recordings of the calibration, for the images.
 
     Raises:
-        ConfigError: a file is missing or invalid, or an option does not apply to the format.
+        ConfigError: an unknown format, a file that is missing or invalid, or an option that does not apply to it.
     """
-    robot = read_params(params)
+    if target not in tuple(Target):
+        raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
+    path, to, recordings = Path(params), Target(target), paths_of(logs)
+    robot = read_params(path)
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
     _check_options(
-        target,
+        to,
         {
             "--with-chain": (with_chain, Target.urdf),
             "--rate": (rate_hz is not None, Target.odometry_covariance),
             "--distance": (distance_m is not None, Target.odometry_covariance),
-            "--log": (bool(logs), Target.foxglove),
+            "--log": (bool(recordings), Target.foxglove),
         },
     )
-    if target == Target.urdf:
-        return _urdf(robot, urdf, joints, _chain(params, robot) if with_chain else None)
-    if target in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
-        return _cameras(params, robot, target)
-    if target == Target.foxglove:
-        return _foxglove(robot, params, logs)
-    if target == Target.odometry_covariance:
+    if to == Target.urdf:
+        return _urdf(
+            robot, None if urdf is None else Path(urdf), joints, _chain(path, robot) if with_chain else None
+        )
+    if to in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
+        return _cameras(path, robot, to)
+    if to == Target.foxglove:
+        return _foxglove(robot, path, recordings)
+    if to == Target.odometry_covariance:
         rate = ODOMETRY_RATE.check("--rate", 50.0 if rate_hz is None else rate_hz)
         if distance_m is not None:
             DISTANCE.check("--distance", distance_m)
-        found = odometry_covariance(robot, _beside(params), rate, distance_m)
+        found = odometry_covariance(robot, _beside(path), rate, distance_m)
         return Exported(odometry_yaml(found).encode(), _short(found) if distance_m is None else ())
     text: dict[Target, Callable[[], str]] = {
         Target.xacro: lambda: xacro_properties(robot),
@@ -112,8 +119,8 @@ def export(
         Target.static_transform_yaml: lambda: static_transform_yaml(robot),
         Target.json: lambda: plain_json(robot),
     }
-    notes = (frame_note(robot),) if robot.rectified and target != Target.ros2_control else ()
-    return Exported(text[target]().encode(), notes)
+    notes = (frame_note(robot),) if robot.rectified and to != Target.ros2_control else ()
+    return Exported(text[to]().encode(), notes)
 
 
 def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,13 @@ from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.overrides import refuse_others, with_settings
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
+
+AnyPath = str | os.PathLike[str]
+
+
+def paths_of(paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
+    """One or several paths as a tuple."""
+    return (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(Path(path) for path in paths)
 
 
 def _is_extraction(path: Path) -> bool:
@@ -55,7 +63,9 @@ def load(
     refuse_others(given, str(logs[0]))
     extraction = extraction_from_npz(logs[0])
     _check(extraction, logs[0])
-    _refuse_repeated(extraction)
+    # Earlier versions wrote extractions that contain a recording twice.
+    refuse_equal_files(extraction.logs)
+    refuse_equal_recordings(extraction, extraction.log_names)
     return with_settings(extraction, config, given), ()
 
 
@@ -72,13 +82,3 @@ def _check(extraction: Extraction, path: Path) -> None:
             "without a recording",
             "calibrate again from the recordings",
         )
-
-
-def _refuse_repeated(extraction: Extraction) -> None:
-    """Reject an extraction that contains a recording twice, as earlier versions wrote it.
-
-    Raises:
-        ConfigError: naming both recordings.
-    """
-    refuse_equal_files(extraction.logs)
-    refuse_equal_recordings(extraction, extraction.log_names)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,24 +12,21 @@ from typing import Any
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml, write_outputs
 from mobilecal_cli.model import (
-    CalibratedRobot,
     Evaluation,
     Extraction,
     FloatArray,
     Method,
     Parameters,
     Provenance,
-    Side,
     Snapshot,
     Solution,
     StereoRig,
 )
 from mobilecal_cli.pipeline.evaluating import held_out, read_params
-from mobilecal_cli.pipeline.exporting import Exported, export
-from mobilecal_cli.pipeline.loading import load as load_logs
+from mobilecal_cli.pipeline.loading import AnyPath, load, paths_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report.build import build_report
@@ -46,10 +42,7 @@ from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
 from mobilecal_cli.source_date import source_date
-from mobilecal_cli.targets import Target
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
-
-AnyPath = str | os.PathLike[str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +98,6 @@ class Fit:
         return None if found is None else found.reference_covariance
 
 
-def paths_of(paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
-    """One or several paths as a tuple."""
-    return (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(Path(path) for path in paths)
-
-
 def extract(
     logs: AnyPath | Iterable[AnyPath],
     config: AnyPath | None = None,
@@ -133,7 +121,7 @@ def extract(
     """
     path, flags = None if config is None else Path(config), settings or {}
     rig = load_rig(path, flags)
-    extraction, snapshots = load_logs(paths_of(logs), rig, path, flags, progress, jobs)
+    extraction, snapshots = load(paths_of(logs), rig, path, flags, progress, jobs)
     return Data(extraction, snapshots, rig.gates)
 
 
@@ -210,48 +198,6 @@ def fitted(
     return Fit(solution, extraction, method, hold_out, trial)
 
 
-def load(params: AnyPath) -> CalibratedRobot:
-    """The calibration in a params.yaml.
-
-    Raises:
-        ConfigError: the file cannot be read, or is not a params.yaml.
-    """
-    return read_params(Path(params))
-
-
-def export_to(
-    params: AnyPath,
-    target: str,
-    *,
-    urdf: AnyPath | None = None,
-    wheel_joints: Mapping[Side, str] | None = None,
-    with_chain: bool = False,
-    rate_hz: float | None = None,
-    distance_m: float | None = None,
-    logs: AnyPath | Iterable[AnyPath] = (),
-) -> Exported:
-    """A calibration in the format of another program, as `mobilecal export --to`.
-
-    Args:
-        params: params.yaml, with its extraction.npz beside it for the cameras and the head chain.
-        target: the format, see `mobilecal export --help`.
-        urdf: the file to patch, for the target "urdf".
-        wheel_joints: names of the wheel joints, overriding those that the calibration read.
-        with_chain: for the target "urdf", also write the estimated head chain.
-        rate_hz, distance_m: for the target "odometry_covariance", see `--rate` and `--distance`.
-        logs: for the target "foxglove", recordings of the calibration, for the images.
-
-    Raises:
-        ConfigError: an unknown format, or a file that is missing or invalid.
-    """
-    if target not in tuple(Target):
-        raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
-    return export(
-        Path(params), Target(target), None if urdf is None else Path(urdf), wheel_joints, with_chain, rate_hz,
-        distance_m, paths_of(logs),
-    )  # fmt: skip
-
-
 class Report:
     """The report on a fit.
 
@@ -292,7 +238,7 @@ class Report:
         if last is None:
             self.change = change_from_nominal(self.robot, extraction.rig.nominal)
         else:
-            earlier = load(last)
+            earlier = read_params(last)
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(self.robot, earlier, name)
         self.verdict = judge(solution, extraction, gates, fit.trial, self.change)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -10,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.comparison import Difference, History
-from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.wording.comparison import conclusion, constancy, effects
 
 COMPARISON_SCHEMA = 1
-#: Significance level.
-_UNLIKELY = 0.01
 
 
 def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
@@ -37,53 +35,14 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
                 f"{parameter.shown_unit}"
             )
         lines += ["", "  r is a small rotation about the head's axes.", ""]
-        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in _felt(found))]
-        lines += ["", f"  {_says(found)}", ""]
+        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(found))]
+        lines += ["", f"  {conclusion(found)}", ""]
     if past is not None:
         lines += [f"All {len(names)} calibrations, tested against a robot that does not change", ""]
         for number, chance in zip(NINE, past.chance, strict=True):
-            lines.append(f"  {number:<14}{_stays(chance)}")
+            lines.append(f"  {number:<14}{constancy(chance)}")
         lines.append("")
     return "\n".join(lines)
-
-
-def _felt(found: Difference) -> tuple[tuple[str, float, str], ...]:
-    return (
-        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", found.ray_m * 1e3, "mm"),
-        ("Dead reckoning: distance, driving straight", found.along_m_per_m * 1e3, "mm per m"),
-        ("Dead reckoning: heading, driving straight", math.degrees(found.heading_rad_per_m), "deg per m"),
-        ("Heading per full turn", math.degrees(found.heading_rad_per_turn), "deg"),
-    )
-
-
-def _says(found: Difference) -> str:
-    names = ", ".join(name for name, ok in zip(NINE, found.unobservable, strict=True) if ok)
-    blind = f"No conclusion about {names}: at least one calibration does not determine it." if names else ""
-    if found.chance is None:
-        return blind or "No significance test: at least one calibration has no standard deviations."
-    verdict = (
-        "The robot has changed, or one of the two calibrations is wrong."
-        if found.chance < _UNLIKELY
-        else f"The change{' of these' if blind else ''} is not significant."
-    )
-    note = " The calibrations share a recording, so this test is weak." if found.shared else ""
-    if blind:
-        note += f" {blind}"
-    return (
-        f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
-        f"{_percent(found.chance)}. {verdict}{note}"
-    )
-
-
-def _percent(probability: float) -> str:
-    share = 100 * probability
-    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
-
-
-def _stays(chance: float) -> str:
-    if not math.isfinite(chance):
-        return "unknown in all but one calibration"
-    return f"{'changed' if chance < _UNLIKELY else 'unchanged'} (probability by chance {_percent(chance)})"
 
 
 def comparison_json(
@@ -102,12 +61,12 @@ def comparison_json(
         "against_first": [_plain(found) for found in differences],
         "chance_unchanged": None if past is None else _numbers(past.chance),
     }
-    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+    return json_text(data, sort_keys=False)
 
 
 def _plain(found: Difference) -> dict[str, Any]:
     return {
-        "change": found.change.tolist(),
+        "change": found.change,
         "std": _numbers(np.where(found.known, found.std, np.nan)),
         "sigmas": _numbers(found.sigmas),
         "chi2": found.chi2,

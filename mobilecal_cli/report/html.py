@@ -12,18 +12,12 @@ from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.drawn import Drawings
 from mobilecal_cli.report.glossary import TERMS, link_terms
 from mobilecal_cli.report.pages import environment
-from mobilecal_cli.report.parameters import std_text, value_text
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.values import ReportData, json_text
+from mobilecal_cli.report.wording.page import leg_title, page_words
 
 if TYPE_CHECKING:
     from jinja2 import Template
-
-_REFINEMENTS = {
-    "paper": "Powell's method",
-    "lm": "Levenberg-Marquardt",
-    "ml": "maximum likelihood with Levenberg-Marquardt. The point error can rise because noisy points have less weight",
-}
 
 
 def report_html(report: ReportData, drawings: Drawings) -> str:
@@ -38,8 +32,8 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     filled: dict[str, object] = {
         side: f"{100 * share:.0f} %" for side, share in report.image_coverage.items()
     }
-    method = report.quality.method
-    filled |= {"linear": report.linear, "refinement": _REFINEMENTS.get(method, method)}
+    said = page_words(report)
+    filled |= {"linear": report.linear, "refinement": said["refinement"]}
     figures = [
         {
             "section": figure.section,
@@ -56,7 +50,8 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
             report=report,
             figures=figures,
             views=drawings.views,
-            euler=_euler(report),
+            said=said,
+            leg_title=leg_title,
             least_stations=MIN_STATIONS,
             terms=TERMS,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
@@ -83,16 +78,3 @@ def _asset(name: str) -> str:
 @functools.cache
 def _template() -> Template:
     return environment().get_template("report.html.jinja")
-
-
-def _euler(report: ReportData) -> str:
-    """Euler angles with their standard deviations; "" near gimbal lock."""
-    angles, stds = report.parameters.euler_zyx_deg, report.parameters.euler_zyx_std_deg
-    if angles is None:
-        return ""
-    shown = (
-        f"{axis} = {value_text(angle, None if stds is None else stds[k], 3)}°"
-        + ("" if stds is None else f" ± {std_text(stds[k])}°")
-        for k, (axis, angle) in enumerate(zip("xyz", angles, strict=True))
-    )
-    return ", ".join(shown)

@@ -125,7 +125,7 @@ def test_camchain_projects_as_the_fitted_pair(calibrated):
 
 def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
     described, extraction, solution, params = calibrated
-    made = export(params, Target.urdf, params.with_name("robot.urdf"), with_chain=True)
+    made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"), with_chain=True)
     path = tmp_path / "calibrated.urdf"
     path.write_bytes(made.content)
     reader = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
@@ -144,12 +144,12 @@ def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
     (left_out,) = [note for note in made.notes if "no scale and no backlash" in note]
     assert "pan_scale" in left_out
     with pytest.raises(ConfigError, match="is not as in the calibrated robot's chain"):
-        export(params, Target.urdf, path, with_chain=True)
+        export(params, Target.urdf, urdf=path, with_chain=True)
 
 
 def test_the_urdf_without_the_chain_says_so(calibrated):
     described, _, _, params = calibrated
-    made = export(params, Target.urdf, params.with_name("robot.urdf"))
+    made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"))
     assert any("The head chain is unchanged. --with-chain" in note for note in made.notes)
     drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
     for joint in described.joints:
@@ -174,7 +174,7 @@ def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
     assert intrinsics[:2] == pytest.approx(np.diag(extraction.rig.cameras.left.K)[:2])
     for target, options in ((Target.camera_info_left, {}), (Target.urdf, {"with_chain": True})):
         with pytest.raises(ConfigError, match="not estimated"):
-            export(tmp_path / "params.yaml", target, params.with_name("robot.urdf"), **options)
+            export(tmp_path / "params.yaml", target, urdf=params.with_name("robot.urdf"), **options)
 
 
 @pytest.mark.parametrize(
