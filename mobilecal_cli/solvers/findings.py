@@ -70,12 +70,10 @@ def height_steps(extraction: Extraction, fit: Fit) -> tuple[HeightStep, ...]:
     for log in np.unique(fit.data.log):
         rows = np.flatnonzero((fit.data.log == log) & fit.inliers.views)
         height, count = fit.lin.state.floor[rows, 2], len(rows)
+        if count < 2 * _FEWEST_EACH_SIDE:
+            continue
         splits = range(_FEWEST_EACH_SIDE, count - _FEWEST_EACH_SIDE + 1)
-        step_m, k = max(
-            ((height[:k].mean() - height[k:].mean(), k) for k in splits),
-            key=lambda s: abs(s[0]),
-            default=(0.0, 0),
-        )
+        step_m, k = max(((height[:k].mean() - height[k:].mean(), k) for k in splits), key=lambda s: abs(s[0]))
         explained = k * (count - k) / count**2 * step_m**2
         if abs(step_m) > _STEP_M and explained > _STEP_SHARE * height.var():
             before, after = (extraction.observations[rows[i]].station for i in (k - 1, k))
