@@ -123,3 +123,27 @@ def test_log_times_of_damage_are_no_steps():
     huge = np.concatenate([start + np.arange(20) for start in (2**61, 2**60, 2**61, 0)])
     assert goes_back(np.zeros(80, dtype=np.int64), huge)
     assert steps_back(np.zeros(80, dtype=np.int64), huge) == []
+
+
+@pytest.mark.parametrize("lengths_s", [(20, 20), (12, 28), (5, 13, 22)])
+@pytest.mark.parametrize("write", [r.write_mcap, r.write_bag])
+def test_log_times_go_on_from_file_to_file(tmp_path, write, lengths_s):
+    items, files = stepping(lengths_s), 4
+    folder = tmp_path / "log"
+    folder.mkdir()
+    names = [f"log_{k}.{write.__name__}" for k in range(files)]
+    for k, name in enumerate(names):
+        write(folder / name, items[k * len(items) // files : (k + 1) * len(items) // files])
+    listed = "\n".join(f"    - {name}" for name in names)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}\n")
+    with open_recording([folder]) as recording:
+        found = list(recording.messages([info.name for info in recording.topics]))
+        values = [m.decode().position[0] for m in found]
+        assert values == sorted(values)
+        assert len(values) == len(items)
+        log_s = (np.array([m.log_time_ns for m in found]) - r.START_NS) / 1e9
+        assert np.abs(log_s - values).max() < 0.1
+        # Workers open the files without the directory.
+        with open_recording([part.opened for part in recording.parts]) as again:
+            times = [m.log_time_ns for m in again.messages([info.name for info in again.topics])]
+        assert times == [m.log_time_ns for m in found]

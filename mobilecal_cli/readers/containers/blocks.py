@@ -254,7 +254,19 @@ class BlockStorage(Storage):
                     part = Block(block.offset, block.size, block.is_chunk, start_ns, end_ns, block.channels)
                     self.blocks.append(replace(part, first=first, last=last, shift_ns=sizes[number]))
             begin = end
+        self.shift_ns = sizes[-1]
         self.note_steps([size for _, size in steps])
+
+    def delay(self, shift_ns: int) -> None:
+        """Let all log times be later."""
+        self.shift_ns += shift_ns
+        self.blocks = [
+            replace(
+                b, start_ns=b.start_ns + shift_ns, end_ns=b.end_ns + shift_ns, shift_ns=b.shift_ns + shift_ns
+            )
+            for b in self.blocks
+        ]
+        self.set_time_range()
 
     def _goes_back(self) -> bool:
         """Whether log times of a channel may go back, judged by as few indexes as possible."""

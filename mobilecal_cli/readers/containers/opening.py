@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
-from mobilecal_cli.readers.containers.splits import group_splits
+from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
 from mobilecal_cli.readers.messages.channels import Channel
 from mobilecal_cli.scratch import full_disk_told, scratch_directory
@@ -45,6 +45,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
                 opened.add(path)
         if not opened.parts:
             raise RecordingError("; ".join(opened.notes), KNOWN)
+        undo_steps(opened.parts)
         recording = Recording(paths, opened.parts, opened.stated, opened.notes, stack.pop_all())
     if recording.damage and not any(info.count is None or info.count for info in recording.topics):
         recording.close()

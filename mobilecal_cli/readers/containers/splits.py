@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Protocol
 
+from mobilecal_cli.readers.containers.storage import LATEST_NS, Storage
 from mobilecal_cli.readers.messages.channels import Channel
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
@@ -51,3 +53,24 @@ def _continues(group: Sequence[Ranged], file: Ranged) -> bool:
     if shared:
         return -LARGEST_OVERLAP_NS <= gap_ns < LARGEST_GAP_NS
     return gap_ns < 0
+
+
+def undo_steps(files: Sequence[Storage]) -> None:
+    """Let log times go on from file to file where the recorder's clock stepped back in one of them, or between two.
+
+    Args:
+        files: parts of one recording, in the order of writing. Other files may be among them, in any order.
+    """
+    for before, file in pairwise(files):
+        if before.start_ns is None or before.end_ns is None or file.start_ns is None or file.end_ns is None:
+            continue
+        start_ns, end_ns = before.start_ns - before.shift_ns, before.end_ns - before.shift_ns
+        topics = [{channel.topic for channel in one.channels.values()} for one in (before, file)]
+        if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
+            continue
+        shift_ns = before.shift_ns
+        if file.start_ns < end_ns - LARGEST_OVERLAP_NS and file.end_ns > start_ns + LARGEST_OVERLAP_NS:
+            shift_ns += end_ns - file.start_ns
+            file.note_steps([end_ns - file.start_ns])
+        if shift_ns and file.end_ns + shift_ns < LATEST_NS:
+            file.delay(shift_ns)

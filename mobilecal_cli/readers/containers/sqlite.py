@@ -163,10 +163,19 @@ class SqliteStorage(Storage):
         for first, size_ns in steps:
             log.log_ns[first:] += size_ns
             self._steps.append((int(log.row[first]), size_ns))
+            self.shift_ns += size_ns
         self.note_steps([size_ns for _, size_ns in steps])
-        if len(log.row):
-            self.start_ns, self.end_ns = int(log.log_ns.min()), int(log.log_ns.max())
         self._log = log
+        self.delay(0)
+
+    def delay(self, shift_ns: int) -> None:
+        """Let all log times be later."""
+        if self._log is not None and len(self._log.row):
+            if shift_ns:
+                self._steps.append((int(self._log.row[0]), shift_ns))
+            self._log.log_ns[:] += shift_ns
+            self.shift_ns += shift_ns
+            self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
     def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
         """Messages of the topics in order of log time, or as written if the table is damaged.

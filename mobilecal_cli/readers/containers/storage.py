@@ -46,6 +46,7 @@ class Storage(ABC):
         channels: channel id → channel.
         counts: channel id → number of messages, stated in the file or counted; None if unknown.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
+        shift_ns: what the last log times are later than stored, because the recorder's clock stepped back.
         damage: data that was lost, as sentences; complete after a full pass.
     """
 
@@ -56,6 +57,7 @@ class Storage(ABC):
     counts: dict[int, int] | None
     start_ns: int | None
     end_ns: int | None
+    shift_ns: int
 
     def __init__(self, path: Path) -> None:
         self.path = self.opened = path
@@ -63,6 +65,7 @@ class Storage(ABC):
         self.counts = None
         self.start_ns = None
         self.end_ns = None
+        self.shift_ns = 0
         self._damage: dict[str, None] = {}
 
     @property
@@ -103,6 +106,10 @@ class Storage(ABC):
     @abstractmethod
     def log_times(self) -> dict[int, IntArray]:
         """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
+
+    @abstractmethod
+    def delay(self, shift_ns: int) -> None:
+        """Let all log times be later."""
 
     @abstractmethod
     def close(self) -> None:
