@@ -107,7 +107,7 @@ def test_nohup(sample_logs, tmp_path):
     assert whole_or_nothing(tmp_path)
 
 
-@pytest.mark.parametrize("number", [TERM, HUP])
+@pytest.mark.parametrize("number", [TERM, pytest.param(HUP, marks=pytest.mark.long)])
 def test_an_unpacked_recording(sample_logs, tmp_path, tmp_path_factory, number):
     packed = tmp_path_factory.mktemp("logs") / "log.mcap.zstd"
     packed.write_bytes(zstandard.compress((sample_logs / "paper_robot.mcap").read_bytes()))
@@ -117,7 +117,7 @@ def test_an_unpacked_recording(sample_logs, tmp_path, tmp_path_factory, number):
     assert not cleaned(process, number, False, tmp_path)
 
 
-@pytest.mark.parametrize("number", [TERM, HUP])
+@pytest.mark.parametrize("number", [pytest.param(TERM, marks=pytest.mark.long), HUP])
 def test_simulate(tmp_path, number):
     process = started(["simulate", "log.mcap", "--stations", 12], tmp_path)
     while not list(tmp_path.glob(".log.mcap.*.partial/*")) and process.poll() is None:

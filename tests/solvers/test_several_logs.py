@@ -72,7 +72,7 @@ def misread(extraction, station, seed=0, size_px=300.0):
         ("standard", 2, NINE[1:]),
     ],
 )
-@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("first", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, first):
     parts = [recorded("standard", 1), recorded(motion, 2, stations=stations)]
     poor = 0 if first else 1
@@ -132,7 +132,7 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ(apart):
     assert found.parameters.wheels.radius_right_m == pytest.approx(mean_m, abs=0.001)
 
 
-@pytest.mark.parametrize("off_m", [-0.001, 0.004])
+@pytest.mark.parametrize("off_m", [pytest.param(-0.001, marks=pytest.mark.long), 0.004])
 def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
     """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
     extraction, free = apart
@@ -220,7 +220,7 @@ def test_many_short_legs_show_the_wheels_together():
 
 
 def test_many_short_legs_without_a_turn_do_not_show_the_separation():
-    extraction = short_legs(np.zeros(40))
+    extraction = short_legs(np.zeros(20))
     (gap,) = motion_gaps(extraction, FIX.fixed)
     assert "separation" in gap.parameters
     with pytest.raises(SolveError, match="the motion does not show the wheel radii"):
