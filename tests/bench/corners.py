@@ -15,6 +15,7 @@ from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
+from tests.bench import cameras
 from tests.bench.pictures import BOARD, View, bound_px, empty, view
 from tests.bench.tables import paragraph, table
 
@@ -332,7 +333,8 @@ def main(views: int = VIEWS) -> str:
             ),
             detectors(views) + "\n",
             paragraph("Real stereo pairs. The homography residual for MRPT includes the lens distortion."),
-            real_pairs(),
+            real_pairs() + "\n",
+            cameras.main(views // 2),
         ]
     )
 
