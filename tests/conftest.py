@@ -27,6 +27,23 @@ def shared_data() -> Path:
     return path
 
 
+@pytest.fixture(scope="session", autouse=True)
+def every_report_fits_its_schema():
+    """Each report.json that a test writes in its own process is validated."""
+    from mobilecal_cli.pipeline.steps import Report
+    from tests.report.schema import validated
+
+    with pytest.MonkeyPatch.context() as patched:
+        save = Report.save
+
+        def checked(self, *given, **named):
+            validated(self.json)
+            save(self, *given, **named)
+
+        patched.setattr(Report, "save", checked)
+        yield
+
+
 @pytest.fixture(scope="session")
 def sample_logs() -> Path:
     """The recordings that the repository ships."""

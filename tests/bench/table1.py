@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import scipy
 
-from mobilecal_cli import __version__, se3
+from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.pipeline.extracting import extract
@@ -19,22 +19,16 @@ from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.bench.simulated import errors
 
 _RUNS = 40
 _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"
 
 
-def errors(parameters: Parameters, robot: SimulatedRobot) -> np.ndarray:
-    """Rotation in the camera's frame (deg), translation and wheels (mm)."""
-    turn = np.degrees(se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3]))
-    move = 1e3 * (parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3])
-    found, true = parameters.wheels, robot.wheels
-    wheels = [
-        1e3 * (found.radius_right_m - true.radius_right_m),
-        1e3 * (found.radius_left_m - true.radius_left_m),
-        1e3 * (found.separation_m - true.separation_m),
-    ]
-    return np.concatenate([turn, move, wheels])
+def in_camera(parameters: Parameters, robot: SimulatedRobot) -> np.ndarray:
+    """Errors: rotation in the camera's frame (deg), translation and wheels (mm)."""
+    off = errors(parameters, robot)
+    return np.concatenate([np.degrees(robot.T_h_c[:3, :3].T @ off[:3]), 1e3 * off[3:]])
 
 
 def row(name: str, values: np.ndarray, extra: str = "") -> str:
@@ -66,7 +60,7 @@ def sample() -> None:
     print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) | Error (mm) |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for method, solution in solutions.items():
-        print(row(method, errors(solution.parameters, robot), f" {1e3 * solution.point_rms_m:.2f} |"))
+        print(row(method, in_camera(solution.parameters, robot), f" {1e3 * solution.point_rms_m:.2f} |"))
 
 
 def monte_carlo() -> None:
@@ -79,7 +73,7 @@ def monte_carlo() -> None:
         extraction = ideal_extraction(robot, plan_route(robot, seed=seed), noise, seed)
         for method, results in found.items():
             solution = solve(extraction, method)  # type: ignore[arg-type]
-            results.append(errors(solution.parameters, robot))
+            results.append(in_camera(solution.parameters, robot))
         rounds.append(solution.linear.rounds_to_tolerance)
     print(
         f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, maximum {max(rounds)}.\n"

@@ -24,6 +24,7 @@ from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.cli.dask_cluster import local_cluster
 from tests.cli.dying import die_or_answer
+from tests.report.schema import validated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
 ROBOTS_HERE = 6
@@ -82,7 +83,7 @@ def test_a_failure_stops_no_other_robot(local):
     truth = ROBOTS["paper"]().wheels.separation_m * 1e3
     for row in rows[1:]:
         assert abs(float(row["separation_mm"]) - truth) < 5 * float(row["std_separation_mm"])
-        params = json.loads((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]
+        params = validated((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]
         assert float(row["separation_mm"]) == pytest.approx(params["separation_mm"], abs=1e-5)
     page = (out / "summary.html").read_text(encoding="utf-8")
     assert 'href="robot_3/report.html"' in page

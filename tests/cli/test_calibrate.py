@@ -29,7 +29,7 @@ def load(path: Path):
     return YAML(typ="safe").load(path.read_text())
 
 
-def errors(params, truth):
+def apart(params, truth):
     """Degrees, mm, and per cent of each wheel number."""
     found, true = (
         se3.from_quaternion_xyzw(np.array(p["head_eye"]["quaternion_xyzw"])) for p in (params, truth)
@@ -67,7 +67,7 @@ def test_all_outputs_are_written(first, workplace):
 
 def test_the_numbers_are_near_the_truth(first, workplace, sample_logs):
     params = load(workplace / "paper_robot_calibration/params.yaml")
-    turn, move, wheels = errors(params, load(sample_logs / "paper_robot.truth.yaml"))
+    turn, move, wheels = apart(params, load(sample_logs / "paper_robot.truth.yaml"))
     # The paper's cost on encoder steps of 1.2 degrees: measured 0.56 degrees, 10 mm, 0.33 %.
     assert turn < 1.0
     assert move < 15
@@ -146,7 +146,7 @@ def test_uncertainty_is_a_contract(first, workplace, sample_logs):
     assert [block["std"][name] for name in NINE] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
     assert block["observable"] == dict.fromkeys(NINE, True)
     assert set(block["noise"]) == {field.name for field in fields(NoiseLevels)} - {"redundancy"}
-    turn, move, _ = errors(params, load(sample_logs / "paper_robot.truth.yaml"))
+    turn, move, _ = apart(params, load(sample_logs / "paper_robot.truth.yaml"))
     assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
     assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
 
@@ -211,7 +211,7 @@ def test_ticks_that_wrap_round(workplace, sample_logs):
     log, rig = sample_logs / "tick_robot.mcap", sample_logs / "tick_robot.rig.yaml"
     result = run("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
     assert result.code == 0, result.err
-    turn, move, wheels = errors(
+    turn, move, wheels = apart(
         load(workplace / "tick/params.yaml"), load(sample_logs / "tick_robot.truth.yaml")
     )
     # Wheel noise of 0.003 rad per sqrt(rad) moves this method's answer: measured 0.12 degrees, 10 mm, 0.5 %.
@@ -248,7 +248,7 @@ def test_two_logs_of_one_robot(first, workplace, sample_logs):
     assert result.code in (0, 6), result.err
     two, one = load(workplace / "two/params.yaml"), load(workplace / "paper_robot_calibration/params.yaml")
     assert two["quality"]["stations"] == 11
-    turn, move, wheels = errors(two, one)
+    turn, move, wheels = apart(two, one)
     std = two["uncertainty"]["std"]
     assert turn < 3 * np.degrees(std["r_y"])
     assert move < 3e3 * std["t_y"]

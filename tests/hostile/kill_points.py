@@ -40,7 +40,7 @@ def state(target: Path) -> str:
     return "old" if found == OLD else "new" if found == NEW else "broken"
 
 
-def run(folder: Path, existing: bool, exchange: bool) -> None:
+def try_all(folder: Path, existing: bool, exchange: bool) -> None:
     """All moments, one process each."""
     number, code = 0, 9
     while code:
@@ -67,4 +67,4 @@ def run(folder: Path, existing: bool, exchange: bool) -> None:
 
 
 if __name__ == "__main__":
-    run(Path(sys.argv[1]), sys.argv[2] == "existing", sys.argv[3] == "exchange")
+    try_all(Path(sys.argv[1]), sys.argv[2] == "existing", sys.argv[3] == "exchange")

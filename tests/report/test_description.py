@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
@@ -32,10 +31,10 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.report.example import made, make_extraction, make_provenance, make_solution, page_of, rows_of
+from tests.report.schema import validated
 
 NOISE = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 QUIET = Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
-SCHEMA = Path(__file__).parents[2] / "docs" / "reference" / "report.schema.json"
 
 
 def recorded(constants, noise=NOISE, motion="standard", stations=12, seed=1):
@@ -256,8 +255,7 @@ def test_more_stations_do_not_help_against_stated_values():
 
 def test_the_files_hold_budget_and_constants():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
-    data = json.loads(json_text(made(solution, extraction)))
-    jsonschema.validate(data, json.loads(SCHEMA.read_text()))
+    data = validated(json_text(made(solution, extraction)))
     for shares in (*data["error_budget"]["nine"].values(), *data["error_budget"]["at_work"].values()):
         assert sum(shares.values()) == pytest.approx(1.0)
     assert data["constants"]["stereo_r_x"]["prior"] == pytest.approx(np.radians(0.05))

@@ -10,19 +10,7 @@ from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-
-
-def errors(parameters, robot):
-    """Rotation rad, translation relative to its length, wheels relative."""
-    turn = se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3])
-    move = (parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3]) / np.linalg.norm(robot.T_h_c[:3, 3])
-    found, true = parameters.wheels, robot.wheels
-    wheels = [
-        found.radius_right_m / true.radius_right_m - 1,
-        found.radius_left_m / true.radius_left_m - 1,
-        found.separation_m / true.separation_m - 1,
-    ]
-    return np.concatenate([turn, move, wheels])
+from tests.bench.simulated import errors
 
 
 @pytest.mark.parametrize("method", ["linear", "lm", "paper"])
