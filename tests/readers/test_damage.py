@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description
@@ -89,6 +90,27 @@ def test_truncated_file_gives_its_whole_messages_and_says_so(originals, tmp_path
     assert times == [item.log_ns for item in ITEMS[: len(times)]]
     assert f"{len(times)} messages ({(times[-1] - times[0]) * 1e-9:.1f} s) were found before it" in note
     assert "of " + str(path.stat().st_size) in note
+
+
+@pytest.mark.parametrize("chunk", [0, 1, 3])
+def test_a_truncated_chunk_of_an_mcap_gives_its_whole_messages(tmp_path, chunk):
+    items = [
+        r.Item(f"/n{k % 3}", "std_msgs/msg/UInt16", r.START_NS + k, r.number("UInt16", k)) for k in range(900)
+    ]
+    path = r.write_mcap(tmp_path / "log.mcap", items, compression=CompressionType.NONE)
+    with open_recording([path]) as recording:
+        (part,) = recording.parts
+        *before, cut = sorted(part.blocks, key=lambda block: block.offset)[: chunk + 1]
+        whole = [len(list(part.parse(part.load(block)))) for block in (*before, cut)]
+    with path.open("r+b") as stream:
+        stream.truncate(cut.offset + cut.size * 3 // 4)
+    with open_recording([path]) as recording:
+        found = [m.decode().data for m in recording.messages([info.name for info in recording.topics])]
+        assert found == list(range(len(found)))
+        assert sum(whole[:-1]) + 0.5 * whole[-1] < len(found) < sum(whole)
+        note, *_ = recording.damage
+        assert f"the file ends inside a chunk at byte {cut.offset} of" in note
+        assert f"; {len(found)} messages" in note
 
 
 def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):

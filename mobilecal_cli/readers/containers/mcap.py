@@ -225,8 +225,12 @@ class _Reindex(Reindex):
             opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
             end = at + _HEAD.size + length
             if opcode == 0 or end > storage.size:
+                if opcode == Opcode.CHUNK:
+                    self.other()  # gives the channels, by which messages are recognized
                 found = self._next_record(at + 1)
                 if found is None:
+                    if opcode == Opcode.CHUNK:
+                        self._cut_chunk(at)
                     what = "chunk" if opcode == Opcode.CHUNK else "record"
                     trouble = f"the file ends inside a {what} at byte {at} of {storage.size}"
                     break
@@ -241,6 +245,12 @@ class _Reindex(Reindex):
                 storage.note(f"the record at byte {at} of {storage.size} is damaged: {error}")
             at = end
         self.finish(trouble)
+
+    def _cut_chunk(self, at: int) -> None:
+        """Use the part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
+        storage, body = self._storage, at + _HEAD.size + _CHUNK.size + 12
+        if body < storage.size and storage.read_at(body - 12, 4) == bytes(4):
+            self.chunk(Block(body, storage.size - body, False, 2**63 - 1, 0, None))
 
     def _next_record(self, at: int) -> int | None:
         """Offset of the next chunk or message with consistent lengths from byte `at` on, None if there is none."""
