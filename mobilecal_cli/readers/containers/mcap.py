@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -30,6 +30,8 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 #: A plain number, because comparing with an enum member is slow and happens for every message.
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
+#: Records that are searched for after damage.
+_CHUNKS, _RECORDS = (Opcode.CHUNK,), (Opcode.MESSAGE, Opcode.CHUNK)
 #: Bytes searched at once for the next record after damage.
 _WINDOW = 2**22
 #: Channels and schemas are limited to 65,535 each.
@@ -225,12 +227,14 @@ class _Reindex(Reindex):
             opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
             end = at + _HEAD.size + length
             if opcode == 0 or end > storage.size:
+                cut = None
                 if opcode == Opcode.CHUNK:
                     self.other()  # gives the channels, by which messages are recognized
-                found = self._next_record(at + 1)
+                    cut = self._cut_chunk(at) if self._next_record(at + 1, _CHUNKS) is None else None
+                found = self._next_record(at + 1, _RECORDS) if cut is None else None
                 if found is None:
-                    if opcode == Opcode.CHUNK:
-                        self._cut_chunk(at)
+                    if cut is not None:
+                        self.chunk(cut)
                     what = "chunk" if opcode == Opcode.CHUNK else "record"
                     trouble = f"the file ends inside a {what} at byte {at} of {storage.size}"
                     break
@@ -246,21 +250,22 @@ class _Reindex(Reindex):
             at = end
         self.finish(trouble)
 
-    def _cut_chunk(self, at: int) -> None:
-        """Use the part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
+    def _cut_chunk(self, at: int) -> Block | None:
+        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
         storage, body = self._storage, at + _HEAD.size + _CHUNK.size + 12
-        if body < storage.size and storage.read_at(body - 12, 4) == bytes(4):
-            self.chunk(Block(body, storage.size - body, False, 2**63 - 1, 0, None))
+        if body >= storage.size or storage.read_at(body - 12, 4) != bytes(4):
+            return None
+        return Block(body, storage.size - body, False, 2**63 - 1, 0, None)
 
-    def _next_record(self, at: int) -> int | None:
-        """Offset of the next chunk or message with consistent lengths from byte `at` on, None if there is none."""
+    def _next_record(self, at: int, kinds: Sequence[int]) -> int | None:
+        """Offset of the next record of some kinds with consistent lengths from byte `at` on, None if there is none."""
         storage = self._storage
         while at + _HEAD.size < storage.size:
             window = np.frombuffer(storage.read_at(at, min(_WINDOW, storage.size - at)), np.uint8)
             if len(window) <= _HEAD.size:
                 return None
             starts = len(window) - _HEAD.size
-            likely = np.isin(window[:starts], (Opcode.MESSAGE, Opcode.CHUNK))
+            likely = np.isin(window[:starts], kinds)
             for byte in range(5, 9):  # no record is longer than 4 GB
                 likely &= window[byte : byte + starts] == 0
             for place in np.flatnonzero(likely):
