@@ -11,6 +11,7 @@ from mobilecal_cli.pipeline import inspecting
 from mobilecal_cli.report.checklist import checklist, checklist_text
 from tests.cli.edited import edited
 from tests.command import run
+from tests.golden import assert_golden
 
 EVERY = ("rig.yaml", "cameras", "camera infos", "wheels", "head chain", "joints", "time", "motion", "board")
 
@@ -31,6 +32,7 @@ def test_a_rig_that_fits(sample_logs, tmp_path):
     done = run("check", rig, log, cwd=tmp_path)
     assert done.code == 0, done.err
     assert done.out.endswith("No problems.\n")
+    assert_golden(done.out, "check")
     assert (
         "ok       wheels        left data on /wheel_ticks/left, right data on /wheel_ticks/right" in done.out
     )

@@ -11,6 +11,7 @@ from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.urdf import urdf_text
 from tests.cli.edited import edited
 from tests.command import run
+from tests.golden import assert_golden
 
 
 @pytest.fixture
@@ -48,6 +49,7 @@ def test_standard_output_holds_the_file_alone(sample_logs, tmp_path):
     assert (done.code, done.left) == (0, [])
     assert done.out.startswith("# rig.yaml for mobilecal")
     assert done.err.startswith("Filled in\n")
+    assert_golden(done.err, "init")
     assert "TODO: optional" in done.err
 
 

@@ -13,6 +13,7 @@ from mobilecal_cli.pipeline import inspecting
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from tests.cli.edited import edited
 from tests.command import run
+from tests.golden import assert_golden
 from tests.readers import recordings as r
 
 
@@ -50,6 +51,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     assert text.code == 3, text.err
     assert "wheels.left: no joint is named as a wheel; /wheel_ticks/left" in text.out
     assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
+    assert_golden(text.out, "inspect")
     config = sample_logs / "tick_robot.rig.yaml"
     made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
     assert made.code == 0, made.err
