@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from mobilecal_cli.model import AtWork, Solution
 from mobilecal_cli.report.budget import shares_of
-from mobilecal_cli.report.check import LEAST_MOTION, Check, Outcome
+from mobilecal_cli.report.check import LEAST_MOTION, Check
+from mobilecal_cli.report.values import Outcome
 from mobilecal_cli.report.wording.budget import advice, limiting_sentence
 
 
@@ -115,7 +116,7 @@ def use_checks(solution: Solution, limits: Mapping[str, float]) -> Iterator[Chec
             "shares": shares_of(solution, figure.field),
             "small": _small_motion(solution, figure),
         }
-        outcome: Outcome = "good" if use.within else "short"
+        outcome: Outcome = "pass" if use.within else "not_enough"
         yield Check(f"use.{figure.field}", use.value, use.limit, figure.unit, outcome, facts=facts)
 
 

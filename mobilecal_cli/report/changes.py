@@ -80,7 +80,7 @@ def change_checks(change: Change | None) -> Iterator[Check]:
         100 * change.chance,
         100 * _UNLIKELY,
         "%",
-        "look" if change.chance < _UNLIKELY else "good",
+        "warning" if change.chance < _UNLIKELY else "pass",
         at_least=True,
         facts=facts,
     )

@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
-Outcome = Literal["good", "look", "bad", "short"]
-#: Outcome → its name in report.json, and its label in the report.
-OUTCOMES: dict[Outcome, Literal["pass", "warning", "fail", "not_enough"]] = {
-    "good": "pass",
-    "look": "warning",
-    "bad": "fail",
-    "short": "not_enough",
-}
-OUTCOME_LABELS = {outcome: name.replace("_", " ") for outcome, name in OUTCOMES.items()}
+from mobilecal_cli.report.values import Outcome
 
 #: Extent of the motion → with less, a parameter depends on a difference about as small as the noise.
 LEAST_MOTION = {"pan_range_deg": 10.0, "tilt_range_deg": 5.0, "turned_deg": 20.0, "driven_m": 0.2}
@@ -27,9 +19,9 @@ class Check:
     Attributes:
         id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint_rad").
         value: as measured, None where it is unknown.
-        limit: beyond it the outcome is "bad" or "short"; None for a criterion without a number.
+        limit: beyond it the outcome is "fail" or "not_enough"; None for a criterion without a number.
         unit: of both, "" for counts and ratios.
-        outcome: "good", "look" (a warning; passes), "bad" (fails) or "short" (too little data to decide).
+        outcome: "pass", "warning" (which passes), "fail" or "not_enough" (too little data to decide).
         at_least: whether the limit is a lower one.
         facts: further numbers and names that the sentences state.
     """
@@ -41,6 +33,11 @@ class Check:
     outcome: Outcome
     at_least: bool = False
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """The outcome in words."""
+        return self.outcome.replace("_", " ")
 
 
 class Checks(tuple[Check, ...]):
@@ -58,9 +55,9 @@ class Checks(tuple[Check, ...]):
 
 def graded(value: float, look: float, bad: float) -> Outcome:
     """The outcome of a value that should be small."""
-    return "bad" if value > bad else "look" if value > look else "good"
+    return "fail" if value > bad else "warning" if value > look else "pass"
 
 
 def enough(value: float, least: float) -> Outcome:
     """The outcome of a value that should not be small."""
-    return "good" if value >= least else "short"
+    return "pass" if value >= least else "not_enough"

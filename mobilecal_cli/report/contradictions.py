@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mobilecal_cli.model import Evidence, Extraction, Solution
-from mobilecal_cli.report.check import Check, Outcome
+from mobilecal_cli.report.check import Check
+from mobilecal_cli.report.values import Outcome
 from mobilecal_cli.report.wording.contradictions import SCALES, contradiction_sentences
 
 #: Evidence beyond this is a contradiction (the solver's own limit); the answer depends on it beyond the other.
@@ -22,7 +23,7 @@ def contradiction_checks(solution: Solution, extraction: Extraction) -> Iterator
         if is_scale and scale_done:
             continue
         scale_done |= is_scale
-        outcome: Outcome = "bad" if found.shift_sigmas > SHIFT_SIGMAS else "look"
+        outcome: Outcome = "fail" if found.shift_sigmas > SHIFT_SIGMAS else "warning"
         facts = {
             "evidence": found,
             "scale": solution.scale,
@@ -34,7 +35,7 @@ def contradiction_checks(solution: Solution, extraction: Extraction) -> Iterator
         yield Check(name, found.sigmas, CONTRADICTION_SIGMAS, "sigma", outcome, facts=facts)
     if not solution.contradictions:
         most = max((found.sigmas for found in solution.evidence), default=0.0)
-        yield Check("description", most, CONTRADICTION_SIGMAS, "sigma", "good")
+        yield Check("description", most, CONTRADICTION_SIGMAS, "sigma", "pass")
 
 
 def each_once(solution: Solution) -> tuple[Evidence, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.check import OUTCOME_LABELS, Check
+from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.gates import drift_figures, rms
 from mobilecal_cli.report.values import DriftData, EvaluationData, LegErrorData, SpreadData, json_text
 from mobilecal_cli.report.verdict import Verdict, check_data, verdict_data
@@ -124,7 +124,7 @@ def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: V
             "",
             f"  {'Calibration against this recording':<56}{'':<21}limit",
             *(
-                f"  {OUTCOME_LABELS[check.outcome]:<12}{said.name:<44}{said.measured:<21}{said.limit}"
+                f"  {check.label:<12}{said.name:<44}{said.measured:<21}{said.limit}"
                 for check in verdict.checks
                 for said in [words(check)]
             ),

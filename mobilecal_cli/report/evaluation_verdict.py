@@ -15,9 +15,10 @@ import numpy as np
 from mobilecal_cli.comparison import nine_apart
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, FloatArray, StereoRig
-from mobilecal_cli.report.check import Check, Checks, Outcome, enough
+from mobilecal_cli.report.check import Check, Checks, enough
 from mobilecal_cli.report.checks.faults import PIXEL_ERROR_BAD
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
+from mobilecal_cli.report.values import Outcome
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
 from mobilecal_cli.report.wording.evaluation import agreement
 
@@ -72,7 +73,7 @@ def judge_evaluation(
         gates: the user's limits, see `gate_checks`.
     """
     checks = Checks((*_checks(found, cameras, robot, own), *gates))
-    order = ("good", "look", "short", "bad")
+    order = ("pass", "warning", "not_enough", "fail")
     worst = max(checks, key=lambda check: order.index(check.outcome))
     if worst.outcome in LEVELS:
         return decided_by(worst, checks)
@@ -87,7 +88,7 @@ def _checks(
     yield _corners(found, cameras, own)
     if isinstance(own, MobilecalError):
         facts = {"message": own.message, "hint": own.hint}
-        yield Check("own_estimate", None, None, "", "short", facts=facts)
+        yield Check("own_estimate", None, None, "", "not_enough", facts=facts)
         return
     yield from _differences(robot, own)
 
@@ -99,7 +100,7 @@ def _corners(found: Evaluation, cameras: StereoRig, own: OwnEstimate | Mobilecal
     best_px = limit_px if isinstance(own, MobilecalError) else float(np.median(own.reprojection_px))
     unexplained = best_px > limit_px
     outcome: Outcome = (
-        "short" if unexplained else "bad" if px > _TIMES_OWN * best_px and px > limit_px else "good"
+        "not_enough" if unexplained else "fail" if px > _TIMES_OWN * best_px and px > limit_px else "pass"
     )
     facts = {"limit_px": limit_px, "best_px": None if isinstance(own, MobilecalError) else best_px}
     return Check("corner_error", px, max(limit_px, _TIMES_OWN * best_px), "px", outcome, facts=facts)
@@ -110,18 +111,18 @@ def _differences(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
     for name, part, unit, limit in _QUANTITIES:
         facts: dict[str, Any] = {"sigmas": SIGMAS, "cure": own.cure}
         if not known[part].all():
-            yield Check(f"agreement.{name}", None, limit, unit, "short", facts=facts)
+            yield Check(f"agreement.{name}", None, limit, unit, "not_enough", facts=facts)
             continue
         x, C = change[part], covariance[part, part]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
         needed = SIGMA_SHARE * limit
-        outcome: Outcome = "good"
+        outcome: Outcome = "pass"
         if size > max(limit, SIGMAS * sigma):
-            outcome = "bad"
+            outcome = "fail"
         elif largest > needed:
-            outcome = "short"
+            outcome = "not_enough"
         facts |= {"sigma": sigma, "largest": largest, "needed": needed}
         yield Check(f"agreement.{name}", size, limit, unit, outcome, facts=facts)
 

@@ -187,4 +187,4 @@ def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
         if gate.name in USE_GATES and value is not None:
             continue
         passes = value is not None and (value >= gate.limit if least else value <= gate.limit)
-        yield Check(f"gate.{gate.name}", value, gate.limit, "", "good" if passes else "bad", at_least=least)
+        yield Check(f"gate.{gate.name}", value, gate.limit, "", "pass" if passes else "fail", at_least=least)

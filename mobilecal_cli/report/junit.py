@@ -8,7 +8,7 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.values import VerdictData
 
-_FAILURES = {"fail": "fail", "not_enough": "not enough"}
+_FAILURES = ("fail", "not_enough")
 
 
 def junit_xml(name: str, verdict: VerdictData) -> bytes:
@@ -24,7 +24,7 @@ def junit_xml(name: str, verdict: VerdictData) -> bytes:
     for check in verdict.checks:
         case = _case(suite, check.name)
         if check.outcome in _FAILURES:
-            _said(case, "failure", check.why, _FAILURES[check.outcome], check.next_step)
+            _said(case, "failure", check.why, check.outcome.replace("_", " "), check.next_step)
         warning = f"; warning: {check.why}" if check.outcome == "warning" else ""
         out = ET.SubElement(case, "system-out")
         out.text = visible(f"measured: {check.measured_text}; limit: {check.limit_text}{warning}")

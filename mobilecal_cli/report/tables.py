@@ -13,7 +13,6 @@ from mobilecal_cli.model import NINE, SIDES, HeadChain, Setting
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.case import Case
-from mobilecal_cli.report.check import OUTCOME_LABELS
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.numbers import (
     lengths_mm,
@@ -310,7 +309,7 @@ def motion(case: Case) -> Rows:
 def checks(case: Case) -> Rows:
     """All criteria."""
     said = ((check, words(check)) for check in case.verdict.checks)
-    return [(OUTCOME_LABELS[check.outcome], w.name, w.measured, w.limit) for check, w in said]
+    return [(check.label, w.name, w.measured, w.limit) for check, w in said]
 
 
 @table("rejections", "", "reason", "stage", "number:count")

@@ -20,6 +20,7 @@ Three: TypeAlias = tuple[float, float, float]
 ByName: TypeAlias = Mapping[str, float]
 Matrix: TypeAlias = tuple[tuple[float, ...], ...]
 Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
+Outcome = Literal["pass", "warning", "fail", "not_enough"]
 
 _T = TypeVar("_T")
 
@@ -39,7 +40,7 @@ class CheckData:
     limit: Number
     unit: str
     at_least: bool
-    outcome: Literal["pass", "warning", "fail", "not_enough"]
+    outcome: Outcome
     name: str
     measured_text: str
     limit_text: str

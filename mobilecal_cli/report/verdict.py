@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 from mobilecal_cli.model import Evaluation, Extraction, Solution
 from mobilecal_cli.report.at_work import default_errors
 from mobilecal_cli.report.changes import Change, change_checks
-from mobilecal_cli.report.check import OUTCOMES, Check, Checks, Outcome
+from mobilecal_cli.report.check import Check, Checks
 from mobilecal_cli.report.checks import all_checks
 from mobilecal_cli.report.gates import Gate, figures_of, gate_checks, use_limits
 from mobilecal_cli.report.numbers import board_distance_m
-from mobilecal_cli.report.values import CheckData, Level, VerdictData
+from mobilecal_cli.report.values import CheckData, Level, Outcome, VerdictData
 from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.use import passed
 
 #: Outcome of a check → the verdict that it alone decides.
-LEVELS: dict[Outcome, Level] = {"short": "NOT ENOUGH", "bad": "FAIL"}
+LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def judge(
     reason, next_step = passed(
         len(extraction.observations), point_mm, distance_m, solution.method, found_errors
     )
-    look = [words(check) for check in checks if check.outcome == "look"]
+    look = [words(check) for check in checks if check.outcome == "warning"]
     if look:
         next_step += f" Check first: {look[0].why} {look[0].next_step}"
     return Verdict("PASS", reason, next_step, checks, metrics)
@@ -83,19 +83,19 @@ def decided_by(check: Check, checks: Checks, metrics: Mapping[str, float | None]
 
 def check_data(check: Check) -> CheckData:
     """A criterion as numbers and sentences."""
-    said, good = words(check), check.outcome == "good"
+    said, met = words(check), check.outcome == "pass"
     return CheckData(
         id=check.id,
         value=check.value,
         limit=check.limit,
         unit=check.unit,
         at_least=check.at_least,
-        outcome=OUTCOMES[check.outcome],
+        outcome=check.outcome,
         name=said.name,
         measured_text=said.measured,
         limit_text=said.limit,
-        why="" if good else said.why,
-        next_step="" if good else said.next_step,
+        why="" if met else said.why,
+        next_step="" if met else said.next_step,
     )
 
 

@@ -50,7 +50,7 @@ def test_a_table_is_one_function(case, monkeypatch):
 
 def test_a_check_is_its_numbers_and_its_sentences(case, monkeypatch):
     usual = verdict.all_checks
-    check = Check("color", 3.0, 2.0, "shades", "bad")
+    check = Check("color", 3.0, 2.0, "shades", "fail")
     monkeypatch.setattr(verdict, "all_checks", lambda *given: [*usual(*given), check])
     said = Words("color of the robot", "3 shades", "under 2 shades", "The robot is too gray.", "Paint it.")
     monkeypatch.setitem(wording._WORDS, "color", lambda check: said)

@@ -85,7 +85,7 @@ def test_colours_have_contrast(browser, page, dark):
         "section:not(.verdict) a": "section:not(.verdict)",
     }
     levels = {f".verdict.{level} p": f".verdict.{level}" for level in ("pass", "fail", "short")}
-    tags = {f".tag.{kind}": f".tag.{kind}" for kind in ("good", "look", "bad", "short")}
+    tags = {f".tag.{kind}": f".tag.{kind}" for kind in ("pass", "fail", "short")}
     for text, ground in (pairs | levels | tags).items():
         name, _, kind = ground.partition(".")[2].partition(".")
         if ground in levels.values() or ground in tags.values():

@@ -87,7 +87,7 @@ def test_each_side_of_a_limit():
     names = ["stations", "legs", "translation_rms_mm", "drift_mm_per_m", "drift_deg_per_turn"]
     gates = [Gate(name, limit) for name, limit in zip(names, (3, 3, 7, 4.0, 100), strict=True)]
     checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
-    assert [check.outcome for check in checks] == ["good", "bad", "bad", "good", "bad"]
+    assert [check.outcome for check in checks] == ["pass", "fail", "fail", "pass", "fail"]
     assert words(checks[1]).why == "Gate failed: legs = 2 (limit 3)."
     assert "unknown (limit 100)" in words(checks[4]).why
 
@@ -138,10 +138,10 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
 
 def test_junit():
     checks = [
-        Check("stations", 9, 8, "", "good", at_least=True),
-        Check("camera_info", 1, 0, "", "look", facts={"note": "why\x1b"}),
-        Check("rejected", 60, 50, "%", "bad", facts={"rejected": 6, "found": 10, "often": "<&>\x00"}),
-        Check("gate.legs", 3, 4, "", "short", at_least=True),
+        Check("stations", 9, 8, "", "pass", at_least=True),
+        Check("camera_info", 1, 0, "", "warning", facts={"note": "why\x1b"}),
+        Check("rejected", 60, 50, "%", "fail", facts={"rejected": 6, "found": 10, "often": "<&>\x00"}),
+        Check("gate.legs", 3, 4, "", "not_enough", at_least=True),
     ]
     verdict = verdict_data(Verdict("FAIL", "", "", Checks(checks)))
     suite = ET.fromstring(junit_xml("log\x07.mcap", verdict)).find("testsuite")

@@ -46,7 +46,7 @@ def test_a_sound_calibration_passes(solution, extraction):
         "The method lm gives no standard deviations, so the expected errors in use are unknown."
     )
     assert verdict.next_step == NO_SIGMAS
-    assert {check.outcome for check in verdict.checks} == {"good"}
+    assert {check.outcome for check in verdict.checks} == {"pass"}
 
 
 def test_an_exact_one_passes(solution, extraction):

@@ -141,7 +141,7 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     rows = noise(Case(found, lifted, make_provenance(lifted), judge(found, lifted)))
     assert [unit for meaning, _, unit, _ in rows if meaning == "joint reading"] == ["mm"]
     check = judge(found, lifted).checks["noise.joint"]
-    assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "good")
+    assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "pass")
 
 
 # -- fixed parameters -------------------------------------------------------------------------------

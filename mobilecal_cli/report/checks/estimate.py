@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from mobilecal_cli.model import NINE, Extraction, Solution
-from mobilecal_cli.report.check import LEAST_MOTION, Check, Outcome, graded
+from mobilecal_cli.report.check import LEAST_MOTION, Check, graded
+from mobilecal_cli.report.values import Outcome
 
 # Stated square size against the stereo measurement; a difference scales all lengths.
 SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT = 1.0, 3.0
@@ -50,7 +51,7 @@ def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
         9 - len(fixed),
         9,
         "",
-        "look" if enough else "short",
+        "warning" if enough else "not_enough",
         at_least=True,
         facts={"unobservable": fixed, "cures": cures},
     )
@@ -63,11 +64,13 @@ def outlier_checks(solution: Solution, extraction: Extraction) -> Iterator[Check
     gross = [o for o in solution.outliers if o.kind != "corners"]
     stations = len(extraction.observations)
     share = 100 * len(gross) / max(1, stations)
-    outcome: Outcome = "bad" if share > OUTLIERS_BAD_PERCENT else "look" if gross else "good"
+    outcome: Outcome = "fail" if share > OUTLIERS_BAD_PERCENT else "warning" if gross else "pass"
     facts = {"count": len(gross), "stations": stations, "first": gross[0].text if gross else ""}
     yield Check("outliers", share, OUTLIERS_BAD_PERCENT, "%", outcome, facts=facts)
     if solution.noisy:
-        yield Check("outliers_as_noise", len(solution.noisy), 0, "", "look", facts={"kinds": solution.noisy})
+        yield Check(
+            "outliers_as_noise", len(solution.noisy), 0, "", "warning", facts={"kinds": solution.noisy}
+        )
 
 
 def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -99,7 +102,7 @@ def height_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]
     for step in solution.height_steps:
         names = [f"{step.log}:{station}" if several else str(station) for station in step.stations]
         facts = {"stations": names}
-        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "mm", "look", facts=facts)
+        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "mm", "warning", facts=facts)
     if solution.uncertainty is not None and solution.uncertainty.noise.floor_m and not solution.height_steps:
         level, (look, bad) = 1e3 * solution.uncertainty.noise.floor_m, HEIGHT_MM
         yield Check("noise.height", level, bad, "mm", graded(level, look, bad), facts={"usual": look})

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mobilecal_cli.model import Extraction, Solution
-from mobilecal_cli.report.check import Check, Outcome, graded
+from mobilecal_cli.report.check import Check, graded
 from mobilecal_cli.report.decomposition import ErrorPart, error_parts
 from mobilecal_cli.report.numbers import (
     board_distance_m,
@@ -19,6 +19,7 @@ from mobilecal_cli.report.numbers import (
     predicted_point_rms_m,
     station_names,
 )
+from mobilecal_cli.report.values import Outcome
 
 # Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is
 # 0.9 degrees of heading, more than a wheel without slip loses on one leg.
@@ -55,7 +56,7 @@ def second_solution(solution: Solution) -> Check:
         ratio if math.isfinite(ratio) else None,
         RIVAL_BAD,
         "",
-        "good" if ratio >= RIVAL_BAD else "bad",
+        "pass" if ratio >= RIVAL_BAD else "fail",
         at_least=True,
         facts={"kept_mm": kept * 1e3, "rival_mm": None if single else rival * 1e3},
     )
@@ -115,13 +116,13 @@ def methods(solution: Solution) -> Check:
     largest = max(value / limit for value, limit in zip((angle_deg, shift_mm, wheels), limits, strict=True))
     facts = {"angle_deg": angle_deg, "shift_mm": shift_mm, "wheels_percent": wheels, "limits": limits}
     return Check(
-        "methods", largest, 1.0, "", _at_most(solution, "bad") if largest > 1 else "good", facts=facts
+        "methods", largest, 1.0, "", _at_most(solution, "fail") if largest > 1 else "pass", facts=facts
     )
 
 
 def _at_most(solution: Solution, outcome: Outcome) -> Outcome:
     """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
-    return "look" if outcome == "bad" and solution.uncertainty is not None else outcome
+    return "warning" if outcome == "fail" and solution.uncertainty is not None else outcome
 
 
 def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -140,7 +141,7 @@ def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         error = float(errors[worst])
         far = error > LEG_OUTLIER * median
         facts = {"from": names[first], "to": names[second], "median": median, "times_median": LEG_OUTLIER}
-        outcome = _at_most(solution, graded(error / scale, share_look, share_bad)) if far else "good"
+        outcome = _at_most(solution, graded(error / scale, share_look, share_bad)) if far else "pass"
         yield Check(f"leg_outlier.{kind}", error, share_bad * scale, unit, outcome, facts=facts)
 
 

@@ -23,7 +23,7 @@ def mistakes(solution: Solution) -> Iterator[Check]:
         None if share is None else 100 * share for share in (found.error_share, found.corrected_share)
     )
     facts = {"cause": found.cause, "cure": found.cure, "corrected": after}
-    yield Check("mistake", before, None, "%", "bad", facts=facts)
+    yield Check("mistake", before, None, "%", "fail", facts=facts)
 
 
 def station_checks(extraction: Extraction) -> Iterator[Check]:
@@ -47,7 +47,7 @@ def camera_info(extraction: Extraction) -> Iterator[Check]:
     """One calibration of each camera for the whole recording; the estimate uses the first."""
     changes = [note for note in extraction.notes if CAMERA_INFO_CHANGES in note]
     if changes:
-        yield Check("camera_info", len(changes), 0, "", "look", facts={"note": changes[0]})
+        yield Check("camera_info", len(changes), 0, "", "warning", facts={"note": changes[0]})
 
 
 def rejected(extraction: Extraction) -> Check:

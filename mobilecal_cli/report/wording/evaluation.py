@@ -28,7 +28,7 @@ def _stations(c: Check) -> Words:
 
 def _corner_error(c: Check) -> Words:
     limit_px, best_px = c.facts["limit_px"], c.facts["best_px"]
-    if c.outcome == "short":
+    if c.outcome == "not_enough":
         why = f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
         cure = "Check for wheel slip, a moved board and wrong encoder settings, and record again."
     else:
@@ -60,7 +60,7 @@ def _agreement(c: Check) -> Words:
         cure = f["cure"] or "record more motion of base and head"
         why = f"The {name} is unobservable in this recording."
         return Words(name, "unobservable", limit, why, f"{cure[:1].upper()}{cure[1:]}.")
-    if c.outcome == "bad":
+    if c.outcome == "fail":
         why = (
             f"The {name} differs from this recording by {c.value:.2g} ± {f['sigma']:.1g} {c.unit} "
             f"(limit {c.limit:g} {c.unit})."

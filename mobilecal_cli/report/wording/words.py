@@ -13,7 +13,7 @@ class Words(NamedTuple):
     Attributes:
         name: the criterion.
         measured, limit: values with their units.
-        why: a sentence for every outcome but "good".
+        why: a sentence for every outcome but "pass".
         next_step: what to do then.
     """
 
