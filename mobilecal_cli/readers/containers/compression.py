@@ -77,8 +77,8 @@ def message_payload(payload: Payload) -> Payload:
 def expand(source: BinaryIO, target: Path) -> str:
     """Decompress a zstd file.
 
-    "" if the file is complete, otherwise what is wrong; `target` then contains what could be decompressed.
-        "" when it was whole, otherwise what went wrong; `target` then holds what could be read.
+    Returns:
+        "" if the file is complete, otherwise what is wrong; `target` then contains what could be decompressed.
 
     Raises:
         OSError: `target` cannot be written.

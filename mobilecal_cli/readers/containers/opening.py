@@ -12,7 +12,6 @@ from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
-from mobilecal_cli.readers.messages.channels import Channel
 from mobilecal_cli.scratch import full_disk_told, scratch_directory
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
@@ -177,7 +176,7 @@ def recognised(path: Path) -> bool:
 def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """Group the user's paths into recordings.
 
-    See `parts.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
+    See `splits.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
 
     Returns:
         Groups of paths, in order of their first path; each in order of time.
@@ -190,16 +189,5 @@ def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     ranges = []
     for path in paths:
         with open_recording([path]) as recording:
-            ranges.append(_Range(recording))
+            ranges.append(recording)
     return [[paths[i] for i in group] for group in group_splits(ranges)]
-
-
-class _Range:
-    """Time range and channels of a closed recording."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.start_ns = recording.start_ns
-        self.end_ns = recording.end_ns
-        self.channels: dict[int, Channel] = dict(
-            enumerate(channel for part in recording.parts for channel in part.channels.values())
-        )

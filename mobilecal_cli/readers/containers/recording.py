@@ -116,6 +116,11 @@ class Recording:
         return f"{self.paths[0]}{more}"
 
     @property
+    def channels(self) -> dict[int, Channel]:
+        """The channels of all files, numbered."""
+        return dict(enumerate(channel for part in self.parts for channel in part.channels.values()))
+
+    @property
     def start_ns(self) -> int | None:
         """Log time of the first message, None if unknown."""
         return min((part.start_ns for part in self.parts if part.start_ns is not None), default=None)

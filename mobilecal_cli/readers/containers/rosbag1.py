@@ -73,20 +73,17 @@ def _fields(header: memoryview) -> Fields:
 
 def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
     """Header fields of the record at `at`, and begin and end of its data."""
-    (header_size,) = _U32.unpack_from(data, at)
     header = at + _U32.size
-    body = header + header_size + _U32.size
-    return _fields(data[header : header + header_size]), body, _end(data, body)
+    end = _end(data, header)
+    return _fields(data[header:end]), end + _U32.size, _end(data, end + _U32.size)
 
 
 def _end(data: memoryview, body: int) -> int:
-    """End of a record's data that begins at `body`; its size is stored before it."""
-    if body > len(data):
+    """End of what begins at `body`; its size is stored before it."""
+    end = body + int.from_bytes(data[body - _U32.size : body], "little")
+    if end > len(data):
         raise EOFError("a record extends beyond the end of the data")
-    (size,) = _U32.unpack_from(data, body - _U32.size)
-    if body + size > len(data):
-        raise EOFError("a record extends beyond the end of the data")
-    return int(body + size)
+    return end
 
 
 class BagStorage(BlockStorage):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Protocol
 
+from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import LATEST_NS, Storage
-from mobilecal_cli.readers.messages.channels import Channel
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
 LARGEST_GAP_NS = 5 * 10**9
@@ -15,15 +14,7 @@ LARGEST_GAP_NS = 5 * 10**9
 LARGEST_OVERLAP_NS = 10**9
 
 
-class Ranged(Protocol):
-    """An object with channels and a range of log times, such as an open file."""
-
-    channels: dict[int, Channel]
-    start_ns: int | None
-    end_ns: int | None
-
-
-def group_splits(files: Sequence[Ranged]) -> list[list[int]]:
+def group_splits(files: Sequence[Storage | Recording]) -> list[list[int]]:
     """Indices of the files, grouped into recordings.
 
     Two files belong together if the later one begins within 5 s after the end of the earlier one (or up to 1 s before
@@ -43,7 +34,7 @@ def group_splits(files: Sequence[Ranged]) -> list[list[int]]:
     return sorted(groups, key=min)
 
 
-def _continues(group: Sequence[Ranged], file: Ranged) -> bool:
+def _continues(group: Sequence[Storage | Recording], file: Storage | Recording) -> bool:
     ends = [member.end_ns for member in group if member.end_ns is not None]
     if file.start_ns is None or not ends:
         return False
