@@ -37,16 +37,11 @@ def suggest(
     solution = fitted(extraction, progress=progress).solution
     sentences, limiting = suggestion_sentences(solution, extraction), " ".join(recommendation(solution))
     if not sentences:
-        return (
-            *filter(None, [limiting]),
-            "No stop near the last one shows the whole board. Move the robot and record again.",
-        )
-    head = "Additional stop at the end of this recording, most useful first:"
-    return (
-        *filter(None, [limiting]),
-        head,
-        *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)),
-    )
+        sentences = ("No stop near the last one shows the whole board. Move the robot and record again.",)
+    else:
+        head = "Additional stop at the end of this recording, most useful first:"
+        sentences = (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
+    return (*filter(None, [limiting]), *sentences)
 
 
 def calibrate(

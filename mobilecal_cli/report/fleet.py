@@ -70,19 +70,8 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
     out = standing_out(rows)
     stream = io.StringIO()
     table = csv.writer(stream, lineterminator="\n")
-    table.writerow(
-        [
-            "robot",
-            "verdict",
-            "exit_code",
-            "stations",
-            *_FIELDS,
-            *(f"std_{f}" for f in _FIELDS),
-            "stands_out",
-            "skipped",
-            "reason",
-        ]
-    )
+    columns = (*_FIELDS, *(f"std_{name}" for name in _FIELDS))
+    table.writerow(["robot", "verdict", "exit_code", "stations", *columns, "stands_out", "skipped", "reason"])
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
         words = (" ".join(out.get(row.name, ())), _harmless(row.skipped), _harmless(row.reason))

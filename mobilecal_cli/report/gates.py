@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,20 +22,23 @@ Figures = Mapping[str, float | None]
 #: Figures with a lower limit; all others have an upper limit.
 _AT_LEAST = frozenset({"stations", "legs", "hold_out.stations", "hold_out.legs"})
 _STD_KEYS = tuple(parameter.gate for parameter in PARAMETERS)
-_EVALUATED = (
-    "stations",
-    "legs",
-    "reprojection_rms_px",
-    "rotation_rms_deg",
-    "translation_rms_mm",
-    "drift_mm_per_m",
-    "drift_deg_per_turn",
-)
+_EVALUATED: Mapping[str, Callable[[Evaluation], float | None]] = {
+    "stations": lambda found: float(found.stations),
+    "legs": lambda found: float(len(found.legs)),
+    "reprojection_rms_px": lambda found: rms(found.reprojection_px),
+    "rotation_rms_deg": lambda found: math.degrees(rms(found.rotation_rad)),
+    "translation_rms_mm": lambda found: rms(found.translation_m) * 1e3,
+    "drift_mm_per_m": lambda found: drift_figures(found.after)["mm_per_m"],
+    "drift_deg_per_turn": lambda found: drift_figures(found.after)["deg_per_turn"],
+}
+_SOLVED: Mapping[str, Callable[[Solution, Extraction], float]] = {
+    "stations": lambda _, extraction: float(len(extraction.observations)),
+    "reprojection_rms_px": lambda solution, _: solution.reprojection_rms_px,
+    "point_rms_mm": lambda solution, _: solution.point_rms_m * 1e3,
+    "left_out": lambda solution, _: float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
+}
 _CALIBRATED = (
-    "stations",
-    "reprojection_rms_px",
-    "point_rms_mm",
-    "left_out",
+    *_SOLVED,
     *_STD_KEYS,
     *(figure.gate for figure in FIGURES),
     *(f"hold_out.{name}" for name in _EVALUATED),
@@ -74,7 +77,7 @@ class Gate:
 
 def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
     """Names of the figures that a gate of `calibrate` (or of `evaluate`) can limit."""
-    return _EVALUATED if evaluating else (*_CALIBRATED, *_CRITERIA)
+    return tuple(_EVALUATED) if evaluating else (*_CALIBRATED, *_CRITERIA)
 
 
 def gates_of(
@@ -131,12 +134,7 @@ def figures_of(
     """Figures of a calibration that a gate can limit; the values of the criteria are added by `judge`."""
     found = solution.uncertainty
     figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
-    figures |= {
-        "stations": float(len(extraction.observations)),
-        "reprojection_rms_px": solution.reprojection_rms_px,
-        "point_rms_mm": solution.point_rms_m * 1e3,
-        "left_out": float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
-    }
+    figures |= {name: of(solution, extraction) for name, of in _SOLVED.items()}
     if found is not None:
         figures |= dict(zip(_STD_KEYS, reference_std(solution), strict=True))
         figures |= {figure.gate: figure.of(found.at_work) for figure in FIGURES}
@@ -147,16 +145,7 @@ def figures_of(
 
 def evaluated_figures(found: Evaluation) -> Figures:
     """Every figure of an evaluation that a gate can limit."""
-    after = drift_figures(found.after)
-    return {
-        "stations": float(found.stations),
-        "legs": float(len(found.legs)),
-        "reprojection_rms_px": rms(found.reprojection_px),
-        "rotation_rms_deg": math.degrees(rms(found.rotation_rad)),
-        "translation_rms_mm": rms(found.translation_m) * 1e3,
-        "drift_mm_per_m": after["mm_per_m"],
-        "drift_deg_per_turn": after["deg_per_turn"],
-    }
+    return {name: of(found) for name, of in _EVALUATED.items()}
 
 
 def drift_figures(drift: Drift) -> dict[str, float | None]:
