@@ -12,6 +12,9 @@ from mobilecal_cli.report.values import Outcome
 LEAST_MOTION = {"pan_range_deg": 10.0, "tilt_range_deg": 5.0, "turned_deg": 20.0, "driven_m": 0.2}
 
 
+_SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """One criterion. Its sentences are in `wording`.
@@ -35,6 +38,14 @@ class Check:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def share(self) -> float:
+        """How much of the limit is used: above 1 beyond it; 0 without a number."""
+        if self.value is None or not self.limit:
+            return 0.0
+        share = abs(self.value / self.limit)
+        return 1 / max(share, 1e-300) if self.at_least else share
+
+    @property
     def label(self) -> str:
         """The outcome in words."""
         return self.outcome.replace("_", " ")
@@ -46,11 +57,20 @@ class Checks(tuple[Check, ...]):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:  # noqa: ANN401
-        """A criterion by its id (KeyError if there is none), or as in a tuple."""
+        """A criterion by its id or kind, or as in a tuple; of a kind ("leg_outlier") the worst.
+
+        Raises:
+            KeyError: there is none.
+        """
         if not isinstance(key, str):
             return super().__getitem__(key)
-        found = {check.id: check for check in self}
-        return found[key]
+        for check in self:
+            if check.id == key:
+                return check
+        alike = [check for check in self if check.id.partition(".")[0] == key]
+        if not alike:
+            raise KeyError(key)
+        return max(alike, key=lambda check: (_SEVERITY.index(check.outcome), check.share))
 
 
 def graded(value: float, look: float, bad: float) -> Outcome:

@@ -9,6 +9,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
+from mobilecal_cli.report.check import Check, Checks
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.report.wording import words
 from mobilecal_cli.solvers import solve
@@ -264,3 +265,23 @@ class TestWithTheSolver:
         verdict = solved(extraction, observations=loose)
         assert verdict.level == "FAIL"
         assert "joints" in verdict.next_step
+
+
+def test_a_kind_of_criteria_is_its_worst():
+    """The outcome counts first, then the share of the limit."""
+    made = Checks(
+        [
+            Check("noise.joint", 0.1, 0.4, "degrees", "pass"),
+            Check("noise.wheel", 0.02, 0.03, "", "warning"),
+            Check("noise.floor", 0.29, 0.3, "degrees", "pass"),
+            Check("leg_outlier.point", 6.0, 20.0, "mm", "pass"),
+            Check("leg_outlier.reprojection", 2.0, 5.0, "px", "pass"),
+            Check("stations", 13, 12, "", "pass", at_least=True),
+        ]
+    )
+    assert made["noise"].id == "noise.wheel"
+    assert made["leg_outlier"].id == "leg_outlier.reprojection"
+    assert (made["leg_outlier.point"].value, made[0].id) == (6.0, "noise.joint")
+    assert made["stations"].share == pytest.approx(12 / 13)
+    with pytest.raises(KeyError):
+        made["leg"]
