@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.readers.signals.series import Samples
-from mobilecal_cli.readers.signals.steps import cut, steps_of
+from mobilecal_cli.readers.signals.steps import cut, pause_notes, steps_of
 
 S = 10**9
 MS = 10**6
@@ -95,3 +95,17 @@ def test_what_is_no_step():
 def test_a_slow_playback_of_rare_messages_is_no_step():
     true_ns = np.arange(100) * 10 * S
     assert not len(steps_of(true_ns // 2, true_ns))
+
+
+def test_a_pause_of_all_topics_is_noted():
+    def paused(topic, hz):
+        one = samples(topic, hz)
+        return Samples(
+            topic, topic, one.stamp_ns, one.log_ns + np.where(one.value[:, 0] > AT, 9 * S, 0), one.value
+        )
+
+    (note,) = pause_notes([paused("/j", 50), paused("/left", 5)])
+    assert note.startswith("1 pause of all topics; the longest lasts 9.02")
+    assert "s, 20.0 s after the start" in note
+    assert pause_notes([samples("/j", 50), paused("/left", 5)]) == []
+    assert pause_notes([samples("/j", 50, seconds=0.0)]) == []

@@ -12,7 +12,7 @@ from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.clocks import Clock, clock_notes
 from mobilecal_cli.readers.signals.info_changes import InfoChanges
 from mobilecal_cli.readers.signals.series import Samples, Series, order_notes
-from mobilecal_cli.readers.signals.steps import cut
+from mobilecal_cli.readers.signals.steps import cut, pause_notes
 from mobilecal_cli.readers.signals.subscriptions import Quantity, Subscriptions
 from mobilecal_cli.readers.signals.wheels import gap_notes
 
@@ -68,11 +68,13 @@ def read_signals(
     turning = {side: read.wheel_quantity(side, sources.wheels[side], notes) for side in SIDES}
     moving = {name: read.joint_quantity(name, sources.joints, notes) for name in joints}
     every = dict.fromkeys([*images.values(), *(one.series for one in (*moving.values(), *turning.values()))])
-    pieces, steps = cut([series.samples(notes) for series in every])
+    samples = [series.samples(notes) for series in every]
+    pieces, steps = cut(samples)
     notes = [
         *clock_notes([*read.clocks.values(), *clocks]),
         *read.undecodable(),
         *steps,
+        *pause_notes(samples),
         *infos.notes,
         *notes,
     ]

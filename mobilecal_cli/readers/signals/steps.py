@@ -15,6 +15,8 @@ from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, steps_of
 from mobilecal_cli.readers.signals.series import Samples
 
 _NS = 1_000_000_000
+#: A pause of all topics is this many times their usual interval.
+_LONG_PAUSE = 10
 #: Messages on each side that give its size.
 _MEASURED = 101
 #: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
@@ -49,6 +51,26 @@ def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
         tuple(one.part(starts[k][p], ends[k][p], shifts[k][p]) for k, one in enumerate(series))
         for p in range(len(notes) + 1)
     ], notes
+
+
+def pause_notes(series: Sequence[Samples]) -> list[str]:
+    """A note on pauses of all topics at once, which a clock that is set forward looks like.
+
+    Args:
+        series: everything that is read, each with increasing log times.
+    """
+    log_ns = np.sort(np.concatenate([one.log_ns for one in series]))
+    gap_ns = np.diff(log_ns)
+    usual_ns = float(np.median(gap_ns)) if len(gap_ns) else 0.0
+    pauses = np.flatnonzero(gap_ns > max(LEAST_STEP_NS, _LONG_PAUSE * usual_ns))
+    if not len(pauses):
+        return []
+    worst = pauses[np.argmax(gap_ns[pauses])]
+    return [
+        f"{len(pauses)} pause{'s' if len(pauses) > 1 else ''} of all topics; the longest lasts "
+        f"{gap_ns[worst] * 1e-9:.3f} s, {(log_ns[worst] - log_ns[0]) * 1e-9:.1f} s after the start: the recorder "
+        "paused, or its clock was set forward"
+    ]
 
 
 def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict[int, int]]:
