@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, MotionSeen, motion_seen
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Parameters
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.mistakes import (
@@ -39,15 +39,27 @@ _SAME_RAD = (
     0.5  # mistakes are distinguished by the camera's rotation from its nominal one, if it differs by more
 )
 _ROUNDS = 12  # of the linear method
+_SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+_FEWEST_IN_PART = 5  # stations before or after a change
+_CHANGED_SCALE = (
+    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
+)
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
 
 
 @dataclass(frozen=True, slots=True)
 class _Score:
-    """Fit of the linear method: point error over the distance to the board, and rotation from the nominal camera."""
+    """Fit of the linear method.
+
+    Attributes:
+        error: point error over the distance to the board.
+        turned_rad: rotation of the camera from its nominal one.
+        wheels: the estimate.
+    """
 
     error: float
     turned_rad: float
+    wheels: WheelGeometry
 
 
 def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
@@ -74,7 +86,7 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     if nominal is not None:
         R = nominal[:3, :3] @ extraction.rig.cameras.T_c_reference[:3, :3].T
         turned = float(np.linalg.norm(se3.log_so3(best.T_h_c[:3, :3] @ R.T)))
-    return _Score(rms / distance_m, turned)
+    return _Score(rms / distance_m, turned, best.wheels)
 
 
 def _motion(data: Dataset) -> MotionSeen:
@@ -101,16 +113,30 @@ def _starts(extraction: Extraction) -> list[FloatArray]:
     return starts
 
 
-def diagnose(extraction: Extraction) -> Diagnosis | None:
+def misfit(extraction: Extraction) -> float | None:
+    """Point error of the linear method over the distance to the board; None if it fits, or has no solution."""
+    found = _score(extraction, _starts(extraction))
+    return None if found is None or found.error < _FITS else found.error
+
+
+def diagnose(extraction: Extraction, *, whole: bool = True) -> Diagnosis | None:
     """The mistake in the description that explains a recording which does not fit; None if none of the known does.
 
     Signs of every joint and wheel, exchanged joints and wheels, units, and readings that stop, are late, change their
     sign or belong to another station are tried one at a time with the linear method. A joint or a wheel without any
-    motion is named where nothing else explains the recording.
+    motion is named where nothing else explains the recording, and then a change in the middle of it.
 
     Args:
         extraction: a recording that could not be solved, or only badly.
+        whole: also look for a change in the middle.
     """
+    if _sees_no_motion(extraction):
+        return Diagnosis(
+            "all stations show the board at the same place, but the base or the head moves",
+            "check that the images are not frozen, and that the board does not move with the robot",
+            None,
+            None,
+        )
     starts = _starts(extraction)
     as_is = _score(extraction, starts)
     base = math.inf if as_is is None else as_is.error
@@ -134,7 +160,7 @@ def diagnose(extraction: Extraction) -> Diagnosis | None:
             return frozen
         found = explaining((*delays(extraction), *exchanged_stations(), *reversals(extraction)))
     if not found:
-        return _of_one_log(extraction)
+        return _of_one_log(extraction) or (_changed(extraction, starts, base) if whole else None)
     least = min(score.error for score, _ in found)
     equal = [(score, mistake) for score, mistake in found if score.error < _EQUAL * least]
     nearest = min(score.turned_rad for score, _ in equal)
@@ -160,6 +186,68 @@ def _of_one_log(extraction: Extraction) -> Diagnosis | None:
         if found is not None:
             return replace(found, cause=f"recording {log + 1} of {logs}: {found.cause}")
     return None
+
+
+def _changed(extraction: Extraction, starts: list[FloatArray], base: float) -> Diagnosis | None:
+    """A change between two stations: the parts before and after fit on their own, but not together."""
+    seen = extraction.observations
+    found: list[tuple[float, int, _Score, _Score]] = []
+    for cut in range(_FEWEST_IN_PART, len(seen) - _FEWEST_IN_PART + 1 if len(extraction.wheels) == 1 else 0):
+        parts = [replace(extraction, observations=part) for part in (seen[:cut], seen[cut:])]
+        if not all(_has_full_motion(part) for part in parts):
+            continue
+        before, after = (_score(part, starts) for part in parts)
+        if before is not None and after is not None:
+            found.append((max(before.error, after.error), cut, before, after))
+    limit = min(_CLEARLY_BETTER * base, _FITS)
+    error, cut, before, after = min(found, key=lambda item: item[0], default=(math.inf, 0, None, None))
+    if before is None or after is None or error >= limit:
+        return _wrong_after(
+            extraction, max((at for _, at, first, _ in found if first.error < limit), default=0)
+        )
+    (track,) = extraction.wheels
+    begin, end = ((o.time_ns - int(track.time_ns[0])) / 1e9 for o in seen[cut - 1 : cut + 1])
+    scale = before.wheels.vector[:2] / after.wheels.vector[:2]  # larger readings look like smaller wheels
+    changed = [
+        f"the {side} wheel's readings become {factor:.2g} times as large"
+        for side, factor in zip(("right", "left"), scale.tolist(), strict=True)
+        if abs(factor - 1) > _CHANGED_SCALE
+    ]
+    what = " and ".join(changed) or "a joint, a camera or the board changes"
+    return Diagnosis(
+        f"{what} between {begin:.1f} and {end:.1f} s: the recording fits before and after, but not as a whole",
+        "check the wheels, the head, the cameras and the board at this time, and record again without the change",
+        None if not math.isfinite(base) else base,
+        error,
+    )
+
+
+def _wrong_after(extraction: Extraction, cut: int) -> Diagnosis | None:
+    """The mistake of the stations from one on, before which the recording fits; none for the first station."""
+    if not cut:
+        return None
+    seen, (track,) = extraction.observations, extraction.wheels
+    found = diagnose(replace(extraction, observations=seen[cut:]), whole=False)
+    if found is None:
+        return None
+    begin_s = (seen[cut].time_ns - int(track.time_ns[0])) / 1e9
+    return replace(found, cause=f"from {begin_s:.1f} s on, {found.cause}")
+
+
+def _sees_no_motion(extraction: Extraction) -> bool:
+    """Whether all stations show the board at the same place while joints or wheels move."""
+    seen = extraction.observations
+    away = se3.inverse(seen[0].T_c_k) @ np.stack([o.T_c_k for o in seen])
+    distance_m = float(np.linalg.norm(seen[0].T_c_k[:3, 3]))
+    still = np.linalg.norm(se3.log_so3(away[:, :3, :3]), axis=-1).max() < _SAME_VIEW
+    still &= np.linalg.norm(away[:, :3, 3], axis=-1).max() < _SAME_VIEW * distance_m
+    if not still:
+        return False
+    moves = [np.ptp(np.stack([o.joints for o in seen]), axis=0)]
+    for log, track in enumerate(extraction.wheels):
+        times = np.array([o.time_ns for o in seen if o.log == log], dtype=np.int64)
+        moves += [np.array([np.ptp(side.at(times))]) for side in (track.right, track.left) if len(times)]
+    return bool(np.concatenate(moves).max() > MOVED)
 
 
 def _frozen(extraction: Extraction) -> Diagnosis | None:

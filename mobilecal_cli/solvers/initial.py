@@ -24,6 +24,7 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13
 MAX_ROUNDS = 200
+_SMALLEST = 1e-12  # m: wheels of nothing do not change
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
 _SCOUT_LEGS = 40
 _SCOUT_ROUNDS = 40
@@ -57,7 +58,7 @@ def change(before: Parameters, after: Parameters) -> float:
     moved = np.linalg.norm(after.T_h_c[:3, 3] - before.T_h_c[:3, 3])
     scale = max(float(np.linalg.norm(after.T_h_c[:3, 3])), _TRANSLATION_SCALE_M)
     old, new = before.wheels.vector, after.wheels.vector
-    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.abs(new))))
+    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.maximum(np.abs(new), _SMALLEST))))
 
 
 def _iterate(rounds: Rounds, ratios: FloatArray, tolerance: float, limit: int) -> list[Parameters]:

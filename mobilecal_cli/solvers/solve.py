@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.diagnosis import diagnose
+from mobilecal_cli.solvers.diagnosis import diagnose, misfit
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
@@ -112,16 +112,32 @@ def solve(
             solution = _by_likelihood(extraction, solver, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
-    except SolveError as error:
-        found = diagnose(extraction)
-        if found is None:
-            raise
-        raise SolveError(
-            f"the recording does not fit the robot's description: {found.cause}", found.cure
-        ) from error
+    except (SolveError, np.linalg.LinAlgError) as error:
+        raise _explained(error, extraction) from error
     if _fits_badly(solution, extraction):
         solution = replace(solution, diagnosis=diagnose(extraction))
     return solution
+
+
+def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
+    """The error with the mistake in the description that explains it, or with how badly the recording fits."""
+    found = diagnose(extraction)
+    if found is not None:
+        return SolveError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+    share = misfit(extraction)
+    if share is not None:
+        return SolveError(
+            "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
+            f"{100 * share:.0f} % of the distance to the board",
+            "check that all topics belong to this drive and this robot, the signs and units in rig.yaml, the head "
+            "chain, and that neither the board nor a cable moved",
+        )
+    if isinstance(error, SolveError):
+        return error
+    return SolveError(
+        "the measurements do not determine all parameters",
+        "record more stations, with the whole board in both images",
+    )
 
 
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:

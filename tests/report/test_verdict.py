@@ -103,6 +103,15 @@ def test_a_rival_answer(solution, extraction):
     assert judge(dataclasses.replace(solution, linear=linear), extraction).level == "PASS"
 
 
+def test_linear_answers_that_both_do_not_fit_are_no_rivals(solution, extraction):
+    """One slipping leg makes both linear errors large, and the refined solution leaves it out."""
+    linear = dataclasses.replace(solution.linear, point_rms_m=0.45, rival_point_rms_m=0.62)
+    verdict = judge(dataclasses.replace(solution, linear=linear), extraction)
+    assert verdict.level == "PASS"
+    (check,) = (check for check in verdict.checks if check.id == "second_solution")
+    assert words(check).measured == "not compared: the linear solution has a point error of 450 mm"
+
+
 def test_wheels_far_from_their_nominal_sizes(solution, extraction):
     double = WheelGeometry(WHEELS.radius_right_m, 2 * WHEELS.radius_left_m, WHEELS.separation_m)
     failing(

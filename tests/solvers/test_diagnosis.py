@@ -219,6 +219,67 @@ def test_a_good_recording_has_no_diagnosis(recorded):
     assert solve(recorded).diagnosis is None
 
 
+@pytest.mark.parametrize(
+    ("right", "left", "cause"),
+    [
+        (2.0, 1.0, "the right wheel's readings become 2 times as large between "),
+        (1.0, 1.3, "the left wheel's readings become 1.3 times as large between "),
+        (
+            0.8,
+            0.8,
+            "become 0.8 times as large and the left wheel's readings become 0.8 times as large between ",
+        ),
+    ],
+)
+def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
+    at = recorded.observations[6].time_ns
+    (track,) = recorded.wheels
+    sides = []
+    for side, factor in ((track.right, right), (track.left, left)):
+        start = side.at(np.array([at]))[0]
+        sides.append(
+            replace(
+                side, value=np.where(side.time_ns > at, start + factor * (side.value - start), side.value)
+            )
+        )
+    found = diagnose(replace(recorded, wheels=(WheelTrack(*sides),)))
+    assert cause in found.cause
+    assert found.cause.endswith("s: the recording fits before and after, but not as a whole")
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda q: q * [-1, 1], "the sign of joint pan_joint is reversed"),
+        (np.degrees, "the joint readings are in degrees"),
+    ],
+)
+def test_joints_that_are_wrong_from_the_middle_on(change, cause):
+    made = ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=4), Noise(0.2, 0.003, 0.0, 1e-3), 4)
+    seen = made.observations
+    later = (replace(o, joints=change(o.joints)) for o in seen[10:])
+    found = diagnose(replace(made, observations=(*seen[:10], *later), joint_tracks=()))
+    assert found.cause.startswith("from ")
+    assert f" s on, {cause}" in found.cause
+
+
+def test_a_board_that_moves_with_the_robot(recorded):
+    first = recorded.observations[0]
+    same = tuple(replace(o, T_c_k=first.T_c_k, points_c=first.points_c) for o in recorded.observations)
+    found = diagnose(replace(recorded, observations=same))
+    assert found.cause == "all stations show the board at the same place, but the base or the head moves"
+
+
+def test_a_recording_that_nothing_explains(recorded):
+    order = np.random.default_rng(1).permutation(len(recorded.observations))
+    joints = [o.joints for o in recorded.observations]
+    mixed = tuple(replace(o, joints=joints[k]) for o, k in zip(recorded.observations, order, strict=True))
+    with pytest.raises(
+        SolveError, match=r"no known mistake explains it: the point error is \d+ % of the distance"
+    ):
+        solve(replace(recorded, observations=mixed, joint_tracks=()))
+
+
 def test_the_recording_with_the_mistake_is_named(recorded):
     second = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=5), Noise(0.2, 0.003, 0.0, 1e-3), 5)
     spoilt = with_wheels(second, -1, 1)

@@ -50,7 +50,7 @@ def all_checks(solution: Solution, extraction: Extraction, limits: Mapping[str, 
         return
     yield from camera_info(extraction)
     yield from contradiction_checks(solution, extraction)
-    yield second_solution(solution)
+    yield second_solution(solution, extraction)
     yield wheel_difference(solution)
     yield from nominal_checks(solution, extraction)
     yield stereo_error(solution, extraction)

@@ -36,7 +36,8 @@ ENCODER_STEPS_EXCUSED = 1.5
 # Stereo corners against the flat grid of the board: good camera calibrations give 0.1 to 0.3 px.
 STEREO_LOOK_PX, STEREO_BAD_PX = 0.6, 1.2
 # Two solutions whose errors differ by less than this factor cannot be distinguished.
-RIVAL_BAD = 1.5
+# Errors beyond this share of the distance to the board are those of solutions that do not fit.
+RIVAL_BAD, RIVAL_FITS = 1.5, 0.1
 # Linear against refined: the linear method alone has errors up to 2 degrees, 60 mm and 5 % of the wheels.
 METHODS_DEG, METHODS_MM, METHODS_WHEELS_PERCENT = 6.0, 200.0, 15.0
 # The two wheels of a differential drive are alike; tires and load make a difference of a few percent.
@@ -45,20 +46,24 @@ WHEELS_LOOK_PERCENT, WHEELS_BAD_PERCENT = 5.0, 25.0
 NOMINAL_LOOK_PERCENT, NOMINAL_BAD_PERCENT = 5.0, 25.0
 
 
-def second_solution(solution: Solution) -> Check:
-    """How many times larger the second-best solution's error is; None if there is no second one."""
+def second_solution(solution: Solution, extraction: Extraction) -> Check:
+    """How many times larger the second-best solution's error is; None if there is no second one.
+
+    Linear solutions that do not fit, because of a slip for example, cannot be told apart by their errors.
+    """
     linear = solution.linear
     kept, rival = linear.point_rms_m, linear.rival_point_rms_m
     single = not math.isfinite(rival)
     ratio = rival / kept if kept > 0 else math.inf
+    fits = kept < RIVAL_FITS * board_distance_m(extraction)
     return Check(
         "second_solution",
         ratio if math.isfinite(ratio) else None,
         RIVAL_BAD,
         "",
-        "pass" if ratio >= RIVAL_BAD else "fail",
+        "pass" if ratio >= RIVAL_BAD or not fits else "fail",
         at_least=True,
-        facts={"kept_mm": kept * 1e3, "rival_mm": None if single else rival * 1e3},
+        facts={"kept_mm": kept * 1e3, "rival_mm": None if single else rival * 1e3, "fits": fits},
     )
 
 

@@ -104,7 +104,9 @@ def _second_solution(c: Check) -> Words:
         "unique solution",
         "all starts converge to one solution"
         if c.value is None
-        else f"second-best point error {c.value:.1f} times larger",
+        else f"second-best point error {c.value:.1f} times larger"
+        if c.facts["fits"]
+        else f"not compared: the linear solution has a point error of {kept_mm:.0f} mm",
         f"second-best at least {c.limit:g} times larger",
         ""
         if rival_mm is None
