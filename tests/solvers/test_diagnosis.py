@@ -270,6 +270,7 @@ def test_a_board_that_moves_with_the_robot(recorded):
     assert found.cause == "all stations show the board at the same place, but the base or the head moves"
 
 
+@pytest.mark.long
 def test_a_recording_that_nothing_explains(recorded):
     order = np.random.default_rng(1).permutation(len(recorded.observations))
     joints = [o.joints for o in recorded.observations]
