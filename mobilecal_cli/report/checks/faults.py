@@ -49,7 +49,7 @@ NOMINAL_LOOK_PERCENT, NOMINAL_BAD_PERCENT = 5.0, 25.0
 def second_solution(solution: Solution, extraction: Extraction) -> Check:
     """How many times larger the second-best solution's error is; None if there is no second one.
 
-    Linear solutions that do not fit, because of a slip for example, cannot be told apart by their errors.
+    Linear solutions that do not fit, for example because of a slip, are not compared.
     """
     linear = solution.linear
     kept, rival = linear.point_rms_m, linear.rival_point_rms_m
