@@ -7,11 +7,11 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from mobilecal_cli.errors import ResourceError
-from mobilecal_cli.interruption import uninterrupted
+from mobilecal_cli.interruption import Interrupted, uninterrupted
 
 try:
     import fcntl
@@ -40,8 +40,26 @@ def scratch_directory() -> Iterator[Path]:
         with in_use(path):
             yield path
     finally:
-        with uninterrupted():
-            shutil.rmtree(path, ignore_errors=True)
+        try:
+            _remove(path)
+        except Interrupted:  # before the removal, or after it
+            _remove(path)
+            raise
+
+
+def enter_scratch(stack: ExitStack) -> Path:
+    """A scratch directory that is removed with the stack. A signal while it is created takes effect afterwards.
+
+    Raises:
+        ResourceError: it cannot be created.
+    """
+    with uninterrupted():
+        return stack.enter_context(scratch_directory())
+
+
+def _remove(path: Path) -> None:
+    with uninterrupted():
+        shutil.rmtree(path, ignore_errors=True)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from typing import Any, Generic, Self, TypeVar
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.interruption import Interrupted, unwind_on_signals
-from mobilecal_cli.scratch import scratch_directory
+from mobilecal_cli.scratch import enter_scratch
 
 #: Errors when processes cannot be started or one died; the caller then does the work itself.
 FAILED = (BrokenProcessPool, OSError)
@@ -174,7 +174,7 @@ class Processes:
         """Start worker processes, each of which calls `get_ready` first; none if that fails."""
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
             if self._files is None:
-                self._files = self._stack.enter_context(scratch_directory())
+                self._files = enter_scratch(self._stack)
             self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
             # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
             with _blocked(signal.SIGINT):

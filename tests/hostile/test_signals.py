@@ -191,6 +191,35 @@ def test_temporary_files_of_a_killed_run_are_removed_by_the_next(tmp_path, monke
     assert list(tmp_path.iterdir()) == [tmp_path / "other"]
 
 
+@pytest.mark.parametrize("step", ["tempfile.mkdtemp", "os.open", "shutil.rmtree"])
+def test_a_signal_while_a_temporary_directory_is_created_or_removed(tmp_path, step):
+    """The signal comes just before or after a system call has done its work."""
+    code = f"""
+import os, shutil, signal, tempfile
+from contextlib import ExitStack
+from mobilecal_cli.interruption import unwind_on_signals
+from mobilecal_cli.scratch import enter_scratch
+
+unwind_on_signals()
+call, seen = {step}, []
+
+def interrupted(*given, **named):
+    late = {step != "shutil.rmtree"}
+    made = call(*given, **named) if late else None
+    if not seen:
+        seen.append(os.kill(os.getpid(), signal.SIGTERM))
+    return made if late else call(*given, **named)
+
+{step} = interrupted
+with ExitStack() as stack:
+    enter_scratch(stack)
+"""
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (128 + TERM, "")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "count", "of"),

@@ -12,7 +12,7 @@ from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
-from mobilecal_cli.scratch import full_disk_told, scratch_directory
+from mobilecal_cli.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → its reader.
@@ -80,7 +80,7 @@ class _Opened:
         trouble = ""
         source = path
         if magic == compression.ZSTD_MAGIC:
-            folder = self.stack.enter_context(scratch_directory())
+            folder = enter_scratch(self.stack)
             source = folder / path.stem
             with path.open("rb") as packed, full_disk_told():
                 trouble = compression.expand(packed, source)

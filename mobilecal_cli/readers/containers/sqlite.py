@@ -23,7 +23,7 @@ from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import EVERYTHING, SIZE_LIMIT, Extent, RawMessage, Storage
 from mobilecal_cli.readers.messages.channels import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.definitions import DefinitionFormat
-from mobilecal_cli.scratch import full_disk_told, scratch_directory
+from mobilecal_cli.scratch import enter_scratch, full_disk_told
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -78,7 +78,7 @@ class SqliteStorage(Storage):
     def _connect(self, path: Path) -> sqlite3.Connection:
         log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
         if log.is_file() and log.stat().st_size > 0:
-            self.opened = self._copies.enter_context(scratch_directory()) / path.name
+            self.opened = enter_scratch(self._copies) / path.name
             with full_disk_told():
                 shutil.copyfile(path, self.opened)
                 log = Path(shutil.copyfile(log, self.opened.with_name(log.name)))
