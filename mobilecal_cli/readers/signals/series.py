@@ -73,12 +73,13 @@ class Series:
 
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
         """Append a reading; one that is not finite or impossibly large is counted and dropped."""
-        if all(number in READING for number in value):
-            self._stamp_ns.append(stamp_ns)
-            self._log_ns.append(log_ns)
-            self._value.extend(value)
-        else:
-            self.not_finite += 1
+        for number in value:
+            if number not in READING:
+                self.not_finite += 1
+                return
+        self._stamp_ns.append(stamp_ns)
+        self._log_ns.append(log_ns)
+        self._value.extend(value)
 
     def samples(self, notes: list[str]) -> Samples:
         """All finite readings; notes how many are not.
