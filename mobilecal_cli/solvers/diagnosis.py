@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from bisect import bisect_left
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, MotionSeen, motion_seen
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, Observation, Parameters, WheelGeometry
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.mistakes import (
@@ -39,6 +41,7 @@ _SAME_RAD = (
     0.5  # mistakes are distinguished by the camera's rotation from its nominal one, if it differs by more
 )
 _ROUNDS = 12  # of the linear method
+_MOST_LEGS = 80  # that a fit of the linear method uses, spread over the recording
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 _FEWEST_IN_PART = 5  # stations before or after a change
 _CHANGED_SCALE = (
@@ -65,7 +68,8 @@ class _Score:
 def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     """Fit of the best of some starts, wheel ratios (2,); None where none gives positive wheels."""
     data = dataset_of(extraction)
-    pairs, seen, prior = data.pairs, _motion(data), InitialPrior(None, extraction.rig.nominal.wheels)
+    seen, prior = _motion(data), InitialPrior(None, extraction.rig.nominal.wheels)
+    pairs = _thinned(data)
     full = seen.tilts and seen.turns and seen.drives
     found: list[tuple[float, Parameters]] = []
     for ratios in starts if full else starts[:1]:
@@ -89,6 +93,14 @@ def _score(extraction: Extraction, starts: list[FloatArray]) -> _Score | None:
     return _Score(rms / distance_m, turned, best.wheels)
 
 
+def _thinned(data: Dataset) -> MotionPairs:
+    """All legs, or some of many: mistakes show in a few, and the search takes some hundred fits."""
+    legs = len(data.legs)
+    if legs <= _MOST_LEGS:
+        return data.pairs
+    return data.pairs.select(np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64))
+
+
 def _motion(data: Dataset) -> MotionSeen:
     return motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad)
 
@@ -103,7 +115,7 @@ def _starts(extraction: Extraction) -> list[FloatArray]:
     nominal, starts = extraction.rig.nominal.wheels, []
     if nominal is not None:
         starts.append(ratios_of(nominal))
-    pairs = dataset_of(extraction).pairs
+    pairs = _thinned(dataset_of(extraction))
     if len(pairs.legs) >= 3:
         try:
             as_is = linear_estimate(pairs, nominal).parameters
@@ -191,20 +203,30 @@ def _of_one_log(extraction: Extraction) -> Diagnosis | None:
 def _changed(extraction: Extraction, starts: list[FloatArray], base: float) -> Diagnosis | None:
     """A change between two stations: the parts before and after fit on their own, but not together."""
     seen = extraction.observations
-    found: list[tuple[float, int, _Score, _Score]] = []
-    for cut in range(_FEWEST_IN_PART, len(seen) - _FEWEST_IN_PART + 1 if len(extraction.wheels) == 1 else 0):
-        parts = [replace(extraction, observations=part) for part in (seen[:cut], seen[cut:])]
-        if not all(_has_full_motion(part) for part in parts):
-            continue
-        before, after = (_score(part, starts) for part in parts)
-        if before is not None and after is not None:
-            found.append((max(before.error, after.error), cut, before, after))
+    if len(extraction.wheels) > 1:
+        return None
     limit = min(_CLEARLY_BETTER * base, _FITS)
+
+    def fit(part: tuple[Observation, ...]) -> _Score | None:
+        of_part = replace(extraction, observations=part)
+        return _score(of_part, starts) if _has_full_motion(of_part) else None
+
+    @cache
+    def parts(cut: int) -> tuple[_Score | None, _Score | None]:
+        return fit(seen[:cut]), fit(seen[cut:])
+
+    # A part with stations of the other one fits worse, so the change is where the two fit alike.
+    low, high = _FEWEST_IN_PART, len(seen) - _FEWEST_IN_PART
+    while low < high:
+        middle = (low + high) // 2
+        before, after = parts(middle)
+        later = before is None or (after is not None and before.error < after.error)
+        low, high = (middle + 1, high) if later else (low, middle)
+    near = range(max(low - 1, _FEWEST_IN_PART), min(low + 2, len(seen) - _FEWEST_IN_PART + 1))
+    found = [(max(x.error, y.error), cut, x, y) for cut in near for x, y in [parts(cut)] if x and y]
     error, cut, before, after = min(found, key=lambda item: item[0], default=(math.inf, 0, None, None))
     if before is None or after is None or error >= limit:
-        return _wrong_after(
-            extraction, max((at for _, at, first, _ in found if first.error < limit), default=0)
-        )
+        return _wrong_after(extraction, _last_fit(fit, seen, limit))
     (track,) = extraction.wheels
     begin, end = ((o.time_ns - int(track.time_ns[0])) / 1e9 for o in seen[cut - 1 : cut + 1])
     scale = before.wheels.vector[:2] / after.wheels.vector[:2]  # larger readings look like smaller wheels
@@ -220,6 +242,20 @@ def _changed(extraction: Extraction, starts: list[FloatArray], base: float) -> D
         None if not math.isfinite(base) else base,
         error,
     )
+
+
+def _last_fit(
+    fit: Callable[[tuple[Observation, ...]], _Score | None], seen: tuple[Observation, ...], limit: float
+) -> int:
+    """The number of first stations, about, that fit on their own; 0 if none do."""
+    sizes = range(_FEWEST_IN_PART, len(seen) - _FEWEST_IN_PART + 1)
+
+    def too_many(size: int) -> bool:
+        found = fit(seen[:size])
+        return found is not None and found.error >= limit
+
+    size = bisect_left(sizes, True, key=too_many)
+    return sizes[size - 1] if size and fit(seen[: sizes[size - 1]]) else 0
 
 
 def _wrong_after(extraction: Extraction, cut: int) -> Diagnosis | None:
