@@ -51,7 +51,9 @@ def test_a_board_that_sinks_is_named():
     assert said.why.startswith("From station 10 on, the board is 30 mm lower than")
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.long), pytest.param(2, marks=pytest.mark.long)]
+)
 def test_an_uneven_floor_is_no_step(seed):
     """Heights vary by 10 mm from station to station."""
     uneven, robot = Imperfection({}, replace(STATION_NOISE, floor_m=0.01)), tick_robot()

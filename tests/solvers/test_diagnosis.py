@@ -251,7 +251,7 @@ def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
     ("change", "cause"),
     [
         (lambda q: q * [-1, 1], "the sign of joint pan_joint is reversed"),
-        (np.degrees, "the joint readings are in degrees"),
+        pytest.param(np.degrees, "the joint readings are in degrees", marks=pytest.mark.long),
     ],
 )
 def test_joints_that_are_wrong_from_the_middle_on(change, cause):
