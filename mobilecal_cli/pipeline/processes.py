@@ -108,6 +108,9 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
     Args:
         count: number of processes.
         initializer: arguments of `stand_by`.
+
+    Raises:
+        OSError, BrokenProcessPool: a process cannot be started.
     """
     # A hangup reaches all processes of the terminal: the one that removes leaked semaphores must outlive them.
     with _blocked(signal.SIGHUP):
@@ -115,6 +118,10 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
     # Spawned, not forked: a fork would copy locked mutexes of other threads.
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
     try:
+        # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
+        with _blocked(signal.SIGINT):
+            for _ in range(count):  # the pool starts a process with each of the first tasks
+                pool.submit(int)
         yield pool
     except Interrupted:
         for child in multiprocessing.active_children():
@@ -176,10 +183,6 @@ class Processes:
             if self._files is None:
                 self._files = enter_scratch(self._stack)
             self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
-            # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
-            with _blocked(signal.SIGINT):
-                for _ in range(count):  # the pool starts a process with each of the first tasks
-                    self._pool.submit(int)
 
     def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
         """Submit a task to the next free process.

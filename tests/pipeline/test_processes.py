@@ -36,6 +36,7 @@ from mobilecal_cli.pipeline.processes import Processes
 if __name__ != "__main__":
     time.sleep(20)  # as if a worker process imported large modules
 else:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background command ignores it
     unwind_on_signals()
     with Processes() as some:
         some.start(2, int)
