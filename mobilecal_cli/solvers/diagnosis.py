@@ -40,6 +40,8 @@ _EQUAL = 1.5  # mistakes whose point errors differ by less cannot be distinguish
 _SAME_RAD = (
     0.5  # mistakes are distinguished by the camera's rotation from its nominal one, if it differs by more
 )
+_OTHER_WHEELS = 3.0  # times the nominal radius; no tire differs by so much
+_SAME_UNIT = 0.05  # m
 _ROUNDS = 12  # of the linear method
 _MOST_LEGS = 80  # that a fit of the linear method uses, spread over the recording
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
@@ -152,6 +154,9 @@ def diagnose(extraction: Extraction, *, whole: bool = True) -> Diagnosis | None:
     starts = _starts(extraction)
     as_is = _score(extraction, starts)
     base = math.inf if as_is is None else as_is.error
+    other = _other_wheels(as_is, extraction.rig.nominal.wheels)
+    if other is not None:
+        return other
     full = _has_full_motion(extraction)
 
     def explaining(mistakes: Iterable[Mistake]) -> list[tuple[_Score, Mistake]]:
@@ -284,6 +289,24 @@ def _sees_no_motion(extraction: Extraction) -> bool:
         times = np.array([o.time_ns for o in seen if o.log == log], dtype=np.int64)
         moves += [np.array([np.ptp(side.at(times))]) for side in (track.right, track.left) if len(times)]
     return bool(np.concatenate(moves).max() > MOVED)
+
+
+def _other_wheels(found: _Score | None, nominal: WheelGeometry | None) -> Diagnosis | None:
+    """Wheel radii that fit the recording but are several times the nominal ones: readings in another unit."""
+    if nominal is None or found is None or found.error >= _FITS:
+        return None
+    radii_m = found.wheels.vector[:2]
+    factor = float(np.mean(radii_m / nominal.vector[:2]))
+    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
+        return None
+    right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
+    meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT else ""
+    return Diagnosis(
+        f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
+        "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
+        None,
+        None,
+    )
 
 
 def _frozen(extraction: Extraction) -> Diagnosis | None:

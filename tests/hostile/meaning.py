@@ -568,7 +568,7 @@ WRONG: dict[str, Wrong] = {
     "board 10 cm nearer from the middle": Wrong(moved_board((0, 0, 0), (0, 0, -0.1)), _BOARD),
     "board turned by 5 degrees from the middle": Wrong(moved_board((0, 0, 0.087), (0, 0, 0)), _BOARD),
     "board tilted by 5 degrees from the middle": Wrong(moved_board((0.087, 0, 0), (0, 0, 0)), _BOARD),
-    "wheels in meters": Wrong(both(times(0.082)), "wheel radius"),
+    "wheels in meters": Wrong(both(times(0.082)), "readings are in meters"),
     "wheels before a gear of 30": Wrong(both(times(30.0)), "wheel radius"),
     "right wheel in degrees": Wrong(wheels(times(57.29578), same), "right wheel|radii differ"),
     "both wheels from one encoder": Wrong(one_wheel, "wheel|turn"),
