@@ -53,6 +53,7 @@ def test_bash(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
+@pytest.mark.long
 def test_fish(tmp_path):
     (tmp_path / "completion.fish").write_text(script("fish"), encoding="utf-8")
     asked = "; echo ==; ".join(f"complete -C '{line}'" for line in EACH)

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from tests.cli.test_calibrate import errors, load
+from tests.cli.test_calibrate import apart, load
 from tests.command import run
 
 
@@ -25,7 +25,7 @@ def exact(tmp_path_factory):
 def test_pictures_without_noise_and_exact_encoders(exact, tmp_path, method):
     result = run("calibrate", exact / "exact.mcap", "--method", method, "--output", "out", cwd=tmp_path)
     assert result.code == 0, result.err
-    turn, move, wheels = errors(load(tmp_path / "out/params.yaml"), load(exact / "exact.truth.yaml"))
+    turn, move, wheels = apart(load(tmp_path / "out/params.yaml"), load(exact / "exact.truth.yaml"))
     # Asked for: 0.1 degrees, 2 mm, 0.15 %. Measured: 0.003 degrees, 0.13 mm, 0.005 %.
     assert turn < 0.01
     assert move < 0.5
@@ -49,7 +49,7 @@ def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
     )
     assert made.code == 0, made.err
     assert run("calibrate", log, "--output", "out", cwd=tmp_path).code == 0
-    turn, move, wheels = errors(load(tmp_path / "out/params.yaml"), load(log.with_name("turns.truth.yaml")))
+    turn, move, wheels = apart(load(tmp_path / "out/params.yaml"), load(log.with_name("turns.truth.yaml")))
     assert turn < 0.1
     assert move < 2
     assert wheels < 0.15
@@ -65,7 +65,7 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     assert result.code == 0, result.err
     for clock in ("joints", "wheels"):
         assert re.search(rf"Cameras to {clock} +-2[45]\.\d+ ± 0\.\d+ ms", result.out), result.out
-    turn, move, wheels = errors(load(tmp_path / "out/params.yaml"), load(log.with_name("moving.truth.yaml")))
+    turn, move, wheels = apart(load(tmp_path / "out/params.yaml"), load(log.with_name("moving.truth.yaml")))
     assert turn < 0.3
     assert move < 6
     assert wheels < 0.3

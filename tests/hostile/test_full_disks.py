@@ -45,7 +45,7 @@ def solved(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("size", ["16k", "64k", "128k"])
+@pytest.mark.parametrize("size", ["16k", pytest.param("64k", marks=pytest.mark.long), "128k"])
 def test_a_disk_that_fills_while_the_output_is_written(solved, size):
     result = on_a_small_disk(
         solved, size, "cp -r old disk/out", "calibrate", "e.npz", "-o", "disk/out", "--force", "--jobs", 1

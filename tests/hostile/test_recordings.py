@@ -137,7 +137,7 @@ def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
         record(0, b""),
         record(0x80, b""),
         record(4, struct.pack("<HH", 5, 0) + text("/t") + text("cdr") + struct.pack("<I", 0)),
-        record(5, struct.pack("<HIQQ", 1, 0, 7, 7)),
+        pytest.param(record(5, struct.pack("<HIQQ", 1, 0, 7, 7)), marks=pytest.mark.long),
     ],
     ids=["nothing", "unknown", "channels", "empty messages"],
 )

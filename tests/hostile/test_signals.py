@@ -91,8 +91,17 @@ def cleaned(process, number, everyone, folder):
     return True
 
 
-@pytest.mark.parametrize("everyone", [False, True], ids=["one process", "process group"])
-@pytest.mark.parametrize("number", [TERM, HUP, INT])
+@pytest.mark.parametrize(
+    ("number", "everyone"),
+    [
+        (TERM, False),
+        (HUP, True),
+        (INT, True),
+        pytest.param(TERM, True, marks=pytest.mark.long),
+        pytest.param(HUP, False, marks=pytest.mark.long),
+        pytest.param(INT, False, marks=pytest.mark.long),
+    ],
+)
 def test_calibrate(sample_logs, tmp_path, number, everyone):
     process = started(["calibrate", sample_logs / "straight.mcap", "-o", "out"], tmp_path)
     time.sleep(1.5)
@@ -135,7 +144,7 @@ def test_simulate(tmp_path, number):
     ("number", "everyone"),
     [
         (TERM, True),
-        (HUP, False),
+        pytest.param(HUP, False, marks=pytest.mark.long),
         pytest.param(TERM, False, marks=pytest.mark.long),
         pytest.param(HUP, True, marks=pytest.mark.long),
     ],

@@ -82,7 +82,9 @@ def alone(log):
         return everything(log, 1)
 
 
-@pytest.fixture(params=[True, False], ids=["called early", "called when needed"])
+@pytest.fixture(
+    params=[pytest.param(True, marks=pytest.mark.long), False], ids=["called early", "called when needed"]
+)
 def segmented(request, monkeypatch) -> None:
     """A short log is split into several segments; the workers start before or after the planning."""
     monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)

@@ -273,6 +273,7 @@ def test_a_wrong_joint_reading_is_named(noisy):
     assert "wrong by +2.8" in found.outliers[0].text or "wrong by +2.9" in found.outliers[0].text
 
 
+@pytest.mark.long
 def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
     log = with_noise(extraction_of(stations=220))
     seen, wrong = list(log.observations), (20, 55, 90, 125, 160, 195)

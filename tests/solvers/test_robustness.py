@@ -258,6 +258,7 @@ def test_fixed_values_are_those_of_the_reference_camera(fixed):
     assert np.all(np.abs(off[~exact]) < 4 * std[~exact])
 
 
+@pytest.mark.long
 def test_a_used_robot_has_true_standard_deviations():
     """Every constant is drawn from five times its prior. With wider priors of what is contradicted alone: 2.6."""
     worn = imperfect.Case("paper", 12, kinds=imperfect.all_kinds(False, 5.0), noise=imperfect.USUAL)

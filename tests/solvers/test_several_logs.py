@@ -107,6 +107,7 @@ def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
     assert rows["recording 1"][NINE.index("t_x")] == "fixed"
 
 
+@pytest.mark.long
 def test_radii_that_differ_by_20_mm():
     found = solve(joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.02)))
     assert found.between.shown.all()
@@ -162,6 +163,7 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
     assert nees(found) < 3
 
 
+@pytest.mark.long
 def test_corners_nine_times_noisier_than_claimed_in_one_recording():
     noisy = recorded("standard", 2, noise=replace(NOISE, pixel_px=1.8))
     claimed = tuple(

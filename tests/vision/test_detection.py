@@ -88,7 +88,7 @@ class TestRendered:
     @pytest.mark.parametrize(("columns", "rows"), [(9, 6), (6, 9), (8, 6), (7, 7), (8, 8), (11, 8), (4, 3)])
     def test_every_roll_gives_a_right_handed_numbering(self, columns: int, rows: int) -> None:
         board = Board(columns, rows)
-        for roll in np.radians([0, 50, 95, 140, 185, 230, 275, 320][columns % 2 :: 2]):
+        for roll in np.radians([0, 50, 95, 140, 185, 230, 275, 320][columns % 3 :: 3]):
             T_c_k = pose(0.0, 0.0, 1.0, (0, 0, roll), board, SQUARE_M)
             T_c_k[:3, :3] = se3.exp_so3(np.array([0.3, -0.2, 0.0])) @ T_c_k[:3, :3]
             found = detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
