@@ -88,6 +88,7 @@ def in_transforms(log, urdf, folder, camera_frame):
     return written_in_json(folder / "tf.mcap", messages)
 
 
+@pytest.mark.long
 def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
     """The zeros of pan and tilt are lost; the head-eye transform is that of the head frame as it was first."""
     with open_recording([log]) as recording:

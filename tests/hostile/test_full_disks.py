@@ -110,7 +110,10 @@ UNREADABLE = {
 }
 
 
-@pytest.mark.parametrize("arguments", UNREADABLE)
+@pytest.mark.parametrize(
+    "arguments",
+    [pytest.param(given, marks=[pytest.mark.long] * (n % 2)) for n, given in enumerate(UNREADABLE)],
+)
 def test_a_file_that_may_not_be_read(solved, arguments):
     (solved / "log.mcap").touch(mode=0)
     (solved / "rig.yaml").touch()

@@ -109,6 +109,7 @@ def test_calibrate(sample_logs, tmp_path, number, everyone):
     assert whole_or_nothing(tmp_path) == finished
 
 
+@pytest.mark.long
 def test_nohup(sample_logs, tmp_path):
     """A hangup that the caller ignores stays ignored."""
     command = [sys.executable, "-m", "mobilecal_cli", "calibrate", sample_logs / "straight.mcap", "-o", "out"]

@@ -48,7 +48,7 @@ def test_large_turns_with_bad_stations(seed):
     assert nees(found) < 3
 
 
-@pytest.mark.parametrize("station", [0, 5, 11])
+@pytest.mark.parametrize("station", [0, pytest.param(5, marks=pytest.mark.long), 11])
 @pytest.mark.parametrize("size_px", [5.0, 500.0])
 def test_a_station_whose_corners_are_all_wrong(station, size_px):
     """All images of the station are excluded, or all but the few corners that fit the board by chance."""

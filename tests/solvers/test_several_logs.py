@@ -66,9 +66,9 @@ def misread(extraction, station, seed=0, size_px=300.0):
     [
         ("straight", 12, ("separation",)),
         ("spin", 12, NINE[6:]),
-        ("base_fixed", 12, NINE[6:]),
+        pytest.param("base_fixed", 12, NINE[6:], marks=pytest.mark.long),
         ("head_fixed", 12, ("t_y",)),
-        ("standard", 1, NINE),
+        pytest.param("standard", 1, NINE, marks=pytest.mark.long),
         ("standard", 2, NINE[1:]),
     ],
 )
