@@ -57,6 +57,7 @@ def test_a_disk_that_fills_while_the_output_is_written(solved, size):
     assert result.stdout.split() == ["disk:", "out", "disk/out:", "params.yaml"]
 
 
+@pytest.mark.long
 def test_a_disk_that_fills_while_a_recording_is_simulated(tmp_path):
     result = on_a_small_disk(tmp_path, "512k", "true", "simulate", "disk/log.mcap", "--stations", 4)
     assert result.returncode == 7, result.stderr

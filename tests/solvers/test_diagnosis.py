@@ -232,7 +232,9 @@ def test_a_good_recording_has_no_diagnosis(recorded):
 @pytest.mark.parametrize(
     ("right", "left", "cause"),
     [
-        (2.0, 1.0, "the right wheel's readings become 2 times as large between "),
+        pytest.param(
+            2.0, 1.0, "the right wheel's readings become 2 times as large between ", marks=pytest.mark.long
+        ),
         (1.0, 1.3, "the left wheel's readings become 1.3 times as large between "),
         (
             0.8,
