@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import os
 import shutil
@@ -19,6 +20,8 @@ except ImportError:  # Windows: no directory counts as abandoned
     fcntl = None  # type: ignore[assignment]
 
 _PREFIX = "mobilecal-"
+#: Directories of this process that exist.
+_existing: set[Path] = set()
 
 
 @contextmanager
@@ -34,6 +37,7 @@ def scratch_directory() -> Iterator[Path]:
                 if free:
                     shutil.rmtree(path, ignore_errors=True)
         path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        _existing.add(path)
     except OSError as error:
         raise _no_space(error) from error
     try:
@@ -60,6 +64,16 @@ def enter_scratch(stack: ExitStack) -> Path:
 def _remove(path: Path) -> None:
     with uninterrupted():
         shutil.rmtree(path, ignore_errors=True)
+        _existing.discard(path)
+
+
+def remove_all() -> None:
+    """Remove the directories of blocks that a signal ended before anything was responsible for them."""
+    for path in tuple(_existing):
+        _remove(path)
+
+
+atexit.register(remove_all)
 
 
 @contextmanager

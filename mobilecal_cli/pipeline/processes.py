@@ -22,7 +22,7 @@ from typing import Any, Generic, Self, TypeVar
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.interruption import Interrupted, unwind_on_signals
-from mobilecal_cli.scratch import enter_scratch
+from mobilecal_cli.scratch import enter_scratch, remove_all
 
 #: Errors when processes cannot be started or one died; the caller then does the work itself.
 FAILED = (BrokenProcessPool, OSError)
@@ -98,6 +98,7 @@ def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
         return task(*given)
     except Interrupted as leaving:  # the pool would send it to the caller as the task's result
         resources.close()
+        remove_all()
         os._exit(int(leaving.code or 1))
 
 

@@ -235,6 +235,30 @@ with ExitStack() as stack:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("end", ["work(task)", "task()"], ids=["worker", "main process"])
+def test_a_signal_while_nothing_is_responsible_for_a_temporary_directory(tmp_path, end):
+    """A recording was unpacked, and its caller does not have it yet."""
+    code = f"""
+from contextlib import ExitStack
+from mobilecal_cli.interruption import Interrupted
+from mobilecal_cli.pipeline.processes import work
+from mobilecal_cli.scratch import enter_scratch
+
+kept = []
+
+def task():
+    kept.append(ExitStack())
+    enter_scratch(kept[0])
+    raise Interrupted(143)
+
+{end}
+"""
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (143, "")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "count", "of"),
