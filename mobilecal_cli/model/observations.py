@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -185,6 +185,15 @@ class Extraction:
         if len(self.logs) == len(self.wheels):
             return tuple(log.path for log in self.logs)
         return tuple(f"recording {number}" for number in range(1, len(self.wheels) + 1))
+
+    def of_log(self, log: int) -> Extraction:
+        """The measurements of one log."""
+        return replace(
+            self,
+            observations=tuple(replace(o, log=0) for o in self.observations if o.log == log),
+            wheels=(self.wheels[log],),
+            joint_tracks=self.joint_tracks[log : log + 1],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -194,11 +194,9 @@ def _of_one_log(extraction: Extraction) -> Diagnosis | None:
     """The mistake of one of several recordings."""
     logs = len(extraction.wheels)
     for log in range(logs if logs > 1 else 0):
-        alone = tuple(replace(o, log=0) for o in extraction.observations if o.log == log)
-        if len(alone) <= FEWEST_LEGS:
+        one = extraction.of_log(log)
+        if len(one.observations) <= FEWEST_LEGS:
             continue
-        tracks = extraction.joint_tracks[log : log + 1]
-        one = replace(extraction, observations=alone, wheels=(extraction.wheels[log],), joint_tracks=tracks)
         found = diagnose(one)
         if found is not None:
             return replace(found, cause=f"recording {log + 1} of {logs}: {found.cause}")

@@ -17,6 +17,7 @@ from mobilecal_cli.likelihood.predict import predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
+    Diagnosis,
     Extraction,
     FloatArray,
     LinearEstimate,
@@ -54,6 +55,9 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 OBSERVABLE_SHARE = 1 / 3
 # Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
+
+# Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
+_DIFFERENT = 3.0
 
 _LOG = logging.getLogger(__name__)
 
@@ -114,9 +118,40 @@ def solve(
             solution = _by_points(extraction, data.pairs, method, start_ratios)
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
-    if _fits_badly(solution, extraction):
-        solution = replace(solution, diagnosis=diagnose(extraction))
-    return solution
+    found = diagnose(extraction) if _fits_badly(solution, extraction) else None
+    if found is None and solution.contradictions and len(extraction.wheels) > 1:
+        found = _different_cameras(solution, extraction, constraints)
+    return replace(solution, diagnosis=found)
+
+
+def _different_cameras(
+    solution: Solution, extraction: Extraction, constraints: Constraints
+) -> Diagnosis | None:
+    """Recordings that fit alone, but not with the same cameras and board."""
+    assert solution.uncertainty is not None
+    together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
+    for log in range(len(extraction.wheels)):
+        one = extraction.of_log(log)
+        if len(one.observations) <= FEWEST_LEGS:
+            continue
+        try:
+            fit = Solver(one, constraints).solve()
+        except SolveError:
+            continue  # too short to be solved alone
+        alone_px = max(alone_px, fit.noise.pixel_px)
+        alone_m = max(
+            alone_m, point_rms_m(at_state(one, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
+        )
+    if not alone_px or together_px < _DIFFERENT * alone_px:
+        return None
+    distance_m = _board_distance_m(extraction)
+    return Diagnosis(
+        f"the recordings have different cameras or boards: corners have a noise of {alone_px:.2g} px in each alone, "
+        f"and of {together_px:.2g} px together",
+        "calibrate each recording alone, and check that all are of one robot whose cameras did not move in between",
+        solution.point_rms_m / distance_m,
+        alone_m / distance_m,
+    )
 
 
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
@@ -140,8 +175,12 @@ def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction
     )
 
 
+def _board_distance_m(extraction: Extraction) -> float:
+    return float(np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
+
+
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
-    distance_m = np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations])
+    distance_m = _board_distance_m(extraction)
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
     return bool(
         solution.point_rms_m > _BAD_SHARE * distance_m

@@ -13,6 +13,7 @@ from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
 from mobilecal_cli.report.values import json_text
 from mobilecal_cli.simulate.drive import Drive, Stretch
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
@@ -227,3 +228,24 @@ def test_many_short_legs_without_a_turn_do_not_show_the_separation():
     assert "separation" in gap.parameters
     with pytest.raises(SolveError, match="the motion does not show the wheel radii"):
         solve(extraction, constraints=FIX)
+
+
+@pytest.mark.parametrize("second", [0.01, -0.01])
+def test_recordings_of_different_cameras(second):
+    """The right camera is turned by 0.6 degrees against camera_info: in both recordings alike, or not."""
+    noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
+    made = [
+        imperfect_extraction(
+            ROBOT,
+            plan_route(ROBOT, stations=10, seed=seed),
+            Imperfection({"stereo_r_x": turn}, noise),
+            seed=seed,
+        )
+        for seed, turn in enumerate((0.01, second))
+    ]
+    found = solve(joined(*made))
+    assert found.contradictions
+    if second > 0:
+        assert found.diagnosis is None
+    else:
+        assert "the recordings have different cameras or boards" in found.diagnosis.cause
