@@ -33,10 +33,9 @@ LARGEST_GAP_S = 0.5
 SHOTS_PER_REST = 10
 RESTS_ENOUGH = 6
 KEYFRAMES = 80
-_SILENT_S, _MISSED_IMAGES = (
-    3.0,
-    5,
-)  # one camera records nothing for so long, while the other has so many images
+# One camera records nothing for so long, while the other has so many images.
+_SILENT_S, _MISSED_IMAGES = 3.0, 5
+_MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _NS = 1_000_000_000
 
 
@@ -289,6 +288,20 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     return _Pairs(signals, channels, pairs, _rests(pairs, channels), rejections)
 
 
+def _without_readings(log: _Pairs) -> Iterator[str]:
+    """A note where stereo pairs are not used because a joint or a wheel has no readings around them."""
+    first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
+    for name in dict.fromkeys(rejection.detail for rejection in log.rejections):
+        times = [r.time_ns for r in log.rejections if r.detail == name and r.time_ns is not None]
+        if len(times) < _MISSED_PAIRS:
+            continue
+        since, until = ((at - first_ns) / _NS for at in (min(times), max(times)))
+        yield (
+            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: no "
+            f"readings of {name} around them. Check its cable and its driver."
+        )
+
+
 def plan_stations(
     logs: Sequence[Signals],
     joints: tuple[str, ...],
@@ -339,6 +352,7 @@ def plan_stations(
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
     notes += (note for log, _ in found for note in _silences(log.signals.images))
+    notes += (note for log, _ in found for note in _without_readings(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

@@ -135,6 +135,9 @@ def test_pictures_without_readings_are_left_out():
     assert len(plan.stations) == 7
     assert {r.reason for r in plan.rejections} == {"no readings around the image"}
     assert {r.detail for r in plan.rejections} == {"pan"}
+    (note,) = (note for note in plan.notes if "stereo pairs" in note)
+    assert note.startswith(f"{len(plan.rejections)} stereo pairs between ")
+    assert "no readings of pan around them" in note
 
 
 def test_readings_that_end_before_the_pictures_begin():
