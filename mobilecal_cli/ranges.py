@@ -63,8 +63,8 @@ class Range:
 WHEEL_RADIUS = Range(1e-3, 10.0, "m")
 WHEEL_SEPARATION = Range(1e-2, 100.0, "m")
 SQUARE = Range(1e-4, 10.0, "m")
-#: A distance between two frames of one robot.
-POSITION = Range(-100.0, 100.0, "m")
+#: A distance along an axis between two frames of one robot; tens of meters are millimeters.
+POSITION = Range(-20.0, 20.0, "m")
 #: A drive.
 DISTANCE = Range(1e-2, 1e5, "m")
 ODOMETRY_RATE = Range(1e-1, 1e4, "Hz")

@@ -203,9 +203,13 @@ def test_gates_have_dots_in_their_names():
         ),
         (
             "nominal: {head_eye: {translation_m: [0, 0, 1e200], quaternion_xyzw: [0, 0, 0, 1]}}",
-            "nominal.head_eye.translation_m.2: must be from -100 to 100 m (got 1e+200)",
+            "nominal.head_eye.translation_m.2: must be from -20 to 20 m (got 1e+200)",
         ),
-        ("head: {chain: [{xyz_m: [1e300, 0, 0]}]}", "xyz_m.0: must be from -100 to 100 m (got 1e+300)"),
+        (
+            "nominal: {head_eye: {translation_m: [30, 60, 40], quaternion_xyzw: [0, 0, 0, 1]}}",
+            "nominal.head_eye.translation_m.0: must be from -20 to 20 m; 30 looks like millimeters: 0.03 m",
+        ),
+        ("head: {chain: [{xyz_m: [1e300, 0, 0]}]}", "xyz_m.0: must be from -20 to 20 m (got 1e+300)"),
         ("noise: {pixel_px: 1e-300}", "noise.pixel_px: must be from 1e-09 to 1000 (got 1e-300)"),
         ("wheels: {left: {ticks_per_revolution: 1e300}}", "must be from 1 to 1e+09 (got 1e+300)"),
     ],

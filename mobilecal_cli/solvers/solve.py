@@ -146,8 +146,8 @@ def _different_cameras(
         return None
     distance_m = _board_distance_m(extraction)
     return Diagnosis(
-        f"the recordings have different cameras or boards: corners have a noise of {alone_px:.2g} px in each alone, "
-        f"and of {together_px:.2g} px together",
+        f"the recordings have different cameras or boards: the corner noise is {alone_px:.2g} px or less in "
+        f"each recording alone, and {together_px:.2g} px in all together",
         "calibrate each recording alone, and check that all are of one robot whose cameras did not move in between",
         solution.point_rms_m / distance_m,
         alone_m / distance_m,

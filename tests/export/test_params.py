@@ -218,7 +218,7 @@ def test_read_back(extraction, solution):
         (("  radius_left_m: 0", "  radius_left_m: true #"), "valid number (got True)"),
         (("  radius_left_m: 0", "  radius_left_m: '0.1' #"), "valid number (got '0.1')"),
         (("  radius_left_m: 0", "  radius_left_m: 1e-300 #"), "must be from 0.001 to 10 m (got 1e-300)"),
-        (("translation_m: [", "translation_m: [1e200, 0, 0] #"), "must be from -100 to 100 m (got 1e+200)"),
+        (("translation_m: [", "translation_m: [1e200, 0, 0] #"), "must be from -20 to 20 m (got 1e+200)"),
         (('{"x": -87.', '{"x": -79.'), "euler_zyx_deg and quaternion_xyzw are 8 degrees apart"),
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
         (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "the norm is 2.64"),
