@@ -127,22 +127,22 @@ def solve(
 def _different_cameras(
     solution: Solution, extraction: Extraction, constraints: Constraints
 ) -> Diagnosis | None:
-    """Recordings that fit alone, but not with the same cameras and board."""
+    """Recordings that all fit alone, but not with the same cameras and board; None if one cannot be solved alone."""
     assert solution.uncertainty is not None
     together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
     for log in range(len(extraction.wheels)):
         one = extraction.of_log(log)
         if len(one.observations) <= FEWEST_LEGS:
-            continue
+            return None
         try:
             fit = Solver(one, constraints).solve()
-        except SolveError:
-            continue  # too short to be solved alone
+        except (SolveError, np.linalg.LinAlgError):
+            return None
         alone_px = max(alone_px, fit.noise.pixel_px)
         alone_m = max(
             alone_m, point_rms_m(at_state(one, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
         )
-    if not alone_px or together_px < _DIFFERENT * alone_px:
+    if together_px < _DIFFERENT * alone_px:
         return None
     distance_m = _board_distance_m(extraction)
     return Diagnosis(
