@@ -279,10 +279,14 @@ class NoiseConfig(_Section):
     wheel_rad_per_sqrt_rad: Sigma | None = Field(None, description="of a wheel over one radian")
     encoder_rad: Sigma | None = Field(None, description="of one encoder reading")
     joint_rad: Sigma | None = Field(None, description="of one joint reading")
-    floor_rad: Sigma | None = Field(None, description="of the base's roll and pitch at a station")
-    floor_m: Sigma | None = Field(None, description="of the base's height at a station")
+    floor_rad: Sigma | None = Field(None, description="of the floor's roll and pitch under the base")
+    floor_m: Sigma | None = Field(None, description="of the floor's height under the base")
+    floor_length_m: Sigma | None = Field(None, description="distance over which the floor stays alike")
+    sway_rad: Sigma | None = Field(None, description="of the base's roll and pitch beside the floor's")
+    sway_m: Sigma | None = Field(None, description="of the base's height beside the floor's")
     stamp_s: Sigma | None = Field(None, description="of an image's stamp, in motion")
-    wheel_share: Sigma | None = Field(None, description="of a wheel's rotation over a leg, relative")
+    wheel_share: Sigma | None = Field(None, description="of a wheel's scale")
+    wheel_length_m: Sigma | None = Field(None, description="distance over which a wheel's scale stays alike")
 
 
 class RigConfig(_Section):

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.processes import COUNT, LEVELS
 from mobilecal_cli.model import NINE, FloatArray
 
 if TYPE_CHECKING:
@@ -68,7 +70,7 @@ def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def influences(lin: Linearization) -> Iterator[Influence]:
-    """Images, joint readings, floor, wheels, encoder readings and stamps at an optimum."""
+    """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
     yield _of_images(lin)
     data, marginal = lin.data, lin.marginals
     errors, sigma = lin.own_errors, lin.own_sigmas
@@ -78,23 +80,24 @@ def influences(lin: Linearization) -> Iterator[Influence]:
     one[:, joints:] *= data.drives[:, None]
     for columns, parts in (
         (slice(0, joints), {"joint_rad": np.eye(joints)}),
-        (slice(joints, None), {"floor_rad": np.diag([1.0, 1.0, 0.0]), "floor_m": np.diag([0.0, 0.0, 1.0])}),
+        (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
     ):
         at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
         at[:, columns] = one[:, columns, None] * np.eye(at.shape[2])
         leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
         yield Influence(_onto(lin, own=at), (errors * one)[:, columns], leverage, parts)
+    yield _of_processes(lin)
     if len(data.legs):
         yield _of_legs(lin)
     if lin.noise.encoder_rad:
         base = np.zeros((data.stations, data.base_width, 2))
-        base[:, 3:5] = np.diag(1 / lin.encoder_sigmas)
+        base[:, ENCODERS] = np.diag(1 / lin.encoder_sigmas)
         leverage = marginal.encoders[:, :, None] * np.diag(lin.encoder_sigmas**-2)
         off = lin.state.encoder_errors / lin.encoder_sigmas
         yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": np.eye(2)})
-    if data.base_width > 5:
+    if data.base_width > STAMP:
         base = np.zeros((data.stations, data.base_width, 1))
-        base[:, 5] = 1 / lin.noise.stamp_s
+        base[:, STAMP] = 1 / lin.noise.stamp_s
         leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
         off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
         yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": np.eye(1)})
@@ -126,6 +129,22 @@ def _of_images(lin: Linearization) -> Influence:
     )
 
 
+def _of_processes(lin: Linearization) -> Influence:
+    data, processes, on = lin.data, lin.processes, np.arange(COUNT)
+    root = 1 / np.sqrt(processes.variance)
+    here = np.zeros((data.stations, data.base_width, COUNT))
+    here[:, on + PROCESSES.start, on] = root
+    by_unit = _onto(lin, base=here)
+    i, j = data.legs.T
+    there = np.zeros((len(j), data.base_width, COUNT))
+    there[:, on + PROCESSES.start, on] = -processes.rho[j] * root[j]
+    none, nothing = np.zeros((len(j), data.own_width, COUNT)), np.zeros((len(j), data.layout.size, COUNT))
+    by_unit[j] += lin.conditional_covariance @ lin.normal.onto_shared(i, there, none, nothing)
+    parts = {level: np.diag([float(level == other) for other in LEVELS]) for level in dict.fromkeys(LEVELS)}
+    leverage = root[:, :, None] * lin.marginals.innovations(processes.rho) * root[:, None, :]
+    return Influence(by_unit, processes.innovations(lin.state.processes) * root, leverage, parts)
+
+
 def _of_legs(lin: Linearization) -> Influence:
     data, legs = lin.data, lin.legs
     i, j = data.legs.T
@@ -154,7 +173,10 @@ def shares(lin: Linearization) -> Mapping[str, FloatArray]:
         the prior variance of unobservable directions, and "free".
     """
     C, layout = lin.conditional_covariance, lin.data.layout
-    result = {level: i.covariance(level) for i in lin.influences for level in i.parts}
+    result: dict[str, FloatArray] = {}
+    for influence in lin.influences:
+        for level in influence.parts:
+            result[level] = result.get(level, 0.0) + influence.covariance(level)
     for k, name in enumerate(layout.names):
         if lin.priors.weight[k]:
             result[f"prior {name}"] = lin.priors.weight[k] * np.outer(C[:, k], C[:, k])

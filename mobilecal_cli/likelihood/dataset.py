@@ -30,6 +30,11 @@ _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: 
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 
+#: Columns of a station's base block: base pose (x, y, heading), encoder errors (right, left), processes (roll, pitch
+#: and height of the floor, scale of the right and left wheel), and the stamp's error.
+BASE, ENCODERS, PROCESSES, STAMP = slice(0, 3), slice(3, 5), slice(5, 10), 10
+FLOOR, SCALES = slice(5, 8), slice(8, 10)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionPairs:
@@ -110,12 +115,12 @@ class Dataset:
 
     @property
     def base_width(self) -> int:
-        """Unknowns of a station that legs couple: base pose (3), encoder errors (2), in motion the stamp's error."""
-        return 6 if self.moving.any() and self.joint_tracks else 5
+        """Unknowns of a station that legs couple, see `BASE`, `ENCODERS`, `PROCESSES`, and in motion `STAMP`."""
+        return STAMP + 1 if self.moving.any() and self.joint_tracks else STAMP
 
     @property
     def own_width(self) -> int:
-        """Unknowns of a station that nothing couples to others: its joint errors, and the floor under it (3)."""
+        """Unknowns of a station that nothing couples to others: its joint errors, and the base's sway (3)."""
         return int(self.joints.shape[1]) + 3
 
     @property

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset
 from mobilecal_cli.likelihood.effects import WheelClock
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, WheelGeometry
 
@@ -22,7 +23,7 @@ class Legs:
 
     Attributes:
         residual: (L, 3) m, m, rad.
-        by_start, by_end: (L, 3, B) by the station's base twist (x, y, heading), encoder errors and stamp error.
+        by_start, by_end: (L, 3, B) by the station's base block.
         by_wheels: (L, 3, 3) by (rR, rL, b).
         by_clock: (L, 3) by the offset of the wheels' clock.
     """
@@ -48,12 +49,21 @@ def wheel_clock_s(data: Dataset, state: State) -> float:
     return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, WheelClock))
 
 
-def _steps(data: Dataset, state: State) -> Increments:
+def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
     errors = state.encoder_errors
     if np.any(state.stamp_errors):
         errors = errors + data.wheel_rates(wheel_clock_s(data, state)) * state.stamp_errors[:, None]
-    return data.steps(wheel_clock_s(data, state)).with_ends(-errors[i], errors[j])
+    steps = data.steps(wheel_clock_s(data, state)).with_ends(-errors[i], errors[j])
+    right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
+    return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
+
+
+def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray:
+    """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
+    i, j = data.legs.T
+    out: FloatArray = processes.mean_share * (state.processes[i, 3:] + state.processes[j, 3:])
+    return out
 
 
 def base_legs(data: Dataset, state: State) -> FloatArray:
@@ -69,10 +79,10 @@ def _as_rows(motion: LegMotion) -> FloatArray:
     return np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1)
 
 
-def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
+def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: bool) -> Legs:
     """Residuals of all legs and their derivatives, those by encoder errors only where encoders have steps."""
     i, j = data.legs.T
-    steps = _steps(data, state)
+    steps = _steps(data, state, processes)
     arcs = Arcs.along(steps, state.parameters.wheels)
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)
@@ -87,18 +97,23 @@ def linearize_legs(data: Dataset, state: State, encoders: bool) -> Legs:
     by_end[:, 0, 0], by_end[:, 0, 1] = -cos, sin
     by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
     by_end[:, 2, 2] = -1.0
-    by_start[data.first[i], :, :3] = 0.0
-    by_start[:, :, 3:5] = -arcs.sensitivity(first)
-    by_end[:, :, 3:5] = arcs.sensitivity(last)
-    by_clock = np.zeros((count, 3))
-    if data.base_width > 5:
-        rates = data.wheel_rates(wheel_clock_s(data, state))
-        by_start[:, :, 5] = np.einsum("lab,lb->la", by_start[:, :, 3:5], rates[i])
-        by_end[:, :, 5] = np.einsum("lab,lb->la", by_end[:, :, 3:5], rates[j])
-        by_clock = by_start[:, :, 5] + by_end[:, :, 5]
-    if not encoders:
-        by_start[:, :, 3:5] = by_end[:, :, 3:5] = 0.0
+    by_start[data.first[i], :, BASE] = 0.0
+    scale = 1 + mean_scales(data, state, processes)[:, None]
+    by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale
+    by_end[:, :, ENCODERS] = arcs.sensitivity(last) * scale
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
+    radii = state.parameters.wheels.vector[:2]
+    by_start[:, :, SCALES] = by_end[:, :, SCALES] = (
+        by_wheels[:, :, :2] * radii * processes.mean_share[:, None] / scale
+    )
+    by_clock = np.zeros((count, 3))
+    if data.base_width > STAMP:
+        rates = data.wheel_rates(wheel_clock_s(data, state))
+        by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
+        by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
+        by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
+    if not encoders:
+        by_start[:, :, ENCODERS] = by_end[:, :, ENCODERS] = 0.0
     residual = _as_rows(arcs.motion()) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
     return Legs(residual, by_start, by_end, by_wheels, by_clock)
@@ -109,11 +124,17 @@ def leg_covariance(data: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatA
     return np.asarray(sum(leg_covariances(data.steps(), wheels, noise).values()))
 
 
-def leg_covariances(steps: Increments, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
+def leg_covariances(
+    steps: Increments, wheels: WheelGeometry, noise: Noise, ends_known: bool = False
+) -> Mapping[str, FloatArray]:
     """Covariance of odometry's (x, y, heading) by cause, (L, 3, 3) each: m^2, m rad, rad^2.
 
-    Noise that grows with the square root of the rotation is propagated along the arcs. A wheel's relative error over a
-    leg acts like a change of its radius.
+    Noise that grows with the square root of the rotation is propagated along the arcs. A wheel's mean scale error over
+    a leg acts like a change of its radius.
+
+    Args:
+        steps, wheels, noise: of the legs.
+        ends_known: for known scale errors at both ends of each leg, see `processes`.
 
     Returns:
         Noise level → its share; "slip" for what is supposed of every leg.
@@ -127,7 +148,9 @@ def leg_covariances(steps: Increments, wheels: WheelGeometry, noise: Noise) -> M
         per_step = right * of_a[:, 0] * of_b[:, 0] + left * of_a[:, 1] * of_b[:, 1]
         root[:, a, b] = root[:, b, a] = steps.total(per_step)
     d_psi, d_t = arcs.by_wheels()
-    by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * noise.wheel_share
+    variance = bridge_variance if ends_known else mean_variance
+    share = noise.wheel_share * np.sqrt(variance(rolled_m(steps, wheels) / noise.wheel_length_m))
+    by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * share[:, None]
     path_m = steps.total(
         np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
     )

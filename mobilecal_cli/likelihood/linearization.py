@@ -19,6 +19,7 @@ from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, own_s
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, linearize_views, with_stations
@@ -41,8 +42,8 @@ def _solvable() -> Iterator[None]:
 class Linearization:
     """A data set at a state, with everything that the likelihood depends on.
 
-    The legs' covariance depends on the wheels, but stays constant during an optimization: `at` computes it, `after`
-    keeps it.
+    The legs' covariance and the driven distances depend on the wheels, but stay constant during an optimization: `at`
+    computes them, `after` keeps them.
 
     Attributes:
         data: the measurements.
@@ -50,7 +51,9 @@ class Linearization:
         inliers: the measurements that are used.
         noise: standard deviations of the measurements.
         priors: what is known of the shared parameters.
-        leg_covariances: noise level → its share of the covariance of odometry's (x, y, heading), (L, 3, 3), m and rad.
+        leg_covariances: noise level → its share of the covariance of odometry's (x, y, heading), (L, 3, 3), m and rad,
+            for known scale errors of the wheels at the stations.
+        processes: prior of the floor and of the wheels' scale errors along the way.
     """
 
     data: Dataset
@@ -59,13 +62,15 @@ class Linearization:
     noise: Noise
     priors: Priors
     leg_covariances: Mapping[str, FloatArray]
+    processes: Processes
 
     @classmethod
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
-        """The likelihood at a state, with the legs' covariance for the wheels of this state."""
-        return cls(
-            data, state, inliers, noise, priors, leg_covariances(data.steps(), state.parameters.wheels, noise)
-        )
+        """The likelihood at a state, with the legs' covariance and the distances for the wheels of this state."""
+        wheels = state.parameters.wheels
+        covariances = leg_covariances(data.steps(), wheels, noise, ends_known=True)
+        along = processes_of(data, wheels, noise, inliers)
+        return cls(data, state, inliers, noise, priors, covariances, along)
 
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""
@@ -97,13 +102,15 @@ class Linearization:
         other = Linearization.at(self.data, self.state, self.inliers, noise, self.priors)
         if "views" in self.__dict__:
             other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
-        if "legs" in self.__dict__ and (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0):
+        same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
+        if "legs" in self.__dict__ and same and noise.wheel_length_m == self.noise.wheel_length_m:
             other.__dict__["legs"] = self.legs
         return other
 
     def with_inliers(self, inliers: Inliers) -> Linearization:
         """The same point with other inliers."""
-        other = replace(self, inliers=inliers)
+        along = processes_of(self.data, self.state.parameters.wheels, self.noise, inliers)
+        other = replace(self, inliers=inliers, processes=along)
         for name in ("legs", "leg_covariance"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
@@ -117,14 +124,14 @@ class Linearization:
     def of_log(self, log: int) -> Linearization:
         """The part that belongs to one recording."""
         data = self.data
+        legs = np.flatnonzero(data.log[data.legs[:, 0]] == log)
         return replace(
             self,
             data=data.of_log(log),
             state=self.state.of_log(data, log),
             inliers=self.inliers.of_log(data, log),
-            leg_covariances={
-                name: share[data.log[data.legs[:, 0]] == log] for name, share in self.leg_covariances.items()
-            },
+            leg_covariances={name: share[legs] for name, share in self.leg_covariances.items()},
+            processes=self.processes.select(np.flatnonzero(data.log == log), legs),
         )
 
     # -- residuals --------------------------------------------------------------------------------
@@ -137,7 +144,7 @@ class Linearization:
     @cached_property
     def legs(self) -> Legs:
         """Residuals of the wheels."""
-        return linearize_legs(self.data, self.state, self.noise.encoder_rad > 0)
+        return linearize_legs(self.data, self.state, self.processes, self.noise.encoder_rad > 0)
 
     @cached_property
     def leg_covariance(self) -> FloatArray:
@@ -153,13 +160,13 @@ class Linearization:
 
     @cached_property
     def own_sigmas(self) -> FloatArray:
-        """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m)."""
+        """(N, J + 3) sigma of each joint reading (rad or m), and of the sway's roll, pitch (rad) and height (m)."""
         return own_sigmas(self.data, self.inliers, self.noise)
 
     @property
     def own_errors(self) -> FloatArray:
-        """(N, J + 3) joint errors and floor, see `own_sigmas`."""
-        return np.concatenate([self.state.joint_errors, self.state.floor], axis=1)
+        """(N, J + 3) joint errors and sway, see `own_sigmas`."""
+        return np.concatenate([self.state.joint_errors, self.state.sway], axis=1)
 
     @cached_property
     def encoder_sigmas(self) -> FloatArray:
@@ -172,6 +179,7 @@ class Linearization:
         e, state = self.legs.residual, self.state
         cost = float(self.views.cost.sum()) + float(np.einsum("la,lab,lb->", e, self.leg_weight, e))
         cost += float(np.sum((self.own_errors / self.own_sigmas) ** 2))
+        cost += float(np.sum(self.processes.innovations(state.processes) ** 2 / self.processes.variance))
         cost += float(np.sum((state.stamp_errors / self.noise.stamp_s) ** 2))
         if self.noise.encoder_rad:
             cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))

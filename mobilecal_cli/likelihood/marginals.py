@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.model import FloatArray
 
 if TYPE_CHECKING:
@@ -21,11 +23,13 @@ class Marginals:
         views: (N, 6, 6) of each station's board pose in the camera (delta).
         mixed: (N, 6, D) of these with the direct constants.
         direct: (D, D) of the direct constants.
-        own: (N, J + 3, J + 3) of the joint errors and of the floor.
+        own: (N, J + 3, J + 3) of the joint errors and of the sway.
         legs: (L, 3, 3) of the legs' residuals.
         encoders: (N, 2) variances of the encoder errors.
         stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
         bases: (N, 3, 3) of the base poses, as body twists (x, y, heading).
+        processes: (N, 5, 5) of the processes.
+        before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
     """
 
     views: FloatArray
@@ -36,6 +40,16 @@ class Marginals:
     encoders: FloatArray
     stamps: FloatArray
     bases: FloatArray
+    processes: FloatArray
+    before: FloatArray
+
+    def innovations(self, rho: FloatArray) -> FloatArray:
+        """(N, 5, 5) of the processes' innovations f_j - rho f_i; rho: (N, 5)."""
+        previous = np.zeros_like(self.processes)
+        previous[1:] = self.processes[:-1]
+        mixed = rho[:, :, None] * self.before
+        out: FloatArray = self.processes - mixed - np.swapaxes(mixed, 1, 2)
+        return out + rho[:, :, None] * previous * rho[:, None, :]
 
     def leverage(self, information: FloatArray) -> float:
         """How much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
@@ -81,6 +95,8 @@ def marginals(lin: Linearization) -> Marginals:
     bases = own + _sandwich(follow, C)
 
     i, j = lin.data.legs.T
+    along, before = PROCESSES, np.zeros((len(own), COUNT, COUNT))
+    before[j] = cross[i, along, along] + follow[i, along] @ C @ np.swapaxes(follow[j, along], 1, 2)
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared(lin.data.layout)
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
@@ -90,7 +106,9 @@ def marginals(lin: Linearization) -> Marginals:
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,
         legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
-        encoders=np.diagonal(bases, axis1=1, axis2=2)[:, 3:5].copy(),
-        stamps=bases[:, 5, 5].copy() if lin.data.base_width > 5 else np.zeros(len(bases)),
-        bases=bases[:, :3, :3],
+        encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
+        stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
+        bases=bases[:, BASE, BASE],
+        processes=bases[:, along, along],
+        before=before,
     )

@@ -27,9 +27,11 @@ class Noise:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
         encoder_rad: of one encoder reading of the wheel with the coarser encoder; 0 where the encoders have no steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height; see `processes`.
         stamp_s: of an image's time stamp, where the robot moves.
-        wheel_share: of each wheel's rotation over a leg, relative to it.
+        wheel_share: of each wheel's scale.
+        floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
+        sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
     """
 
     pixel_px: float
@@ -40,6 +42,10 @@ class Noise:
     floor_m: float = EXACT
     stamp_s: float = EXACT
     wheel_share: float = EXACT
+    floor_length_m: float = 0.3
+    wheel_length_m: float = 1.0
+    sway_rad: float = EXACT
+    sway_m: float = EXACT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,12 +104,12 @@ def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
 
 
 def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
-    """(N, J + 3) sigma of each joint reading (rad or m), and of the floor's roll, pitch (rad) and height (m).
+    """(N, J + 3) sigma of each joint reading (rad or m), and of the base's sway: roll, pitch (rad) and height (m).
 
-    Where the base never moves, the floor is the same at all stations.
+    A base that never moves does not sway.
     """
-    floor = np.where(data.drives[:, None], [noise.floor_rad, noise.floor_rad, noise.floor_m], EXACT)
-    return np.concatenate([joint_sigmas(data, inliers, noise), floor], axis=1)
+    sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
+    return np.concatenate([joint_sigmas(data, inliers, noise), sway], axis=1)
 
 
 def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:

@@ -1,7 +1,7 @@
 """The normal equations with the stations eliminated: the cost is linear in the number of stations.
 
-Joint errors and the floor belong to one station each and go first, station by station. Base poses, encoder errors and
-stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared parameters is left.
+Joint errors and sway belong to one station each and go first, station by station. Base poses, encoder errors, floor,
+wheel scales and stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared parameters is left.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
+from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
@@ -57,7 +58,7 @@ class NormalEquations:
         Args:
             station: (n,) where each gradient acts.
             base: (n, B, m) by the station's base block.
-            own: (n, J + 3, m) by its joint errors and its floor.
+            own: (n, J + 3, m) by its joint errors and its sway.
             shared: (n, P, m) by the shared parameters.
 
         Returns:
@@ -131,6 +132,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     b[j] += np.einsum("lab,la->lb", legs.by_end, We)
     H += _summed(shared, Ws)
     h += np.einsum("lap,la->p", shared, We)
+    _process_terms(lin, D, off, b)
     _weak_terms(lin, D, b)
     unseen = _unseen_boards(lin)
     H[unseen, unseen] += FREE_BOARD**-2
@@ -164,7 +166,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Own:
-    """Joint errors and floors, eliminated station by station.
+    """Joint errors and sway, eliminated station by station.
 
     Attributes:
         information: (N, 6, Q) of delta with (delta, direct constants), without them.
@@ -189,7 +191,7 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
 
     They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
     delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
-    matrices that agree to all digits where the corners are much better than joints and floor.
+    matrices that agree to all digits where the corners are much better than the joints.
     """
     views, sigma = lin.views, lin.own_sigmas
     J, G = views.by_own, views.information
@@ -232,22 +234,35 @@ def _unseen_boards(lin: Linearization) -> IntArray:
     return np.asarray(data.layout.named + (6 * unseen[:, None] + np.arange(6)).ravel(), dtype=np.int64)
 
 
+def _process_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:
+    """Add the processes' innovations, see `processes`."""
+    processes, at = lin.processes, np.arange(PROCESSES.start, PROCESSES.stop)
+    i, j = lin.data.legs.T
+    weight = 1 / processes.variance
+    pull, rho = weight * processes.innovations(lin.state.processes), processes.rho[j]
+    D[:, at, at] += weight
+    D[i[:, None], at, at] += rho**2 * weight[j]
+    off[i[:, None], at, at] -= rho * weight[j]
+    b[:, PROCESSES] += pull
+    b[i, PROCESSES] -= rho * pull[j]
+
+
 def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
     """Keep the base blocks regular: the gauge, encoder errors, and bases that no measurement holds."""
     data, inliers = lin.data, lin.inliers
     first = data.first
-    gauge = np.arange(3)
+    gauge = np.arange(BASE.start, BASE.stop)
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
-    if data.base_width > 5:
-        D[:, 5, 5] += lin.noise.stamp_s**-2
-        b[:, 5] += lin.state.stamp_errors * lin.noise.stamp_s**-2
-    encoders = np.arange(3, 5)
+    if data.base_width > STAMP:
+        D[:, STAMP, STAMP] += lin.noise.stamp_s**-2
+        b[:, STAMP] += lin.state.stamp_errors * lin.noise.stamp_s**-2
+    encoders = np.arange(ENCODERS.start, ENCODERS.stop)
     if lin.noise.encoder_rad:
         information = lin.encoder_sigmas**-2
         D[:, encoders, encoders] += information
-        b[:, 3:5] += lin.state.encoder_errors * information
+        b[:, ENCODERS] += lin.state.encoder_errors * information
         return
     D[:, encoders, encoders] = 1.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, ChainChange, ChainEffect, JointClock, JointEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.model import FloatArray, HeadChain, Parameters, StereoRig
@@ -22,9 +22,9 @@ class Step:
     Attributes:
         shared: (layout.size,) of the nine parameters (see `Parameters.plus`), the constants and the boards (body
             twists).
-        base: (N, B) of base poses as body twists (x, y, heading), of encoder errors, right and left, and in a data set
-            with motion of stamp errors.
-        own: (N, J + 3) of joint errors and of the floor (roll, pitch, height).
+        base: (N, B) of base poses as body twists (x, y, heading), of encoder errors, right and left, of the processes,
+            and in a data set with motion of stamp errors.
+        own: (N, J + 3) of joint errors and of the sway (roll, pitch, height).
     """
 
     shared: FloatArray
@@ -49,7 +49,9 @@ class State:
         base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
         joint_errors: (N, J) to be added to the readings.
         encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
-        floor: (N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y.
+        processes: (N, 5) roll and pitch (rad) and height (m) of the floor under the base against the plane of x and y,
+            and relative errors of the right and left wheel's size.
+        sway: (N, 3) roll, pitch and height of the base beside the floor's.
         stamp_errors: (N,) to be added to the images' stamps, s.
     """
 
@@ -59,7 +61,8 @@ class State:
     base: FloatArray
     joint_errors: FloatArray
     encoder_errors: FloatArray
-    floor: FloatArray
+    processes: FloatArray
+    sway: FloatArray
     stamp_errors: FloatArray
 
     @classmethod
@@ -68,12 +71,17 @@ class State:
     ) -> State:
         """A state in which all readings are exact, the floor is flat, and all constants are as stated."""
         count = len(base)
-        still = np.zeros((count, 2)), np.zeros((count, 3)), np.zeros(count)
+        still = np.zeros((count, 2)), np.zeros((count, 5)), np.zeros((count, 3)), np.zeros(count)
         return cls(parameters, {}, T_w_k, base, np.zeros((count, data.joints.shape[1])), *still)
 
     def value(self, name: str) -> float:
         """Value of a constant."""
         return self.constants.get(name, 0.0)
+
+    @property
+    def floor(self) -> FloatArray:
+        """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor and sway."""
+        return np.asarray(self.processes[:, :3] + self.sway)
 
     @property
     def T_w_v(self) -> FloatArray:
@@ -85,8 +93,9 @@ class State:
     @property
     def T_floor_v(self) -> FloatArray:
         """(N, 4, 4) base in a frame that stands level where the base is."""
-        turn, lift = np.zeros((2, len(self.floor), 3))
-        turn[:, :2], lift[:, 2] = self.floor[:, :2], self.floor[:, 2]
+        floor = self.floor
+        turn, lift = np.zeros((2, len(floor), 3))
+        turn[:, :2], lift[:, 2] = floor[:, :2], floor[:, 2]
         return se3.transform(se3.exp_so3(turn), lift)
 
     def plus(self, data: Dataset, step: Step) -> State:
@@ -101,9 +110,10 @@ class State:
             T_w_k=self.T_w_k @ se3.exp(shared[layout.named :].reshape(-1, 6)),
             base=self.base + np.stack([cos * x - sin * y, sin * x + cos * y, turn], axis=1),
             joint_errors=self.joint_errors + step.own[:, :-3],
-            encoder_errors=self.encoder_errors + step.base[:, 3:5],
-            floor=self.floor + step.own[:, -3:],
-            stamp_errors=self.stamp_errors + step.base[:, 5:].sum(axis=1),
+            encoder_errors=self.encoder_errors + step.base[:, ENCODERS],
+            processes=self.processes + step.base[:, PROCESSES],
+            sway=self.sway + step.own[:, -3:],
+            stamp_errors=self.stamp_errors + step.base[:, STAMP:].sum(axis=1),
         )
 
     def of_log(self, data: Dataset, log: int) -> State:
@@ -115,7 +125,8 @@ class State:
             base=self.base[mine],
             joint_errors=self.joint_errors[mine],
             encoder_errors=self.encoder_errors[mine],
-            floor=self.floor[mine],
+            processes=self.processes[mine],
+            sway=self.sway[mine],
             stamp_errors=self.stamp_errors[mine],
         )
 

@@ -9,13 +9,14 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose
-from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.legs import leg_covariance, linearize_legs
+from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
+from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
+from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
-from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelTrack
+from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelGeometry, WheelTrack
 
 # Accuracy that a robot needs: the least certain parameter is the worst relative to these.
 NEEDED = np.array(
@@ -142,8 +143,11 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
     return wide, replace(there, constants=state.constants)
 
 
-def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> tuple[FloatArray, FloatArray]:
-    """One leg that turns and then drives: (3, P + 10) by the shared parameters and both base blocks, and its weight."""
+def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
+    """(P + 2 B, P + 2 B) information of a leg that turns and then drives, and of the processes along it.
+
+    About the shared parameters and the base blocks of both ends.
+    """
     data, state, noise = lin.data, lin.state, lin.noise
     wheels = state.parameters.wheels
     turn = turn_rad * wheels.separation_m / 2
@@ -155,38 +159,52 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> tuple[FloatArra
     pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), one)
     track = WheelTrack.at_same_times(times, np.array(right), np.array(left))
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
-    legs = linearize_legs(pair, there, noise.encoder_rad > 0)
+    along = processes_of(pair, wheels, noise, Inliers.all_of(pair))
+    legs = linearize_legs(pair, there, along, noise.encoder_rad > 0)
     by_start = legs.by_start[0].copy()
     # The start is a station like any other here, not the origin of the world.
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
-    rows = np.concatenate([legs.by_shared(data.layout)[0], by_start, legs.by_end[0]], axis=1)
-    return rows, np.linalg.inv(leg_covariance(pair, wheels, noise))[0]
+    by_shared = legs.by_shared(data.layout)[0]
+    rows = np.concatenate([by_shared, by_start, legs.by_end[0]], axis=1)
+    H: FloatArray = rows.T @ np.linalg.inv(_covariance(pair, wheels, noise)[0]) @ rows
+    before = by_shared.shape[1] + np.arange(PROCESSES.start, PROCESSES.stop)
+    after, rho, weight = before + STAMP, along.rho[1], 1 / along.variance[1]
+    H[before, before] += rho**2 * weight
+    H[after, after] += weight
+    H[before, after] -= rho * weight
+    H[after, before] -= rho * weight
+    return H
+
+
+def _covariance(pair: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
+    """(1, 3, 3) covariance of a leg's odometry for known scale errors of the wheels at its ends."""
+    return np.asarray(sum(leg_covariances(pair.steps(), wheels, noise, ends_known=True).values()))
 
 
 def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
-    """(C, P + 5, P + 5) information of each stop about the shared parameters and the last station's base block."""
+    """(C, P + B, P + B) information of each stop about the shared parameters and the last station's base block."""
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
     views = linearize_views(wide, there, Inliers.all_of(wide), noise)
-    count, P, own = len(stops.turn_rad), data.layout.size, data.own_width
+    count, P, B, own = len(stops.turn_rad), data.layout.size, STAMP, data.own_width
     sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
-    legs: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
-    out = np.empty((count, P + 5, P + 5))
+    legs: dict[tuple[float, float], FloatArray] = {}
+    out = np.empty((count, P + B, P + B))
     for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
         if way not in legs:
             legs[way] = _leg(lin, *way)
-        driven, weight = legs[way]
-        H = np.zeros((P + 10 + own, P + 10 + own))  # shared, last base, new base, the new stop's own errors
-        seen = [views.by_shared[c + 1], np.zeros((6, 5)), views.by_base[c + 1], views.by_own[c + 1]]
+        H = np.zeros((P + 2 * B + own,) * 2)  # shared, last base, new base, the new stop's own errors
+        seen = [views.by_shared[c + 1], np.zeros((6, B)), views.by_base[c + 1], views.by_own[c + 1]]
         A = np.zeros((6 + len(views.direct), len(H)))
         A[:6] = np.concatenate(seen, axis=1)
         A[range(6, len(A)), views.direct] = 1.0
         H += A.T @ views.information[c + 1] @ A
-        H[: P + 10, : P + 10] += driven.T @ weight @ driven
-        encoders, errors = np.arange(P + 8, P + 10), np.arange(P + 10, P + 10 + own)
+        H[: P + 2 * B, : P + 2 * B] += legs[way]
+        encoders = P + B + np.arange(ENCODERS.start, ENCODERS.stop)
+        errors = np.arange(P + 2 * B, len(H))
         H[encoders, encoders] += lin.encoder_sigmas**-2 if noise.encoder_rad else 1.0
         H[errors, errors] += sigma**-2
-        kept = P + 5
+        kept = P + B
         out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
     return out
 
@@ -200,13 +218,13 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
         most: how many at most.
     """
     P, wheels = lin.data.layout.size, lin.state.parameters.wheels.vector
-    follow = lin.normal.base_by_shared[-1][:5]  # at a stop, the stamp's error has no effect
+    follow = lin.normal.base_by_shared[-1][:STAMP]  # at a stop, the stamp's error has no effect
     own, _ = lin.normal.base_covariance()
     by_base = follow @ covariance
-    joint = np.block([[covariance, by_base.T], [by_base, own[-1][:5, :5] + by_base @ follow.T]])
+    joint = np.block([[covariance, by_base.T], [by_base, own[-1][:STAMP, :STAMP] + by_base @ follow.T]])
     # A stop sees the last board alone: the others' columns only cost time.
     named, board = lin.data.layout.named, lin.data.layout.named + 6 * int(lin.data.board[-1])
-    kept = np.r_[:named, board : board + 6, P : P + 5]
+    kept = np.r_[:named, board : board + 6, P : P + STAMP]
     joint = joint[np.ix_(kept, kept)]
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     now = np.sqrt(np.diag(covariance)[:9])

@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import FLOOR, STAMP, Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ChainEffect, JointEffect, Sight
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -43,8 +43,9 @@ class Views:
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, 6, B) delta by base twist (x, y, heading), encoder errors (nothing) and the stamp's error.
-        by_own: (N, 6, J + 3) delta by joint errors and by the floor.
+        by_base: (N, 6, B) delta by base twist (x, y, heading), encoder errors and wheel scales (nothing), floor, and the
+            stamp's error.
+        by_own: (N, 6, J + 3) delta by joint errors and by the sway.
         by_shared: (N, 6, P) delta by the parameters that all stations share.
         direct: (Q - 6,) columns of the direct constants among these parameters.
     """
@@ -171,9 +172,10 @@ def _pose_columns(
     by_own = np.empty((count, 6, data.own_width))
     by_own[..., :joints] = -Ad_c_v @ frames.by_joints()
     by_own[..., joints:] = -Ad_c_floor @ _floor_twists(state)
-    if data.base_width > 5:
+    by_base[..., FLOOR] = by_own[..., joints:]
+    if data.base_width > STAMP:
         rates = data.joint_rates(joint_clock_s(data, state))
-        by_base[..., 5] = (by_own[..., :joints] @ rates[..., None])[..., 0]
+        by_base[..., STAMP] = (by_own[..., :joints] @ rates[..., None])[..., 0]
 
     by_shared = np.zeros((count, 6, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
@@ -196,12 +198,13 @@ def _pose_columns(
 
 def _floor_twists(state: State) -> FloatArray:
     """(N, 6, 3) left twists of the base in its level frame by roll, pitch and height."""
-    turn = np.zeros((len(state.floor), 3))
-    turn[:, :2] = state.floor[:, :2]
+    floor = state.floor
+    turn = np.zeros((len(floor), 3))
+    turn[:, :2] = floor[:, :2]
     twists = np.zeros((len(turn), 6, 3))
     twists[:, :3, :2] = se3.left_jacobian_so3(turn)[:, :, :2]
     lift = np.zeros((len(turn), 3))
-    lift[:, 2] = state.floor[:, 2]
+    lift[:, 2] = floor[:, 2]
     twists[:, 3:, :2] = np.cross(lift[:, :, None], twists[:, :3, :2], axis=1)
     twists[:, 5, 2] = 1.0
     return twists

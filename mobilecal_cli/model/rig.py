@@ -396,9 +396,11 @@ class KnownNoise:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
         encoder_rad: of one encoder reading.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
         stamp_s: of an image's time stamp, where the robot moves.
-        wheel_share: of a wheel's rotation over a leg, relative to it.
+        wheel_share: of a wheel's scale.
+        floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
+        sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
     """
 
     pixel_px: float | None = None
@@ -409,6 +411,10 @@ class KnownNoise:
     floor_m: float | None = None
     stamp_s: float | None = None
     wheel_share: float | None = None
+    floor_length_m: float | None = None
+    wheel_length_m: float | None = None
+    sway_rad: float | None = None
+    sway_m: float | None = None
 
     @property
     def given(self) -> dict[str, float]:

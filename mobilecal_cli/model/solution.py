@@ -93,9 +93,11 @@ class NoiseLevels:
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
         encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-        floor_rad, floor_m: of the base's roll and pitch, and of its height, at each station.
+        floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
         stamp_s: of an image's time stamp, where the robot moves.
-        wheel_share: of each wheel's rotation over a leg, relative to it.
+        wheel_share: of each wheel's scale.
+        floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
+        sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.
     """
@@ -108,6 +110,10 @@ class NoiseLevels:
     floor_m: float
     stamp_s: float
     wheel_share: float
+    floor_length_m: float
+    wheel_length_m: float
+    sway_rad: float
+    sway_m: float
     estimated: tuple[str, ...]
     redundancy: Mapping[str, float]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -83,8 +84,8 @@ class _Geometry:
     def own_squares(self, noise: NoiseLevels, extraction: Extraction) -> Mapping[str, FloatArray]:
         """Mean squares, (2, N), due to the noise at each station: of "joints" and of "floor"."""
         base = np.zeros((6, 3))
-        base[0, 0] = base[1, 1] = noise.floor_rad
-        base[5, 2] = noise.floor_m
+        base[0, 0] = base[1, 1] = math.hypot(noise.floor_rad, noise.sway_rad)
+        base[5, 2] = math.hypot(noise.floor_m, noise.sway_m)
         twists = {
             "joints": self.by_joints * (noise.joint_rad * np.array(extraction.rig.chain.joint_units)),
             "floor": se3.adjoint(se3.inverse(self.T_v_c)) @ base,

@@ -144,10 +144,12 @@ _LEVELS = {
     "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad", 1.0),
     "encoder_rad": ("encoder reading", "rad", 1.0),
     "joint_rad": ("joint reading", "deg", 180 / math.pi),
-    "floor_rad": ("floor: roll and pitch of the base at each stop", "deg", 180 / math.pi),
-    "floor_m": ("floor: height of the base at each stop", "mm", 1e3),
+    "floor_rad": ("floor: roll and pitch under the base", "deg", 180 / math.pi),
+    "floor_m": ("floor: height under the base", "mm", 1e3),
+    "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", 180 / math.pi),
+    "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
-    "wheel_share": ("wheel rotation on a leg, in proportion to it", "%", 100.0),
+    "wheel_share": ("scale of a wheel", "%", 100.0),
 }
 
 

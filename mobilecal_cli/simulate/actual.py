@@ -49,6 +49,10 @@ class Outside:
         rolling_shutter_s: time from the first to the last row of an image, centered on its stamp, s.
         right_late_s: delay of the right camera's exposure, s.
         heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
+        shear_rad: angle by which the board's columns and rows are off the right angle, rad.
+        print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
+        print_seed: see there.
+        lean_rad: roll and pitch of the base against the floor's normal, the same everywhere, rad.
     """
 
     twist_m: float = 0.0
@@ -57,6 +61,10 @@ class Outside:
     rolling_shutter_s: float = 0.0
     right_late_s: float = 0.0
     heavy_tails: bool = False
+    shear_rad: float = 0.0
+    print_m: float = 0.0
+    print_seed: int = 0
+    lean_rad: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +75,15 @@ class BoardShape:
         board: as stated.
         scale: (2,) true over stated size along x and y.
         bends_m: (3,) z of the surface is (1 - xi^2) and (1 - eta^2) and xi eta times these, m.
+        shear_rad: angle by which columns and rows are off the right angle.
+        off_m: (M, 2) displacement of every corner in the plane, m; None for none.
     """
 
     board: Board
     scale: FloatArray = field(default_factory=lambda: np.ones(2))
     bends_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    shear_rad: float = 0.0
+    off_m: FloatArray | None = None
 
     def height_m(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Height z of the surface at positions on the print, in squares: arrays of equal shape → m."""
@@ -83,7 +95,11 @@ class BoardShape:
     def corners_k(self) -> FloatArray:
         """(M, 3) corners in the board frame, m."""
         grid, square = self.board.grid(), self.board.square_m or 0.0
-        return np.column_stack([grid[:, :2] * square * self.scale, self.height_m(*grid.T[:2])])
+        plane = grid[:, :2] * square * self.scale
+        plane[:, 0] += np.tan(self.shear_rad) * plane[:, 1]
+        if self.off_m is not None:
+            plane += self.off_m
+        return np.column_stack([plane, self.height_m(*grid.T[:2])])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +157,9 @@ class ActualRobot:
         aspect = self._of("square_aspect") / 2
         scale = (1 + self._of("square_scale")) * np.array([1 + aspect, 1 - aspect])
         bends = [self._of("board_bend_x"), self._of("board_bend_y"), self.outside.twist_m]
-        return BoardShape(board, scale, np.array(bends))
+        outside, random = self.outside, np.random.default_rng([self.outside.print_seed, 11])
+        off_m = outside.print_m * random.normal(size=(len(board.grid()), 2)) if outside.print_m else None
+        return BoardShape(board, scale, np.array(bends), outside.shear_rad, off_m)
 
     @property
     def joints(self) -> tuple[RobotJoint, ...]:

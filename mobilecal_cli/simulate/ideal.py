@@ -39,7 +39,10 @@ class Noise:
         joint_rad: sigma of a station's joint reading, rad.
         floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
         stamp_s: sigma of each image stamp in motion, s.
-        wheel_share: sigma of each wheel's relative scale error, one for each leg.
+        wheel_share: sigma of each wheel's relative scale error.
+        floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
+        floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
+        wheel_length_m: driven distance over which a scale error stays the same; 0: one for each leg.
     """
 
     pixel_px: float = 0.0
@@ -50,6 +53,9 @@ class Noise:
     floor_m: float = 0.0
     stamp_s: float = 0.0
     wheel_share: float = 0.0
+    floor_length_m: float = 0.0
+    floor_smooth: bool = False
+    wheel_length_m: float = 0.0
 
 
 def station_times_s(route: Route, stations: int = 40) -> FloatArray:
@@ -64,19 +70,46 @@ def nanoseconds(times_s: FloatArray) -> IntArray:
     return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
 
 
-def floor_in_base(noise: Noise, count: int, random: np.random.Generator, still: bool = False) -> FloatArray:
-    """Roll, pitch and height of the base on an uneven floor, at each station: (count, 4, 4), base axes.
+def floor_in_base(
+    noise: Noise, path_m: FloatArray, random: np.random.Generator, still: bool = False
+) -> FloatArray:
+    """Roll, pitch and height of the base on an uneven floor, at each station: (N, 4, 4), base axes.
 
     They are the same at all stations of a base that stands still.
+
+    Args:
+        noise: its levels.
+        path_m: (N,) driven distance at each station, m.
+        random: source of the noise.
+        still: whether the base never moves.
     """
-    turns, lifts = noise.floor_rad * random.normal(size=(count, 2)), noise.floor_m * random.normal(size=count)
+    count = len(path_m)
+    turns, lifts = random.normal(size=(count, 2)), random.normal(size=count)
+    if noise.floor_length_m:
+        root = _process_root(path_m / noise.floor_length_m, noise.floor_smooth)
+        turns, lifts = root @ turns, root @ lifts
     poses = np.array(
         [
             pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
-            for (roll, pitch), lift in zip(turns, lifts, strict=True)
+            for (roll, pitch), lift in zip(noise.floor_rad * turns, noise.floor_m * lifts, strict=True)
         ]
     )
     return np.repeat(poses[:1], count, axis=0) if still else poses
+
+
+def _process_root(at: FloatArray, smooth: bool) -> FloatArray:
+    """A root of the covariance of a stationary process of unit variance, at positions (N,) in correlation lengths."""
+    apart = np.abs(at[:, None] - at[None])
+    values, vectors = np.linalg.eigh(np.exp(-(apart**2) / 2 if smooth else -apart))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def driven_m(actual: ActualRobot, route: Route, times_s: FloatArray) -> FloatArray:
+    """(n,) path that the wheels rolled, mean of both, from the start to given times, m."""
+    wheels = actual.stated.wheels
+    moments = np.unique(np.concatenate([route.drive.breaks_s, times_s]))
+    rolled = np.abs(np.diff(route.drive.wheel_angles(moments, wheels), axis=0)) @ wheels.vector[:2] / 2
+    return np.interp(times_s, moments, np.concatenate([[0.0], np.cumsum(rolled)]))
 
 
 def rolled_as_read(
@@ -119,6 +152,9 @@ def _wheel_track(
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
     angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels)
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
+    if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
+        rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))
+        leg = np.floor(rolled_m / noise.wheel_length_m + random.uniform()).astype(np.int64)
     angles = rolled_as_read(angles, leg, noise, random, actual.outside.heavy_tails)
     if noise.encoder_step_rad:
         angles = np.floor(angles / noise.encoder_step_rad) * noise.encoder_step_rad
@@ -161,15 +197,20 @@ def extraction_of(
     seed: int = 0,
     nominal: bool = True,
     camera_late_s: float = 0.0,
+    images: int = 40,
 ) -> Extraction:
-    """Extraction of a drive of the actual robot, as its description makes it; see `ideal_extraction`."""
+    """Extraction of a drive of the actual robot, as its description makes it; see `ideal_extraction`.
+
+    `images` is their number where the robot never rests.
+    """
     # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
     random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
     robot, corners_k = actual.stated, route.corners_k()
     rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
-    times_s = station_times_s(route)
+    times_s = station_times_s(route, images)
     stamps_s = times_s + camera_late_s
-    floor = floor_in_base(noise, len(times_s), other_random, still=route.motion == "base_fixed")
+    path_m = driven_m(actual, route, times_s)
+    floor = floor_in_base(noise, path_m, other_random, still=route.motion == "base_fixed")
     if not at_rest:
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)

@@ -124,6 +124,7 @@ def imperfect_extraction(
     seed: int = 0,
     nominal: bool = True,
     camera_late_s: float = 0.0,
+    images: int = 40,
 ) -> Extraction:
     """Extraction of a drive of a robot that is not as stated; see `ideal_extraction`.
 
@@ -134,9 +135,10 @@ def imperfect_extraction(
         seed: of the noise.
         nominal: whether nominal values are known.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
+        images: their number where the robot never rests.
 
     Raises:
         ConfigError: the cameras' images are too inconsistent to be triangulated.
     """
     actual = actual_robot(robot, imperfection)
-    return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s)
+    return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)

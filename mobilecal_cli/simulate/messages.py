@@ -17,6 +17,7 @@ from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.ideal import (
     START_NS,
     Noise,
+    driven_m,
     floor_in_base,
     nanoseconds,
     rolled_as_read,
@@ -179,8 +180,9 @@ def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, Fl
     if len(rests_s):
         rest = np.searchsorted(rests_s[:, 0], times_s) - 1
         still = world.route.motion == "base_fixed"
-        return floor_in_base(world.noise, len(rests_s), random, still)[rest], np.zeros(len(times_s))
-    floor = floor_in_base(world.noise, len(times_s), random)
+        path_m = driven_m(world.actual, world.route, rests_s[:, 0])
+        return floor_in_base(world.noise, path_m, random, still)[rest], np.zeros(len(times_s))
+    floor = floor_in_base(world.noise, driven_m(world.actual, world.route, times_s), random)
     return floor, world.noise.stamp_s * random.normal(size=len(times_s))
 
 

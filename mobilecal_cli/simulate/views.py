@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Camera, FloatArray
 from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.drive import base_in_world
+from mobilecal_cli.simulate.robot import pose
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.stereo import pixels
 
@@ -32,7 +34,8 @@ def camera_in_world(actual: ActualRobot, route: Route, times_s: FloatArray, floo
     """T_w_c of the left camera at given times, (N, 4, 4); `floor` as from `floor_in_base`."""
     robot = replace(actual.stated, joints=actual.joints)
     heads = np.array([robot.head_pose(joints) for joints in route.joints(times_s)])
-    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ heads @ robot.T_h_c)
+    lean = pose((0.0, 0.0, 0.0), Rotation.from_rotvec([*actual.outside.lean_rad, 0.0]))
+    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ lean @ heads @ robot.T_h_c)
 
 
 def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:

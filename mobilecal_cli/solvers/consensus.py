@@ -61,6 +61,7 @@ def leg_spread(data: Dataset, parameters: Parameters, noise: Noise) -> FloatArra
         axis=2,
     )
     sigma = own_sigmas(data, Inliers.all_of(data), noise)
+    sigma[:, -3:] = np.hypot(sigma[:, -3:], [noise.floor_rad, noise.floor_rad, noise.floor_m])
     of_joints = (J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2)
     of_station = of_joints + data.T_c_k_cov
     Ad = se3.adjoint(T_ci_cj)

@@ -32,6 +32,7 @@ from mobilecal_cli.solvers.noise import (
     converged,
     estimated,
     guess_worth,
+    lengths,
 )
 from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
 
@@ -337,6 +338,7 @@ class Fitter:
         search = LevelSearch(self.given)
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(lin.noise, found, self.given, self._guess)
+            noise = replace(noise, **lengths(lin, self.given, self._guess))
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))

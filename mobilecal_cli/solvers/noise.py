@@ -8,11 +8,14 @@ from dataclasses import asdict, astuple, dataclass, replace
 
 import numpy as np
 
+from mobilecal_cli.likelihood.dataset import STAMP
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Noise
+from mobilecal_cli.likelihood.noise import EXACT, Noise
+from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
 from mobilecal_cli.model import FloatArray
 
-# Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor.
+# Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor, a
+# base that hardly sways on its wheels.
 GUESS = Noise(
     pixel_px=0.1,
     wheel_rad_per_sqrt_rad=0.004,
@@ -22,10 +25,21 @@ GUESS = Noise(
     floor_m=0.0005,
     stamp_s=0.0005,
     wheel_share=0.001,
+    floor_length_m=0.3,
+    wheel_length_m=1.0,
+    sway_rad=float(np.radians(0.02)),
+    sway_m=0.0001,
 )
-LEAST = Noise(1e-3, 1e-5, 0.0, 1e-6, floor_rad=1e-6, floor_m=1e-6, stamp_s=1e-6, wheel_share=1e-6)
+LEAST = Noise(
+    1e-3, 1e-5, 0.0, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6, floor_length_m=1e-3, wheel_length_m=1e-3, sway_rad=1e-6, sway_m=1e-6
+)
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
-MOST = Noise(1e3, 1.0, 1.0, 1.0, floor_rad=0.1, floor_m=0.1, stamp_s=0.1, wheel_share=0.1)
+MOST = Noise(
+    1e3, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1, floor_length_m=1e3, wheel_length_m=1e3, sway_rad=0.1, sway_m=0.1
+)
+#: A guessed correlation length is right within this factor (one sigma of its logarithm).
+_LENGTH_FACTOR = 3.0
+_LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
 _WORTH, _FADES_AT = 2.0, 4.0
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
@@ -54,6 +68,10 @@ class Component:
         worth = guess_worth(self.redundancy)
         return (self.squares + worth * guess) / (max(self.redundancy, 0.0) + worth)
 
+    def __add__(self, other: Component) -> Component:
+        """Both together."""
+        return Component(self.squares + other.squares, self.redundancy + other.redundancy)
+
 
 def components(lin: Linearization) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
@@ -62,12 +80,20 @@ def components(lin: Linearization) -> dict[str, Component]:
     corners = 2 * int(lin.inliers.used_corners.sum())
     result = {"pixel_px": Component(float(views.cost.sum()), corners - taken)}
 
+    processes = lin.processes
+    ratio = processes.innovations(state.processes) ** 2 / processes.variance
+    innovations = marginal.innovations(processes.rho)
+    left = 1 - np.diagonal(innovations, axis1=1, axis2=2) / processes.variance
+    for level, squares, free in zip(LEVELS, ratio.sum(axis=0), left.sum(axis=0), strict=True):
+        result[level] = result.get(level, Component(0.0, 0.0)) + Component(float(squares), float(free))
+
     e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
     left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
     for level in ("wheel_rad_per_sqrt_rad", "wheel_share"):
         share = lin.leg_covariances[level]
         squares = float(np.einsum("la,lab,lb->", e, share, e))
-        result[level] = Component(squares, float(np.einsum("lab,lba->", share, left_over)))
+        of_legs = Component(squares, float(np.einsum("lab,lba->", share, left_over)))
+        result[level] = result.get(level, Component(0.0, 0.0)) + of_legs
 
     sigma, joints = lin.own_sigmas, lin.data.joints.shape[1]
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
@@ -77,8 +103,8 @@ def components(lin: Linearization) -> dict[str, Component]:
     left = np.where(used, 1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2, 0.0)
     columns = {
         "joint_rad": slice(0, joints),
-        "floor_rad": slice(joints, joints + 2),
-        "floor_m": slice(joints + 2, None),
+        "sway_rad": slice(joints, joints + 2),
+        "sway_m": slice(joints + 2, None),
     }
     for level, at in columns.items():
         result[level] = Component(float(ratio[:, at].sum()), float(left[:, at].sum()))
@@ -87,11 +113,40 @@ def components(lin: Linearization) -> dict[str, Component]:
         ratio = (state.encoder_errors / lin.encoder_sigmas) ** 2
         left = 1 - marginal.encoders / lin.encoder_sigmas**2
         result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
-    if lin.data.base_width > 5:
+    if lin.data.base_width > STAMP:
         ratio = (state.stamp_errors / lin.noise.stamp_s) ** 2
         left = 1 - marginal.stamps / lin.noise.stamp_s**2
         result["stamp_s"] = Component(float(ratio.sum()), float(left.sum()))
     return result
+
+
+def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str, float]:
+    """Correlation lengths of the processes after one step of expectation-maximization (Dempster et al., 1977).
+
+    The expected logarithm of the innovations' density, at the present posterior of the processes, is largest there,
+    under a log-normal prior around the guess.
+    """
+    processes, posterior, values = lin.processes, lin.marginals, lin.state.processes
+    j = lin.data.legs[lin.inliers.legs, 1]
+    found: dict[str, float] = {}
+    variance, before = (
+        np.diagonal(part, axis1=1, axis2=2) for part in (posterior.processes, posterior.before)
+    )
+    here, past = values[j], values[j - 1]
+    squares, mixed, earlier = here**2 + variance[j], here * past + before[j], past**2 + variance[j - 1]
+    for level in dict.fromkeys(LENGTHS):
+        if level in given:
+            continue
+        tried = getattr(lin.noise, level) * _LENGTHS
+        score = -((np.log(tried / getattr(guess, level)) / math.log(_LENGTH_FACTOR)) ** 2)
+        for k in (k for k, other in enumerate(LENGTHS) if other == level):
+            x = processes.distance_m[j, k] / tried[:, None]
+            rho, spread = np.exp(-x), getattr(lin.noise, LEVELS[k]) ** 2 * -np.expm1(-2 * x)
+            spread = np.maximum(spread, EXACT**2)
+            innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
+            score -= np.sum(np.log(spread) + innovation / spread, axis=1)
+        found[level] = float(tried[np.argmax(score)])
+    return found
 
 
 def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:

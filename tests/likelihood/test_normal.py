@@ -19,7 +19,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial_state import initial_state
 
-NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002)
+NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002)
 STATIONS = 6
 
 
@@ -69,7 +69,7 @@ class Case:
         root = np.zeros_like(self.lin.leg_weight)
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
-        legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, encoders=True).residual)
+        legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, self.lin.processes, encoders=True).residual)
         sigma = np.where(self.lin.inliers.readings, NOISE.joint_rad, 1.0)
         return np.concatenate(
             [
@@ -77,10 +77,23 @@ class Case:
                 legs.ravel(),
                 (state.joint_errors / sigma).ravel(),
                 (state.encoder_errors / (NOISE.encoder_rad * np.array([1, 0.25]))).ravel(),
-                (state.floor / [NOISE.floor_rad, NOISE.floor_rad, NOISE.floor_m]).ravel(),
+                (state.sway / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]).ravel(),
+                self.innovations(state.processes),
                 state.stamp_errors / NOISE.stamp_s,
             ]
         )
+
+    def innovations(self, values):
+        """Of each process from its covariance sigma^2 exp(-d / l) in closed form, whitened."""
+        sigma = [NOISE.floor_rad, NOISE.floor_rad, NOISE.floor_m, NOISE.wheel_share, NOISE.wheel_share]
+        lengths = [NOISE.floor_length_m] * 3 + [NOISE.wheel_length_m] * 2
+        parts = []
+        for k in range(5):
+            at = np.cumsum(self.lin.processes.distance_m[:, k])
+            cut = np.cumsum(np.isin(np.arange(STATIONS), self.data.legs[~self.lin.inliers.legs, 1]))
+            cov = sigma[k] ** 2 * np.exp(-np.abs(at[:, None] - at) / lengths[k]) * (cut[:, None] == cut)
+            parts.append(np.linalg.solve(np.linalg.cholesky(cov), values[:, k]))
+        return np.concatenate(parts)
 
     def dense(self):
         size = sum(self.sizes)

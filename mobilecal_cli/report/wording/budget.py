@@ -36,6 +36,8 @@ SOURCES: dict[str, Source] = {
     "joint_rad": Source("joint reading noise", "joint readings", "record more stops, and check the head for play"),
     "floor_rad": Source("the uneven floor", "floor", "record on a flat floor, or record more stops"),
     "floor_m": Source("the uneven floor (height)", "floor", "record on a flat floor, or record more stops"),
+    "sway_rad": Source("sway of the base", "floor", "stop for images, and let the base come to rest"),
+    "sway_m": Source("sway of the base (height)", "floor", "stop for images, and let the base come to rest"),
     "wheel_rad_per_sqrt_rad": Source("wheel noise", "wheels", "record more stops with shorter legs, on a firm floor"),
     "wheel_share": Source("wheel noise in proportion to the distance", "wheels", "record more legs, on a firm floor"),
     "encoder_rad": Source("encoder steps", "encoder steps", "record more legs, or use finer encoders"),
