@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -14,6 +14,7 @@ from mobilecal_cli.kinematics import Arcs, Increments
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import EXACT, SLIP_M_PER_SQRT_M, Noise, encoder_sigmas
+from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, WheelGeometry
 
 #: Variance of a quantity that wheels do not measure: a filter gives it no weight.
@@ -76,7 +77,8 @@ def odometry_covariance(
             "calibrate extraction.npz again with this version and --method ml",
         )
     data = dataset_of(extraction)
-    noise = Noise(**{level.name: known.noise.get(level.name, EXACT) for level in fields(Noise)})
+    levels = {level.name for level in fields(Noise)} & known.noise.keys()
+    noise = replace(Noise(EXACT, EXACT, 0.0, EXACT), **{name: known.noise[name] for name in levels})
     wheels, C = robot.wheels, known.covariance[6:, 6:]
     moving_s, speed_mps = _motion(data, wheels)
     if moving_s <= 0 or speed_mps <= 0:
@@ -178,7 +180,8 @@ def _of_length_and_heading(
     rolled = np.array([np.abs(steps.right_rad).sum(), np.abs(steps.left_rad).sum()])
     readings = 2 * encoder_sigmas(data, noise) ** 2 * steps.legs  # at the start and the end of each leg
     random = by_rotation**2 @ (noise.wheel_rad_per_sqrt_rad**2 * rolled + readings)
-    proportional = by_rotation**2 @ (noise.wheel_share**2 * (Phi**2).sum(axis=0))
+    alike = mean_variance(rolled_m(steps, wheels) / noise.wheel_length_m)
+    proportional = by_rotation**2 @ (noise.wheel_share**2 * (Phi**2 * alike).sum(axis=0))
     for_length = np.stack([Phi[:, 0] / 2, Phi[:, 1] / 2, np.zeros(len(Phi))], axis=1)
     for_heading = np.stack([Phi[:, 0], -Phi[:, 1], -turned], axis=1) / b
     calibration = np.array([np.sum((G @ C) * G) for G in (for_length, for_heading)])

@@ -1,7 +1,8 @@
 """The normal equations with the stations eliminated: the cost is linear in the number of stations.
 
 Joint errors and sway belong to one station each and go first, station by station. Base poses, encoder errors, floor,
-wheel scales and stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared parameters is left.
+wheel scales and stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared
+parameters is left.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class Processes:
     def select(self, stations: IntArray, legs: IntArray) -> Processes:
         """Those of one recording: increasing indices of its stations and legs."""
         previous = np.searchsorted(stations, self.previous[stations])
-        at = (getattr(self, name)[stations] for name in ("distance_m", "rho", "variance"))
-        return Processes(previous, *at, self.mean_share[legs])
+        distance, rho, variance = (part[stations] for part in (self.distance_m, self.rho, self.variance))
+        return Processes(previous, distance, rho, variance, self.mean_share[legs])
 
 
 def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:

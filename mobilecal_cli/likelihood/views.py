@@ -43,8 +43,7 @@ class Views:
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
-        by_base: (N, 6, B) delta by base twist (x, y, heading), encoder errors and wheel scales (nothing), floor, and the
-            stamp's error.
+        by_base: (N, 6, B) delta by the station's base block: by base pose, floor and stamp error.
         by_own: (N, 6, J + 3) delta by joint errors and by the sway.
         by_shared: (N, 6, P) delta by the parameters that all stations share.
         direct: (Q - 6,) columns of the direct constants among these parameters.

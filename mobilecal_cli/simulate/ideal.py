@@ -109,7 +109,7 @@ def driven_m(actual: ActualRobot, route: Route, times_s: FloatArray) -> FloatArr
     wheels = actual.stated.wheels
     moments = np.unique(np.concatenate([route.drive.breaks_s, times_s]))
     rolled = np.abs(np.diff(route.drive.wheel_angles(moments, wheels), axis=0)) @ wheels.vector[:2] / 2
-    return np.interp(times_s, moments, np.concatenate([[0.0], np.cumsum(rolled)]))
+    return np.asarray(np.interp(times_s, moments, np.concatenate([[0.0], np.cumsum(rolled)])))
 
 
 def rolled_as_read(

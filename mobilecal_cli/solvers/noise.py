@@ -31,7 +31,18 @@ GUESS = Noise(
     sway_m=0.0001,
 )
 LEAST = Noise(
-    1e-3, 1e-5, 0.0, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6, floor_length_m=1e-3, wheel_length_m=1e-3, sway_rad=1e-6, sway_m=1e-6
+    1e-3,
+    1e-5,
+    0.0,
+    1e-6,
+    1e-6,
+    1e-6,
+    1e-6,
+    1e-6,
+    floor_length_m=1e-3,
+    wheel_length_m=1e-3,
+    sway_rad=1e-6,
+    sway_m=1e-6,
 )
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
 MOST = Noise(
@@ -81,11 +92,13 @@ def components(lin: Linearization) -> dict[str, Component]:
     result = {"pixel_px": Component(float(views.cost.sum()), corners - taken)}
 
     processes = lin.processes
-    ratio = processes.innovations(state.processes) ** 2 / processes.variance
+    ratio = processes.innovations(_within(lin)) ** 2 / processes.variance
     innovations = marginal.innovations(processes.rho)
     left = 1 - np.diagonal(innovations, axis1=1, axis2=2) / processes.variance
+    means = int(lin.data.log.max())
     for level, squares, free in zip(LEVELS, ratio.sum(axis=0), left.sum(axis=0), strict=True):
-        result[level] = result.get(level, Component(0.0, 0.0)) + Component(float(squares), float(free))
+        of_one = Component(float(squares), max(float(free) - means, 0.0))
+        result[level] = result.get(level, Component(0.0, 0.0)) + of_one
 
     e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
     left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
@@ -120,13 +133,29 @@ def components(lin: Linearization) -> dict[str, Component]:
     return result
 
 
+def _within(lin: Linearization) -> FloatArray:
+    """(N, 5) processes without their mean in each recording, where there are several.
+
+    Means that differ say how the recordings differ, not how a process varies along the way.
+    """
+    processes, values, log = lin.processes, lin.state.processes, lin.data.log
+    if not log.max():
+        return values
+    of_one = processes.innovations(np.ones_like(values)) / processes.variance
+    sums = np.zeros((2, int(log.max()) + 1, values.shape[1]))
+    np.add.at(sums[0], log, of_one * processes.innovations(values))
+    np.add.at(sums[1], log, of_one * processes.innovations(np.ones_like(values)))
+    out: FloatArray = values - (sums[0] / sums[1])[log]
+    return out
+
+
 def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str, float]:
     """Correlation lengths of the processes after one step of expectation-maximization (Dempster et al., 1977).
 
     The expected logarithm of the innovations' density, at the present posterior of the processes, is largest there,
     under a log-normal prior around the guess.
     """
-    processes, posterior, values = lin.processes, lin.marginals, lin.state.processes
+    processes, posterior, values = lin.processes, lin.marginals, _within(lin)
     j = lin.data.legs[lin.inliers.legs, 1]
     found: dict[str, float] = {}
     variance, before = (

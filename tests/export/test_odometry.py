@@ -22,6 +22,7 @@ SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
 LEVELS = {
     "wheel_rad_per_sqrt_rad": SQRT,
     "wheel_share": SHARE,
+    "wheel_length_m": 1e6,
     "encoder_rad": 0.0,
     "floor_rad": 0.002,
     "floor_m": 0.001,

@@ -164,7 +164,7 @@ def test_an_unevenness_of_the_floor_is_told():
     assert verdict.level == "PASS"
     assert "The noise of the floor (roll and pitch of the base) is 0.5 degrees" in verdict.next_step
     rows = rows_of(made(solution, extraction), "uncertainty", "Measurement noise")
-    assert rows["floor: roll and pitch of the base at each stop"][1] == "deg"
+    assert rows["floor: roll and pitch under the base"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
 
 
@@ -423,6 +423,8 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
         wheel_share=2e-4,
         floor_rad=np.radians(0.02),
         floor_m=2e-4,
+        sway_rad=1e-6,
+        sway_m=1e-6,
     )
     found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
     uncertainty = found.uncertainty
