@@ -183,19 +183,27 @@ class CameraChange:
         turn: (3,) rotation vector of the right camera about the left one's axes, from the left, rad.
         swing: (3,) rotation vector of the baseline about the left camera's axes, rad.
         baseline: relative change of the baseline's length.
-        focal: by side, relative change of fx and fy.
+        focal: by side, (2,) relative change of fx and fy.
         principal: by side, (2,) change of (cx, cy) in shares of the image width.
         lens: by side, (4,) see `LensCorrection`.
+        right_late_s, readout_s: see `ImageClock`.
     """
 
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     swing: FloatArray = field(default_factory=lambda: np.zeros(3))
     baseline: float = 0.0
-    focal: dict[Side, float] = field(default_factory=lambda: {"left": 0.0, "right": 0.0})
+    focal: dict[Side, FloatArray] = field(default_factory=lambda: {"left": np.zeros(2), "right": np.zeros(2)})
     principal: dict[Side, FloatArray] = field(
         default_factory=lambda: {"left": np.zeros(2), "right": np.zeros(2)}
     )
     lens: dict[Side, FloatArray] = field(default_factory=lambda: {"left": np.zeros(4), "right": np.zeros(4)})
+    right_late_s: float = 0.0
+    readout_s: float = 0.0
+
+    def late_s(self, side: Side, rows: FloatArray) -> FloatArray:
+        """Time after the stamp at which corners in rows (..., from -1/2 to 1/2) are exposed, s."""
+        delay_s = self.right_late_s if side == "right" else 0.0
+        return np.asarray(delay_s + self.readout_s * rows)
 
     def apply(self, rig: StereoRig) -> StereoRig:
         """The stereo pair after the change."""
@@ -205,8 +213,7 @@ class CameraChange:
         sides: dict[Side, Camera] = {"left": rig.left, "right": rig.right}
         for side, stated in sides.items():
             K = stated.K.copy()
-            K[0, 0] *= 1 + self.focal[side]
-            K[1, 1] *= 1 + self.focal[side]
+            K[[0, 1], [0, 1]] *= 1 + self.focal[side]
             K[:2, 2] += self.principal[side] * stated.width
             lens = LensCorrection(self.lens[side], stated.K[:2, 2]) if np.any(self.lens[side]) else None
             sides[side] = replace(stated, K=K, correction=lens)
@@ -226,6 +233,8 @@ class Sight:
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the left camera's frame, m.
         by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the left camera's frame, px/m.
+        velocity_c: (N, M, 3) of the corners in the left camera's frame, m/s.
+        rows: (N, M) row of each corner from the middle of the image, in image heights.
     """
 
     side: Side
@@ -237,6 +246,8 @@ class Sight:
     through: FloatArray | None
     points_c: FloatArray
     by_point_c: FloatArray
+    velocity_c: FloatArray
+    rows: FloatArray
 
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
         """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the left camera's frame, m."""
@@ -326,17 +337,20 @@ class FocalLength(CameraEffect):
     """Relative change of a camera's focal lengths fx and fy."""
 
     side: Side
+    x: float = 1.0
+    y: float = 1.0
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to both."""
-        change.focal[self.side] += value
+        change.focal[self.side] += value * np.array([self.x, self.y])
 
     def pixels(self, sight: Sight) -> FloatArray | None:
         """Pixels move away from the principal point."""
         if sight.side != self.side:
             return None
         K = (sight.rig.left if self.side == "left" else sight.rig.right).K
-        return sight.corrected((sight.pixels - K[:2, 2]) / (1 + sight.change.focal[self.side]))
+        shares = np.array([self.x, self.y]) / (1 + sight.change.focal[self.side])
+        return sight.corrected((sight.pixels - K[:2, 2]) * shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,6 +391,33 @@ class LensTerm(CameraEffect):
         return sight.terms[..., self.term, :]
 
 
+@dataclass(frozen=True, slots=True)
+class ImageClock(CameraEffect):
+    """Time of a camera's rows against the stamp, s: a delay of the right camera, or the read-out of all rows.
+
+    The points move in the camera meanwhile. Rows are exposed around the stamp, the first before and the last after it.
+    """
+
+    readout: bool
+
+    def offered(self, data: Dataset) -> bool:
+        """Only stations in motion show a delay."""
+        return bool(data.moving.any()) and bool(data.joint_tracks)
+
+    def add(self, change: CameraChange, value: float) -> None:
+        """Add to the delay or to the read-out time."""
+        if self.readout:
+            change.readout_s += value
+        else:
+            change.right_late_s += value
+
+    def pixels(self, sight: Sight) -> FloatArray | None:
+        """Pixels move as their points do."""
+        if self.readout:
+            return sight.by_shift(sight.velocity_c * sight.rows[..., None])
+        return sight.by_shift(sight.velocity_c) if sight.side == "right" else None
+
+
 class BoardEffect(Effect, ABC):
     """Changes the board's shape."""
 
@@ -412,6 +453,35 @@ class BoardBend(BoardEffect):
         out = np.zeros_like(points_k)
         out[:, 2] = 1 - ((along - (along.max() + along.min()) / 2) / half) ** 2
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class BoardTwist(BoardEffect):
+    """Twist of the board: how far its corners stand out, two diagonal ones to the front and two to the back, m."""
+
+    def displacement(self, points_k: FloatArray) -> FloatArray:
+        """A saddle."""
+        middle = (points_k.max(axis=0) + points_k.min(axis=0)) / 2
+        half = np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9)
+        out = np.zeros_like(points_k)
+        out[:, 2] = np.prod(((points_k - middle) / half)[:, :2], axis=1)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class BoardShear(BoardEffect):
+    """Angle between the board's rows and columns, less 90 degrees, rad."""
+
+    def displacement(self, points_k: FloatArray) -> FloatArray:
+        """Corners move along x, in proportion to y."""
+        return points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0]
+
+
+@dataclass(frozen=True, slots=True)
+class BaseLean(Effect):
+    """Roll (0) or pitch (1) of the base against the floor's normal, the same at all stations, rad."""
+
+    axis: int
 
 
 @dataclass(frozen=True, slots=True)

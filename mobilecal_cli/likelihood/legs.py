@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.effects import WheelClock
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.nuisance import Layout
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.state import State, wheel_clock_s
 from mobilecal_cli.model import FloatArray, WheelGeometry
 
 
@@ -42,11 +42,6 @@ class Legs:
             if isinstance(row.effect, WheelClock):
                 shared[:, :, column] = self.by_clock
         return shared
-
-
-def wheel_clock_s(data: Dataset, state: State) -> float:
-    """Offset of the wheels' clock, s."""
-    return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, WheelClock))
 
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:

@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.likelihood.views import Views, linearize_views, with_stations
+from mobilecal_cli.likelihood.views import Views, linearize_views, view_rates, with_stations
 from mobilecal_cli.model import Evidence, FloatArray
 
 
@@ -42,8 +42,8 @@ def _solvable() -> Iterator[None]:
 class Linearization:
     """A data set at a state, with everything that the likelihood depends on.
 
-    The legs' covariance and the driven distances depend on the wheels, but stay constant during an optimization: `at`
-    computes them, `after` keeps them.
+    The legs' covariance, the driven distances and the views' rates depend on the state, but stay constant during an
+    optimization: `at` computes them, `after` keeps them.
 
     Attributes:
         data: the measurements.
@@ -54,6 +54,7 @@ class Linearization:
         leg_covariances: noise level → its share of the covariance of odometry's (x, y, heading), (L, 3, 3), m and rad,
             for known scale errors of the wheels at the stations.
         processes: prior of the floor and of the wheels' scale errors along the way.
+        rates: (N, 6) see `view_rates`.
     """
 
     data: Dataset
@@ -63,6 +64,7 @@ class Linearization:
     priors: Priors
     leg_covariances: Mapping[str, FloatArray]
     processes: Processes
+    rates: FloatArray
 
     @classmethod
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
@@ -70,7 +72,7 @@ class Linearization:
         wheels = state.parameters.wheels
         covariances = leg_covariances(data.steps(), wheels, noise, ends_known=True)
         along = processes_of(data, wheels, noise, inliers)
-        return cls(data, state, inliers, noise, priors, covariances, along)
+        return cls(data, state, inliers, noise, priors, covariances, along, view_rates(data, state))
 
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""
@@ -117,7 +119,7 @@ class Linearization:
         if "views" in self.__dict__:
             changed = np.flatnonzero((inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2)))
             other.__dict__["views"] = with_stations(
-                self.views, self.data, self.state, inliers, self.noise, changed
+                self.views, self.data, self.state, inliers, self.noise, self.rates, changed
             )
         return other
 
@@ -132,6 +134,7 @@ class Linearization:
             inliers=self.inliers.of_log(data, log),
             leg_covariances={name: share[legs] for name, share in self.leg_covariances.items()},
             processes=self.processes.select(np.flatnonzero(data.log == log), legs),
+            rates=self.rates[data.log == log],
         )
 
     # -- residuals --------------------------------------------------------------------------------
@@ -139,7 +142,7 @@ class Linearization:
     @cached_property
     def views(self) -> Views:
         """Residuals of the images."""
-        return linearize_views(self.data, self.state, self.inliers, self.noise)
+        return linearize_views(self.data, self.state, self.inliers, self.noise, self.rates)
 
     @cached_property
     def legs(self) -> Legs:

@@ -14,15 +14,19 @@ import numpy as np
 
 from mobilecal_cli.likelihood.effects import (
     AxisTurn,
+    BaseLean,
     BaselineScale,
     BaselineTurn,
     BoardBend,
     BoardEffect,
     BoardScale,
+    BoardShear,
+    BoardTwist,
     CameraChange,
     CameraEffect,
     Effect,
     FocalLength,
+    ImageClock,
     JointClock,
     JointPlay,
     JointScale,
@@ -66,7 +70,10 @@ _DEGREE = math.pi / 180
 # fmt: off
 KINDS: tuple[Kind, ...] = (
     Kind("clock", "s", 0.2, "ms", 1e3, "offset of a clock against the cameras' clock"),
+    Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of the right camera against the left one"),
+    Kind("readout", "s", 0.0005, "ms", 1e3, "time between the first and the last row of an image"),
     Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
+    Kind("focal_aspect", "1", 0.0005, "%", 100, "horizontal focal length of a camera against the vertical one"),
     Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
     Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
     Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
@@ -75,6 +82,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("square_size", "1", 0.001, "%", 100, "size of the board's squares"),
     Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
     Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
+    Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
+    Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
     Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
@@ -124,6 +133,8 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Const
     return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
 
 
+#: Names of the constants that lean the base.
+LEAN = ("lean_roll", "lean_pitch")
 _SIDES: tuple[Side, Side] = ("left", "right")
 _LENS_TERMS = (
     ("radial_1", "radial distortion, third order"),
@@ -137,6 +148,8 @@ CONSTANTS: tuple[Constant, ...] = (
     _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
     _row("focal_left", "focal_length", "left camera", "focal length", FocalLength("left")),
     _row("focal_right", "focal_length", "right camera", "focal length", FocalLength("right")),
+    _row("focal_aspect_left", "focal_aspect", "left camera", "fx against fy", FocalLength("left", 0.5, -0.5)),
+    _row("focal_aspect_right", "focal_aspect", "right camera", "fx against fy", FocalLength("right", 0.5, -0.5)),
     _row("principal_left_x", "principal_point", "left camera", "principal point, x", PrincipalPoint("left", 0)),
     _row("principal_left_y", "principal_point", "left camera", "principal point, y", PrincipalPoint("left", 1)),
     _row("principal_right_x", "principal_point", "right camera", "principal point, x", PrincipalPoint("right", 0)),
@@ -151,6 +164,12 @@ CONSTANTS: tuple[Constant, ...] = (
     _row("square_aspect", "square_aspect", "board", "width of the squares against their height", BoardScale(0.5, -0.5)),
     _row("board_bend_x", "board_bend", "board", "bend along x", BoardBend(0)),
     _row("board_bend_y", "board_bend", "board", "bend along y", BoardBend(1)),
+    _row("board_twist", "board_bend", "board", "twist", BoardTwist()),
+    _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
+    _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
+    _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
+    _row("time_right", "stereo_clock", "right camera", "delay against the left camera", ImageClock(readout=False)),
+    _row("readout", "readout", "both cameras", "time between the first and the last row", ImageClock(readout=True)),
 )
 # fmt: on
 _LETTERS = "xyz"

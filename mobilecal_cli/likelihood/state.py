@@ -10,8 +10,15 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, ChainChange, ChainEffect, JointClock, JointEffect
-from mobilecal_cli.likelihood.nuisance import camera_change
+from mobilecal_cli.likelihood.effects import (
+    BoardEffect,
+    ChainChange,
+    ChainEffect,
+    JointClock,
+    JointEffect,
+    WheelClock,
+)
+from mobilecal_cli.likelihood.nuisance import LEAN, camera_change
 from mobilecal_cli.model import FloatArray, HeadChain, Parameters, StereoRig
 
 
@@ -80,8 +87,9 @@ class State:
 
     @property
     def floor(self) -> FloatArray:
-        """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor and sway."""
-        return np.asarray(self.processes[:, :3] + self.sway)
+        """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor, sway and lean."""
+        lean = [self.value(name) for name in LEAN]
+        return np.asarray(self.processes[:, :3] + self.sway + [*lean, 0.0])
 
     @property
     def T_w_v(self) -> FloatArray:
@@ -145,6 +153,11 @@ def joints_at(data: Dataset, state: State) -> FloatArray:
 def joint_clock_s(data: Dataset, state: State) -> float:
     """Offset of the joints' clock, s."""
     return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, JointClock))
+
+
+def wheel_clock_s(data: Dataset, state: State) -> float:
+    """Offset of the wheels' clock, s."""
+    return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, WheelClock))
 
 
 def chain_change(data: Dataset, state: State) -> ChainChange:

@@ -185,7 +185,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
     """(C, P + B, P + B) information of each stop about the shared parameters and the last station's base block."""
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
-    views = linearize_views(wide, there, Inliers.all_of(wide), noise)
+    views = linearize_views(wide, there, Inliers.all_of(wide), noise, np.zeros((wide.stations, 6)))
     count, P, B, own = len(stops.turn_rad), data.layout.size, STAMP, data.own_width
     sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
     legs: dict[tuple[float, float], FloatArray] = {}

@@ -17,7 +17,14 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import FLOOR, STAMP, Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ChainEffect, JointEffect, Sight
+from mobilecal_cli.likelihood.effects import (
+    BaseLean,
+    BoardEffect,
+    CameraEffect,
+    ChainEffect,
+    JointEffect,
+    Sight,
+)
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
@@ -28,6 +35,7 @@ from mobilecal_cli.likelihood.state import (
     joint_clock_s,
     joints_at,
     points_at,
+    wheel_clock_s,
 )
 from mobilecal_cli.model import Camera, FloatArray, IntArray, Side
 
@@ -105,26 +113,42 @@ def blocks_of(stations: int) -> Iterator[slice]:
 
 
 def corner_residuals(
-    data: Dataset, state: State, T_c_k: FloatArray, stations: slice | IntArray = slice(None)
+    data: Dataset,
+    state: State,
+    T_c_k: FloatArray,
+    stations: slice | IntArray = slice(None),
+    rates: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted minus detected pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
+
+    Args:
+        data, state: all stations.
+        T_c_k: (N, 4, 4) of these stations.
+        stations: which.
+        rates: (N, 6) see `view_rates`, of these stations; at rest if None.
 
     Returns:
         The residuals, and (N, Q, 2, M, 2) derivatives by (delta, direct constants).
     """
     change = camera_change(data.layout.constants, state.constants)
     rig = change.apply(data.cameras)
-    points_c = se3.act(T_c_k, points_at(data, state))
+    points_k = se3.act(T_c_k, points_at(data, state))
     T_r_c = se3.inverse(rig.T_c_r)
     direct = data.layout.direct
-    sides: list[tuple[Side, Camera, Camera, FloatArray]] = [
-        ("left", data.cameras.left, rig.left, points_c),
-        ("right", data.cameras.right, rig.right, se3.act(T_r_c, points_c)),
-    ]
-    residual = np.empty((len(points_c), 2, points_c.shape[1], 2))
-    J = np.zeros((len(points_c), 6 + len(direct), 2, points_c.shape[1], 2))
-    x, y, z = np.moveaxis(points_c, -1, 0)[..., None]
-    for k, (side, stated, camera, points) in enumerate(sides):
+    rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
+    velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
+    sides: tuple[tuple[Side, Camera, Camera], ...] = (
+        ("left", data.cameras.left, rig.left),
+        ("right", data.cameras.right, rig.right),
+    )
+    residual = np.empty((len(points_k), 2, points_k.shape[1], 2))
+    J = np.zeros((len(points_k), 6 + len(direct), 2, points_k.shape[1], 2))
+    for k, (side, stated, camera) in enumerate(sides):
+        rows = (data.pixels[stations, k, :, 1] + 0.5) / stated.height - 0.5
+        late_s = change.late_s(side, rows)[..., None]
+        points_c = points_k + late_s * velocity_c
+        x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
+        points = points_c if k == 0 else se3.act(T_r_c, points_c)
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
         at, terms, through = pixels, None, None
         if direct:
@@ -136,14 +160,19 @@ def corner_residuals(
                 J_p = through @ J_p
         residual[:, k] = at - data.pixels[stations, k]
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
-        by_x, by_y, by_z = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+        by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+        if np.any(late_s):  # points at the stamp turn until they are exposed
+            J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
+            by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+        by_x, by_y, by_z = by_point
         J[:, 0, k] = y * by_z - z * by_y  # point x J_c
         J[:, 1, k] = z * by_x - x * by_z
         J[:, 2, k] = x * by_y - y * by_x
         J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
         if terms is None:
             continue
-        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, by_point)
+        motion = velocity_c, rows
+        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)
@@ -151,8 +180,23 @@ def corner_residuals(
                     J[:, column, k] = by_value
             elif isinstance(row.effect, BoardEffect):
                 shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
-                J[:, column, k] = sight.by_shift(shift_c)
+                J[:, column, k] = replace(sight, by_point_c=by_point).by_shift(shift_c)
     return residual, J
+
+
+def view_rates(data: Dataset, state: State) -> FloatArray:
+    """(N, 6) rates of delta: how the board moves in the left camera, rad/s and m/s; 0 at rest."""
+    T_h_c, wheels = state.parameters.T_h_c, state.parameters.wheels
+    rates = np.zeros((data.stations, 6))
+    if not data.moving.any() or not data.joint_tracks:
+        return rates
+    frames = JointFrames.at(chain_change(data, state).apply(data.chain), joints_at(data, state))
+    rolled = data.wheel_rates(wheel_clock_s(data, state)) * wheels.vector[:2]
+    rates[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
+    rates[:, 3] = rolled.mean(axis=1)
+    rates += (frames.by_joints() @ data.joint_rates(joint_clock_s(data, state))[..., None])[..., 0]
+    moved: FloatArray = -(se3.adjoint(se3.inverse(frames.T_v_h @ T_h_c)) @ rates[..., None])[..., 0]
+    return moved * data.moving[:, None]
 
 
 def _pose_columns(
@@ -188,6 +232,8 @@ def _pose_columns(
         if isinstance(row.effect, JointEffect):
             rate = row.effect.rate(data, state.value(row.name))
             by_shared[..., column] = (by_own[..., :joints] @ rate[:, :, None])[..., 0]
+        elif isinstance(row.effect, BaseLean):
+            by_shared[..., column] = by_own[..., joints + row.effect.axis]
     Ad_c_k = se3.adjoint(T_c_k)
     for b in range(layout.boards):
         mine = data.board == b
@@ -209,24 +255,30 @@ def _floor_twists(state: State) -> FloatArray:
     return twists
 
 
-def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise) -> Views:
-    """Residuals and information of all stations' images."""
+def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
+    """Residuals and information of all stations' images; rates: (N, 6) see `view_rates`."""
     T_c_k = board_in_camera(data, state)
     root_weight = _root_weight(inliers, noise)
-    parts = [_measured(data, state, T_c_k, root_weight, block) for block in blocks_of(data.stations)]
+    parts = [_measured(data, state, T_c_k, root_weight, rates, block) for block in blocks_of(data.stations)]
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _ in data.layout.direct], dtype=np.int64)
     return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), direct)
 
 
 def with_stations(
-    views: Views, data: Dataset, state: State, inliers: Inliers, noise: Noise, stations: IntArray
+    views: Views,
+    data: Dataset,
+    state: State,
+    inliers: Inliers,
+    noise: Noise,
+    rates: FloatArray,
+    stations: IntArray,
 ) -> Views:
     """The same with the images of some stations taken anew, for inliers that differ there."""
     T_c_k, root_weight = board_in_camera(data, state), _root_weight(inliers, noise)
     fields = ("residual_px", "information", "gradient", "cost")
     parts = {name: getattr(views, name).copy() for name in fields}
-    for name, values in zip(fields, _measured(data, state, T_c_k, root_weight, stations), strict=True):
+    for name, values in zip(fields, _measured(data, state, T_c_k, root_weight, rates, stations), strict=True):
         parts[name][stations] = values
     return replace(views, **parts)
 
@@ -237,10 +289,15 @@ def _root_weight(inliers: Inliers, noise: Noise) -> FloatArray:
 
 
 def _measured(
-    data: Dataset, state: State, T_c_k: FloatArray, root_weight: FloatArray, stations: slice | IntArray
+    data: Dataset,
+    state: State,
+    T_c_k: FloatArray,
+    root_weight: FloatArray,
+    rates: FloatArray,
+    stations: slice | IntArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Residuals, information, gradient and cost of some stations' images, see `Views`."""
-    residual, J = corner_residuals(data, state, T_c_k[stations], stations)
+    residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])
     W = data.whitening[stations] * root_weight[stations, ..., None, None]
     each = math.prod(residual.shape[1:])
     At = whitened(W, J, out=J).reshape(*J.shape[:2], each)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Board, Camera, FloatArray, Side, StereoRig
-from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector
+from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector, pose
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.stereo import Lens
 
@@ -43,28 +43,18 @@ class Outside:
     """Imperfections for which the estimator has no constant; none by default.
 
     Attributes:
-        twist_m: board bent to z = twist xi eta (xi, eta from -1 to 1 over the corners), m.
         sag_rad: the head tilts further by sag sin(tilt), rad.
         gravity_play_rad: whole play of the tilt joint, whose weight keeps it on the side it tilts to, rad.
-        rolling_shutter_s: time from the first to the last row of an image, centered on its stamp, s.
-        right_late_s: delay of the right camera's exposure, s.
         heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
-        shear_rad: angle by which the board's columns and rows are off the right angle, rad.
         print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
         print_seed: see there.
-        lean_rad: roll and pitch of the base against the floor's normal, the same everywhere, rad.
     """
 
-    twist_m: float = 0.0
     sag_rad: float = 0.0
     gravity_play_rad: float = 0.0
-    rolling_shutter_s: float = 0.0
-    right_late_s: float = 0.0
     heavy_tails: bool = False
-    shear_rad: float = 0.0
     print_m: float = 0.0
     print_seed: int = 0
-    lean_rad: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +134,8 @@ class ActualRobot:
 
     def _camera(self, stated: Camera, side: Side) -> Camera:
         K = stated.K.copy()
-        K[[0, 1], [0, 1]] *= 1 + self._of(f"focal_{side}")
+        aspect = self._of(f"focal_aspect_{side}") / 2
+        K[[0, 1], [0, 1]] *= 1 + self._of(f"focal_{side}") + np.array([aspect, -aspect])
         K[:2, 2] += stated.width * np.array([self._of(f"principal_{side}_{letter}") for letter in "xy"])
         shares = np.array([self._of(f"distortion_{side}_{term}") for term in DISTORTIONS])
         size = (stated.frame_id, stated.width, stated.height)
@@ -156,10 +147,26 @@ class ActualRobot:
         """A stated board as it is."""
         aspect = self._of("square_aspect") / 2
         scale = (1 + self._of("square_scale")) * np.array([1 + aspect, 1 - aspect])
-        bends = [self._of("board_bend_x"), self._of("board_bend_y"), self.outside.twist_m]
+        bends = [self._of("board_bend_x"), self._of("board_bend_y"), self._of("board_twist")]
         outside, random = self.outside, np.random.default_rng([self.outside.print_seed, 11])
         off_m = outside.print_m * random.normal(size=(len(board.grid()), 2)) if outside.print_m else None
-        return BoardShape(board, scale, np.array(bends), outside.shear_rad, off_m)
+        return BoardShape(board, scale, np.array(bends), self._of("board_shear"), off_m)
+
+    @property
+    def lean(self) -> FloatArray:
+        """(4, 4) the base as it leans, in a frame along the floor's normal."""
+        turn = [self._of("lean_roll"), self._of("lean_pitch"), 0.0]
+        return pose((0.0, 0.0, 0.0), Rotation.from_rotvec(turn))
+
+    @property
+    def right_late_s(self) -> float:
+        """Delay of the right camera's exposure, s."""
+        return self._of("time_right")
+
+    @property
+    def rolling_shutter_s(self) -> float:
+        """Time from the first to the last row of an image, centered on its stamp, s."""
+        return self._of("readout")
 
     @property
     def joints(self) -> tuple[RobotJoint, ...]:

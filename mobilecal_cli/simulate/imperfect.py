@@ -34,7 +34,14 @@ PRIORS: dict[str, float] = {
     "joint_position": 0.001,
     "backlash": np.radians(0.1),
     "clock": 0.2,
+    "focal_aspect": 0.0005,
+    "board_shear": np.radians(0.05),
+    "lean": np.radians(0.05),
+    "stereo_clock": 0.002,
+    "readout": 0.0005,
 }
+#: Kinds that only moving recordings show.
+_OF_MOTION = {"clock", "stereo_clock", "readout"}
 #: First guesses of the noise at each station or leg; the other levels depend on the robot.
 STATION_NOISE = Noise(floor_rad=np.radians(0.1), floor_m=0.0005, stamp_s=0.0005, wheel_share=0.001)
 
@@ -76,7 +83,15 @@ def constant_kinds(robot: SimulatedRobot) -> dict[str, str]:
         kinds |= dict.fromkeys((f"{key}_axis_{letter}" for letter in letters), "joint_axis")
         kinds |= dict.fromkeys((f"{key}_position_{letter}" for letter in letters), "joint_position")
         kinds[f"backlash_{key}"] = "backlash"
-    return kinds | {"time_joints": "clock", "time_wheels": "clock"}
+    kinds |= {"time_joints": "clock", "time_wheels": "clock"}
+    kinds |= {f"focal_aspect_{side}": "focal_aspect" for side in ("left", "right")}
+    kinds |= {
+        "board_twist": "board_bend",
+        "board_shear": "board_shear",
+        "lean_roll": "lean",
+        "lean_pitch": "lean",
+    }
+    return kinds | {"time_right": "stereo_clock", "readout": "readout"}
 
 
 def draw(
@@ -91,11 +106,10 @@ def draw(
         robot: the description.
         random: source of the values.
         scale: of the priors' standard deviations.
-        kinds: keys of `PRIORS` or names of constants; all but "clock" by default, which only moving recordings
-            show.
+        kinds: keys of `PRIORS` or names of constants; by default all but those that only moving recordings show.
     """
     of = constant_kinds(robot)
-    chosen = set(PRIORS) - {"clock"} if kinds is None else set(kinds)
+    chosen = set(PRIORS) - _OF_MOTION if kinds is None else set(kinds)
     if unknown := chosen - set(PRIORS) - set(of):
         raise ValueError(f"unknown kinds or constants: {', '.join(sorted(unknown))}")
     units = dict(zip(of, random.normal(size=len(of)), strict=True))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Camera, FloatArray
 from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.robot import pose
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.stereo import pixels
 
@@ -34,8 +32,7 @@ def camera_in_world(actual: ActualRobot, route: Route, times_s: FloatArray, floo
     """T_w_c of the left camera at given times, (N, 4, 4); `floor` as from `floor_in_base`."""
     robot = replace(actual.stated, joints=actual.joints)
     heads = np.array([robot.head_pose(joints) for joints in route.joints(times_s)])
-    lean = pose((0.0, 0.0, 0.0), Rotation.from_rotvec([*actual.outside.lean_rad, 0.0]))
-    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ lean @ heads @ robot.T_h_c)
+    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ actual.lean @ heads @ robot.T_h_c)
 
 
 def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:
@@ -47,7 +44,7 @@ def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatAr
         floor: (N, 4, 4) see `floor_in_base`.
     """
     rig, corners_k = actual.rig_cameras, actual.shape(route.board).corners_k()
-    half_s = actual.outside.rolling_shutter_s / 2
+    half_s = actual.rolling_shutter_s / 2
     T_r_c: FloatArray = np.asarray(np.linalg.inv(rig.T_c_r), dtype=np.float64)
     poses: dict[float, FloatArray] = {}
 
@@ -61,7 +58,7 @@ def views(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatAr
     both = []
     for camera, T_x_c, late_s in (
         (rig.left, None, 0.0),
-        (rig.right, T_r_c, actual.outside.right_late_s),
+        (rig.right, T_r_c, actual.right_late_s),
     ):
         at = exposed(camera, T_x_c, late_s)
         if half_s:

@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
-from mobilecal_cli.likelihood.legs import wheel_clock_s
+from mobilecal_cli.likelihood.effects import ImageClock
 from mobilecal_cli.likelihood.nuisance import table
-from mobilecal_cli.likelihood.state import State, cameras_at, head_at
+from mobilecal_cli.likelihood.state import State, cameras_at, head_at, wheel_clock_s
+from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, view_rates
 from mobilecal_cli.model import Extraction, Parameters
 from mobilecal_cli.solvers.residuals import triangulated_again
 
 
 def at_state(extraction: Extraction, data: Dataset, state: State) -> tuple[Extraction, MotionPairs]:
     """The cameras and the pairs with a state's constants applied: cameras, time offsets, head chain and joints."""
-    cameras = cameras_at(data, state)
+    cameras, extraction = cameras_at(data, state), _at_stamps(extraction, data, state)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
     return replace(extraction, rig=replace(extraction.rig, cameras=cameras)), replace(
         data.pairs,
@@ -25,6 +26,27 @@ def at_state(extraction: Extraction, data: Dataset, state: State) -> tuple[Extra
         T_v_h=head_at(data, as_read),
         steps=data.steps(wheel_clock_s(data, state)),
     )
+
+
+def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extraction:
+    """The same with each corner where it was at its image's stamp, see `ImageClock`."""
+    clocks = {row.name for row in data.layout.constants if isinstance(row.effect, ImageClock)}
+    if not any(state.value(name) for name in clocks):
+        return extraction
+    T_c_k, rates = data.T_c_k, view_rates(data, state)
+    prompt = replace(state, constants={k: v for k, v in state.constants.items() if k not in clocks})
+    moved = list(extraction.observations)
+    for block in blocks_of(data.stations):
+        late, _ = corner_residuals(data, state, T_c_k[block], block, rates[block])
+        shift = late - corner_residuals(data, prompt, T_c_k[block], block)[0]
+        for i, (left, right) in enumerate(shift, block.start):
+            o = moved[i]
+            sides = (
+                replace(o.left, pixels=o.left.pixels - left),
+                replace(o.right, pixels=o.right.pixels - right),
+            )
+            moved[i] = replace(o, left=sides[0], right=sides[1])
+    return replace(extraction, observations=tuple(moved))
 
 
 def at_constants(

@@ -9,6 +9,7 @@ import numpy as np
 
 from mobilecal_cli.simulate.actual import Outside
 from mobilecal_cli.simulate.imperfect import PRIORS, STATION_NOISE
+from mobilecal_cli.simulate.route import Motion
 from tests.bench.imperfect import PERFECT, ROBOTS, Case, Run, run_of_case, summary
 from tests.bench.simulated import conditions, map_runs
 
@@ -28,6 +29,7 @@ CASES |= {
     "floor 0.05 deg and 0.5 mm": (Case(noise=replace(PERFECT, **_FLOOR)), ()),
 }
 for _kind in PRIORS:
+    _motion: Motion = "moving" if _kind in ("stereo_clock", "readout") else "standard"
     if _kind != "clock":
         for _scale in (1.0, 5.0):
             _same = (
@@ -36,7 +38,7 @@ for _kind in PRIORS:
                 else (_kind,)
             )
             CASES[f"{_kind}, {_scale:g} prior sigma"] = (
-                Case(kinds={_kind: _scale}),
+                Case(motion=_motion, kinds={_kind: _scale}),
                 _same if _scale > 1 else (),
             )
 for _scale in (1.0, 5.0):
@@ -47,21 +49,13 @@ for _scale in (1.0, 5.0):
     _stamps = replace(PERFECT, stamp_s=_scale * STATION_NOISE.stamp_s)
     CASES[f"stamps in motion, {_scale:g} times the guess"] = (Case(motion="moving", noise=_stamps), ())
 CASES |= {
-    "outside: board twisted by 0.5 mm": (Case(outside=Outside(twist_m=0.0005)), ()),
     "outside: heavy-tailed wheel noise": (Case(outside=Outside(heavy_tails=True)), ()),
     "outside: sag of 0.1 deg with tilt": (Case(outside=Outside(sag_rad=float(np.radians(0.1)))), ()),
     "outside: tilt play of 0.1 deg by gravity": (
         Case(outside=Outside(gravity_play_rad=float(np.radians(0.1)))),
         (),
     ),
-    "outside: rolling shutter of 10 ms, moving": (
-        Case(motion="moving", outside=Outside(rolling_shutter_s=0.01)),
-        (),
-    ),
-    "outside: right camera 3 ms late, moving": (
-        Case(motion="moving", outside=Outside(right_late_s=0.003)),
-        (),
-    ),
+    "rolling shutter of 10 ms, moving": (Case(motion="moving", fixed={"readout": 0.01}), ("readout",)),
 }
 
 

@@ -63,7 +63,7 @@ class Case:
 
     def residuals(self, x):
         state = self.displaced(x)
-        off, _ = corner_residuals(self.data, state, board_in_camera(self.data, state))
+        off, _ = corner_residuals(self.data, state, board_in_camera(self.data, state), rates=self.lin.rates)
         whitened = np.einsum("ncmab,ncmb->ncma", self.data.whitening, off) / NOISE.pixel_px
         pixels = np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
         root = np.zeros_like(self.lin.leg_weight)

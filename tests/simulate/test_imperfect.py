@@ -125,16 +125,18 @@ def test_the_constants_of_a_pan_tilt_robot():
         for side in ("left", "right")
         for start, ends in {
             "focal": [""],
+            "focal_aspect": [""],
             "principal": ["_x", "_y"],
             "distortion": ["_radial_1", "_radial_2", "_tangential_x", "_tangential_y"],
         }.items()
         for end in ends
     }
     stereo = {"stereo_r_x", "stereo_r_y", "stereo_r_z", "baseline_y", "baseline_z", "baseline_scale"}
-    board = {"square_scale", "square_aspect", "board_bend_x", "board_bend_y"}
+    board = {"square_scale", "square_aspect", "board_bend_x", "board_bend_y", "board_twist", "board_shear"}
     pan = {"pan_zero", "pan_scale", "pan_axis_x", "pan_axis_y", "pan_position_x", "pan_position_y"}
     tilt = {"tilt_scale", "tilt_axis_x", "tilt_axis_z", "tilt_position_x", "tilt_position_z"}
-    rest = {"backlash_pan", "backlash_tilt", "time_joints", "time_wheels"}
+    rest = {"backlash_pan", "backlash_tilt", "time_joints", "time_wheels", "time_right", "readout"}
+    rest |= {"lean_roll", "lean_pitch"}
     assert set(kinds) == cameras | stereo | board | pan | tilt | rest
     assert set(kinds.values()) == set(PRIORS)
     assert "torso_pitch_joint_zero" in constant_kinds(ROBOTS["paper"]())
@@ -220,7 +222,7 @@ def test_the_board_is_larger_oblong_bent_and_twisted():
         "board_bend_x": 0.004,
         "board_bend_y": -0.003,
     }
-    extraction = seen("tick", constants, outside=Outside(twist_m=0.002))
+    extraction = seen("tick", constants | {"board_twist": 0.002})
     same_pixels(extraction, expected_pixels("tick", points_k=points_k))
     # The measured squares show the scale, the stated ones remain.
     assert np.mean([o.square_m for o in extraction.observations]) == pytest.approx(0.0816, rel=2e-3)
@@ -389,8 +391,7 @@ def test_stamps_jitter_in_motion_only():
 def test_a_rolling_shutter_and_a_late_right_camera():
     robot, route = tick_robot(), route_of("tick", "moving")
     rig, corners_k = robot.rig_cameras, route.corners_k()
-    outside = Outside(rolling_shutter_s=0.02, right_late_s=0.003)
-    extraction = seen("tick", {}, "moving", outside=outside)
+    extraction = seen("tick", {"readout": 0.02, "time_right": 0.003}, "moving")
     for o, t in list(zip(extraction.observations, station_times_s(route), strict=True))[::8]:
         for side, late_s in ((0, 0.0), (1, 0.003)):
             pixels = (o.left.pixels, o.right.pixels)[side]

@@ -41,7 +41,15 @@ _PAIR = _Stated("camera_info", "Recalibrate the stereo pair, or use the exported
 _HEAD = _Stated("the URDF", "Correct the URDF, or use the exported URDF.")
 _BY_KIND = {
     "clock": _Stated("equal clocks", "Synchronize the clocks (NTP or PTP) and record again."),
+    "stereo_clock": _Stated(
+        "simultaneous images", "Trigger both cameras together, or stop for images, and record again."
+    ),
+    "readout": _Stated(
+        "a global shutter",
+        "State priors.readout in rig.yaml (in ms), or stop for images, and record again.",
+    ),
     "focal_length": _CAMERA,
+    "focal_aspect": _CAMERA,
     "principal_point": _CAMERA,
     "distortion": _CAMERA,
     "stereo_rotation": _PAIR,
@@ -55,6 +63,12 @@ _BY_KIND = {
         "square", "Print the board again without scaling, and measure it in both directions."
     ),
     "board_bend": _Stated("a flat board", "Mount the board on a flat plate and record again."),
+    "board_shear": _Stated(
+        "a right angle", "Print the board again on a printer that does not skew, and measure it."
+    ),
+    "lean": _Stated(
+        "an upright base", "Check tires and casters for size and wear, and the axes of the base in the URDF."
+    ),
     "joint_zero": _HEAD,
     "joint_scale": _Stated(
         "the reading", "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."
