@@ -83,6 +83,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
     Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
     Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
+    Kind("board_corners", "m", 0.00015, "mm", 1e3, "place of a corner on the board (across it, twice as much)"),
     Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
     Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),

@@ -27,7 +27,7 @@ _KINDS = tuple(kind.name for kind in nuisance.KINDS)
 _KIND_GROUPS = {
     "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
     "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion"),
-    "board": ("square_size", "square_aspect", "board_bend", "board_shear"),
+    "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
     "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")

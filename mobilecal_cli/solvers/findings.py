@@ -8,6 +8,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.between import weigh_logs
+from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -82,13 +83,14 @@ def height_steps(extraction: Extraction, fit: Fit) -> tuple[HeightStep, ...]:
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
-    """The constants of the robot description as estimated, by name."""
+    """The constants of the robot description as estimated, by name; patterns of corners mean nothing elsewhere."""
     std = np.sqrt(np.diag(fit.covariance)[9 : fit.data.layout.named]).tolist()
     prior = np.where(fit.lin.priors.fixed, 0.0, fit.lin.priors.scales)[9:].tolist()
     value = fit.lin.state.value
     return {
         row.name: EstimatedConstant(row.name, row.kind, row.part, row.meaning, value(row.name), s, p)
         for row, s, p in zip(fit.data.layout.constants, std, prior, strict=True)
+        if row.kind != CORNERS
     }
 
 

@@ -13,6 +13,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import motion_seen
 from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.board_corners import corner_modes
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
@@ -131,7 +132,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
         ConfigError: the user names a constant that this robot does not have.
     """
     rig = extraction.rig
-    rows = nuisance.table(rig.cameras, rig.chain)
+    rows = (*nuisance.table(rig.cameras, rig.chain), *corner_modes(data))
     constraints.check([row.name for row in rows])
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:

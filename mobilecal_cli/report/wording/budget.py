@@ -56,6 +56,7 @@ SOURCES: dict[str, Source] = {
     "square_aspect": Source("the stated aspect of the squares", "board", "measure the board in both directions"),
     "board_bend": Source("the flatness of the board", "board", "mount the board on a flat plate"),
     "board_shear": Source("the right angle of the board", "board", "measure the diagonals of the board"),
+    "board_corners": Source("the places of the board's corners", "board", "use a board that is printed more exactly"),
     "lean": Source("the lean of the base", "floor", "check that the base stands upright"),
     "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints"),
     "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings"),

@@ -66,6 +66,9 @@ _BY_KIND = {
     "board_shear": _Stated(
         "a right angle", "Print the board again on a printer that does not skew, and measure it."
     ),
+    "board_corners": _Stated(
+        "corners in their places", "Print the board again, and mount it on a flat plate."
+    ),
     "lean": _Stated(
         "an upright base", "Check tires and casters for size and wear, and the axes of the base in the URDF."
     ),
