@@ -40,8 +40,10 @@ PRIORS: dict[str, float] = {
     "stereo_clock": 0.002,
     "readout": 0.0005,
 }
+#: Kinds that a rendered recording does not have: every image is of one moment.
+NOT_RENDERED = {"stereo_clock", "readout"}
 #: Kinds that only moving recordings show.
-_OF_MOTION = {"clock", "stereo_clock", "readout"}
+_OF_MOTION = {"clock", *NOT_RENDERED}
 #: First guesses of the noise at each station or leg; the other levels depend on the robot.
 STATION_NOISE = Noise(floor_rad=np.radians(0.1), floor_m=0.0005, stamp_s=0.0005, wheel_share=0.001)
 

@@ -118,7 +118,9 @@ class BoardRenderer:
         low, high = printed_area(self._shape.board)
         wide = np.linspace(low - _MARGIN_SQUARES, high + _MARGIN_SQUARES, 12)
         outline = np.array([[x, y] for x in wide[:, 0] for y in wide[:, 1]])
-        outline_k = np.column_stack([outline * squares, self._shape.height_m(*outline.T)])
+        heights = self._shape.height_m(*outline.T)
+        outline[:, 0] += self._skew * outline[:, 1]
+        outline_k = np.column_stack([outline * squares, heights])
         at = pixels(self._camera, outline_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
         limit = [self._camera.width, self._camera.height]
         x0, y0 = np.clip(np.floor(at.min(axis=0)).astype(int) - _PAD_PX, 0, limit)
@@ -144,6 +146,12 @@ class BoardRenderer:
             image[y0:y1, x0:x1] = blurred.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
         return np.asarray(image * self._light)
 
+    @property
+    def _skew(self) -> float:
+        """How many squares a column leans along x for each square along y."""
+        scale = self._shape.scale
+        return float(np.tan(self._shape.shear_rad) * scale[1] / scale[0])
+
     def _on_board(
         self, T_x_k: FloatArray, part: FloatArray, squares: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -155,6 +163,7 @@ class BoardRenderer:
         depth = (normal @ origin) / along
         for bend in range(_BEND_ROUNDS + 1):
             x, y = (depth * slope - origin @ column for slope, column in zip(slopes, columns, strict=True))
+            x -= self._skew * y
             if bend == _BEND_ROUNDS or not np.any(self._shape.bends_m):
                 break
             depth = (normal @ origin + self._shape.height_m(x, y)) / along

@@ -10,7 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers
 from mobilecal_cli.simulate.ideal import Noise
-from mobilecal_cli.simulate.imperfect import PRIORS, STATION_NOISE, Imperfection, draw
+from mobilecal_cli.simulate.imperfect import NOT_RENDERED, PRIORS, STATION_NOISE, Imperfection, draw
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 
@@ -75,7 +75,7 @@ class Scenario:
         """What is not as the robot's description says."""
         if not self.imperfect:
             return Imperfection()
-        kinds = PRIORS if self.motion == "moving" else None
+        kinds = {*PRIORS} - NOT_RENDERED if self.motion == "moving" else None
         constants = draw(robot, np.random.default_rng([self.seed, 5]), kinds=kinds)
         return Imperfection(constants, Noise() if self.exact else STATION_NOISE)
 

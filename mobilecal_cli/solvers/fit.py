@@ -40,7 +40,7 @@ from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
-_OBSERVABILITY_ROUNDS = 4
+_OBSERVABILITY_ROUNDS = 8
 _STILL = 1e-9  # rad, m: a fixed value of the right camera follows the stereo pair no more
 
 

@@ -81,7 +81,7 @@ def test_a_wrong_calibration_fails(calibrated, tmp_path, change, says):
 def test_millimeters_are_refused(calibrated, tmp_path):
     solution, made = calibrated[0]
     with pytest.raises(
-        ConfigError, match=r"radius_left_m: must be from 0.001 to 10 m; 228.011 looks like millimeters"
+        ConfigError, match=r"radius_left_m: must be from 0.001 to 10 m; \d+.\d+ looks like millimeters"
     ):
         verdict(tmp_path, with_wheels(solution, right=1000, left=1000), made, calibrated[1][1])
 

@@ -153,7 +153,8 @@ def test_draws_have_the_priors_sigmas_and_do_not_depend_on_the_other_kinds():
         assert abs(np.mean(values)) < 0.2
     some = draw(robot, np.random.default_rng(7), 2.0, ["backlash", "focal_left"])
     assert some == {name: draws[7][name] for name in ("focal_left", "backlash_pan", "backlash_tilt")}
-    assert set(kinds) - set(draw(robot, np.random.default_rng(7))) == {"time_joints", "time_wheels"}
+    of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
+    assert set(kinds) - set(draw(robot, np.random.default_rng(7))) == of_motion
     with pytest.raises(ValueError, match="tilt_zero"):
         draw(robot, np.random.default_rng(7), kinds=["tilt_zero"])
     with pytest.raises(ValueError, match="tilt_zero"):

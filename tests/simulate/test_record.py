@@ -211,7 +211,8 @@ def truth_of(out: Path):
 def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path):
     robot, _ = IMPERFECT.plan()
     truth = truth_of(recorded(tmp_path, IMPERFECT))
-    assert set(truth["constants"]) == set(constant_kinds(robot)) - {"time_joints", "time_wheels"}
+    of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
+    assert set(truth["constants"]) == set(constant_kinds(robot)) - of_motion
     drawn = IMPERFECT.imperfection(robot).constants
     assert truth["constants"] == pytest.approx(drawn, rel=1e-12)
     ratios = [drawn[name] / PRIORS[kind] for name, kind in constant_kinds(robot).items() if name in drawn]
