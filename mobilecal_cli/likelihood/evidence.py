@@ -20,7 +20,12 @@ _SHOWN = 0.997  # posterior variance over the prior's, below which the data show
 
 def equivalent_sigmas(chi2: float, dof: int) -> float:
     """Standard deviations of a normal distribution that are exceeded as rarely as this chi-squared."""
-    return float(-ndtri(max(float(chdtrc(dof, chi2)), _LEAST_CHANCE) / 2))
+    return from_chance(float(chdtrc(dof, chi2)))
+
+
+def from_chance(chance: float) -> float:
+    """Standard deviations of a normal distribution that are exceeded with this chance."""
+    return float(-ndtri(max(chance, _LEAST_CHANCE) / 2))
 
 
 def evidence(lin: Linearization) -> Iterator[Evidence]:

@@ -55,6 +55,7 @@ class Linearization:
             for known scale errors of the wheels at the stations.
         processes: prior of the floor and of the wheels' scale errors along the way.
         rates: (N, 6) see `view_rates`.
+        leg_offset: (L, 3) to be added to the legs' residuals, or 0.
     """
 
     data: Dataset
@@ -65,6 +66,7 @@ class Linearization:
     leg_covariances: Mapping[str, FloatArray]
     processes: Processes
     rates: FloatArray
+    leg_offset: FloatArray | float = 0.0
 
     @classmethod
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
@@ -102,6 +104,7 @@ class Linearization:
     def with_noise(self, noise: Noise) -> Linearization:
         """The same point with other noise levels, and the legs' covariance for the wheels of this state."""
         other = Linearization.at(self.data, self.state, self.inliers, noise, self.priors)
+        other = replace(other, leg_offset=self.leg_offset)
         if "views" in self.__dict__:
             other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
         same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
@@ -147,7 +150,8 @@ class Linearization:
     @cached_property
     def legs(self) -> Legs:
         """Residuals of the wheels."""
-        return linearize_legs(self.data, self.state, self.processes, self.noise.encoder_rad > 0)
+        legs = linearize_legs(self.data, self.state, self.processes, self.noise.encoder_rad > 0)
+        return replace(legs, residual=legs.residual + self.leg_offset)
 
     @cached_property
     def leg_covariance(self) -> FloatArray:

@@ -82,6 +82,11 @@ class NormalEquations:
         """
         return chain_covariance(self._diagonal, self._off)
 
+    @property
+    def chain(self) -> tuple[FloatArray, FloatArray]:
+        """(N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one."""
+        return self._diagonal, self._off
+
     def own_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """A station's own errors for a known rest: covariance (N, E, E), slopes by base (N, E, B), shared (N, E, P)."""
         return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
@@ -217,6 +222,18 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
         e,
         across,
     )
+
+
+def station_information(lin: Linearization) -> FloatArray:
+    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated."""
+    own, G = _eliminated_own(lin, 0.0), lin.views.information.copy()
+    G[:, :6] = own.information
+    G[:, 6:, :6] = np.swapaxes(own.information[:, :, 6:], 1, 2)
+    J, sigma = lin.views.by_own, lin.own_sigmas
+    A = (J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2)
+    across = lin.views.information[:, :6, 6:]
+    G[:, 6:, 6:] -= np.swapaxes(across, 1, 2) @ A @ own.information[:, :, 6:]
+    return G
 
 
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:

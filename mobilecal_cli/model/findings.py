@@ -161,18 +161,29 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True)
-class HeightStep:
-    """A moment from which on the board is higher or lower above the floor than before.
+class Jump:
+    """A moment from which on a part of the robot, or the board, is not where it was before.
 
     Attributes:
+        part: "head mount", "joint <name>", "board", "right camera", "right wheel" or "left wheel"; "" if unknown.
         log: index of the recording.
-        stations: numbers of the station before and of the one after.
-        higher_m: by how much the board is higher afterwards, m.
+        station: index of the first observation after it.
+        time_ns: its time.
+        rejected: number of stations from there on whose images are not used; 0 if all are.
+        sigmas: its significance; infinite (math.inf) where the stations are rejected.
+        shift_sigmas: how far it moves the result, or is itself, in standard deviations of the nine parameters.
+        turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius.
     """
 
+    part: str
     log: int
-    stations: tuple[int, int]
-    higher_m: float
+    station: int
+    time_ns: int
+    rejected: int
+    sigmas: float
+    shift_sigmas: float
+    turn_rad: float
+    move_m: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from mobilecal_cli.model.findings import (
     Diagnosis,
     EstimatedConstant,
     Evidence,
-    HeightStep,
+    Jump,
     ScaleCheck,
     Suggestion,
 )
@@ -256,7 +256,7 @@ class Solution:
             priors of those before it, and the solution has wider priors of all of them.
         scale: stated squares against the stereo baseline, if the square size is stated.
         between: estimates from each recording alone, if there are several.
-        height_steps: where the board was moved up or down, or the floor has a step.
+        jumps: moments at which something moved.
         suggestions: what to record next, most useful first.
         diagnosis: the mistake in the description that explains a bad fit, if one was found.
     """
@@ -278,7 +278,7 @@ class Solution:
     contradictions: tuple[Evidence, ...] = ()
     scale: ScaleCheck | None = None
     between: BetweenLogs | None = None
-    height_steps: tuple[HeightStep, ...] = ()
+    jumps: tuple[Jump, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     diagnosis: Diagnosis | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
+from mobilecal_cli.likelihood.jumps import cause
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.predict import gradients_at, variance
 from mobilecal_cli.likelihood.state import cameras_at
@@ -21,17 +23,14 @@ from mobilecal_cli.model import (
     Evidence,
     Extraction,
     FloatArray,
-    HeightStep,
+    Jump,
     ScaleCheck,
 )
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import Fit, Fitter
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
-_FEWEST_EACH_SIDE = 2  # stations before and after a step of height
-_STEP_M, _STEP_SHARE = (
-    0.004,
-    0.9,
-)  # a smaller step, or one that leaves more of the variance, is an uneven floor
+_MATERIAL_SIGMAS = 1.0  # a jump that moves the result by less is none that matters: a pair that warms up
+_STRETCH = 3  # stations that are rejected one after another: something moved
 _STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
@@ -65,21 +64,35 @@ def scale_of(
     return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, apart_too_far)
 
 
-def height_steps(extraction: Extraction, fit: Fit) -> tuple[HeightStep, ...]:
-    """Where the height of the base above its plane, estimated at each station, is one step: at most one a recording."""
-    steps = []
-    for log in np.unique(fit.data.log):
-        rows = np.flatnonzero((fit.data.log == log) & fit.inliers.views)
-        height, count = fit.lin.state.floor[rows, 2], len(rows)
-        if count < 2 * _FEWEST_EACH_SIDE:
-            continue
-        splits = range(_FEWEST_EACH_SIDE, count - _FEWEST_EACH_SIDE + 1)
-        step_m, k = max(((height[:k].mean() - height[k:].mean(), k) for k in splits), key=lambda s: abs(s[0]))
-        explained = k * (count - k) / count**2 * step_m**2
-        if abs(step_m) > _STEP_M and explained > _STEP_SHARE * height.var():
-            before, after = (extraction.observations[rows[i]].station for i in (k - 1, k))
-            steps.append(HeightStep(int(log), (before, after), float(step_m)))
-    return tuple(steps)
+def jumps_of(extraction: Extraction, fitter: Fitter, fit: Fit) -> tuple[Jump, ...]:
+    """Where something moved: stretches of rejected stations, or else the most significant jump, if any."""
+    seen, data, joints = extraction.observations, fit.data, fit.data.chain
+    out = ~fit.inliers.views
+    stretches = []
+    for log in np.unique(data.log).tolist():
+        mine = np.flatnonzero(data.log == log)
+        edges = np.diff(np.concatenate([[False], out[mine], [False]]).astype(int))
+        pairs = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
+        stretches += [(int(mine[i]), int(j - i)) for i, j in pairs if j - i >= _STRETCH]
+    if stretches:
+        first, count = max(stretches, key=lambda found: found[1])
+        within = np.isin(np.arange(data.stations), np.arange(first, first + count))
+        corners = fit.inliers.corners | (data.seen & within[:, None, None])
+        lin = fit.lin.with_inliers(replace(fit.inliers, views=fit.inliers.views | within, corners=corners))
+        part = cause(lin, first)
+        return (Jump(part, seen[first].log, first, seen[first].time_ns, count, math.inf, math.inf, 0.0, 0.0),)
+    found = fitter.jump(fit)
+    if found is None or found.shift_sigmas < _MATERIAL_SIGMAS:
+        return ()
+    value = found.value
+    turns = found.part != "" and not found.part.endswith("wheel")
+    slides = found.part.removeprefix("joint ") in joints.prismatic
+    turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
+    move = float(np.linalg.norm(value[3:])) if len(value) == 6 else 0.0
+    move = float(value[0]) if slides or not turns else move
+    o = seen[found.station]
+    sizes = found.sigmas, found.shift_sigmas, turn, move
+    return (Jump(found.part, o.log, found.station, o.time_ns, 0, *sizes),)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

@@ -12,13 +12,14 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import motion_seen
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.board_corners import corner_modes
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
 from mobilecal_cli.solvers.constraints import Constraints
@@ -41,6 +42,8 @@ NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the ba
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 _OBSERVABILITY_ROUNDS = 8
+#: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 5.0, 0.5
 _STILL = 1e-9  # rad, m: a fixed value of the right camera follows the stereo pair no more
 
 
@@ -328,18 +331,42 @@ class Fitter:
             fitted = True
         return fit
 
+    def jump(self, fit: Fit) -> jumps.Jump | None:
+        """The jump inside a recording that explains the residuals best; None where none is significant.
+
+        What looks like one is tested at the noise levels of the residuals without it.
+        """
+        found = jumps.likeliest(fit.lin)
+        if found is None or found.sigmas < _CANDIDATE_SIGMAS:
+            return None
+        lin = jumps.without(fit.lin, found)
+        lin = lin.predicted(proposed(lin)[0])
+        lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+        found = jumps.again(lin, found)
+        return found if found.sigmas > JUMP_SIGMAS else None
+
     def _levels_near(
-        self, lin: Linearization, found: Mapping[str, Component], tolerance: float
+        self,
+        lin: Linearization,
+        found: Mapping[str, Component],
+        tolerance: float,
+        kept: frozenset[str] = frozenset(),
     ) -> tuple[Linearization, Mapping[str, Component], Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
+
+        Args:
+            lin, found: where to start, and what its residuals show.
+            tolerance: relative.
+            kept: names of levels that stay, beside those that are given.
 
         Returns:
             The last point, what its residuals show, and the levels that follow from them.
         """
-        search = LevelSearch(self.given)
+        given = self.given | kept
+        search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, found, self.given, self._guess)
-            noise = replace(noise, **lengths(lin, self.given, self._guess))
+            noise = estimated(lin.noise, found, given, self._guess)
+            noise = replace(noise, **lengths(lin, given, self._guess))
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))

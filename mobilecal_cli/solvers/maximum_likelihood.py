@@ -48,6 +48,11 @@ class Solver:
         self._search = OutlierSearch(self._fitter)
 
     @property
+    def fitter(self) -> Fitter:
+        """The fits that the recipe is made of."""
+        return self._fitter
+
+    @property
     def data(self) -> Dataset:
         """The measurements."""
         return self._fitter.data

@@ -34,8 +34,8 @@ from mobilecal_cli.solvers.diagnosis import diagnose, misfit
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
-    height_steps,
     jackknife_covariance,
+    jumps_of,
     over_logs,
     reference_jacobian,
     scale_of,
@@ -244,6 +244,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     fit, contradictions = solver.solve_with_wider_priors(linear.parameters)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
+    jumps = jumps_of(extraction, solver.fitter, fit)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
@@ -267,7 +268,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
-        height_steps=height_steps(extraction, fit),
+        jumps=jumps,
         suggestions=suggested,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -45,11 +46,13 @@ def test_outcomes(name, kind):
 def test_a_board_that_sinks_is_named():
     made = WRONG["board 3 cm lower from the middle"].change(recorded())
     solution = solve(made)
-    (step,) = solution.height_steps
-    assert step.stations == (9, 10)
-    assert step.higher_m == pytest.approx(-0.03, abs=1e-3)
-    (said,) = (words(check) for check in judge(solution, made).checks if check.id == "height_step")
-    assert said.why.startswith("From station 10 on, the board is 30 mm lower than")
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("board", 10)
+    assert jump.move_m == pytest.approx(0.03, abs=3e-3)
+    verdict = judge(solution, made)
+    (said,) = (words(check) for check in verdict.checks if check.id == "jump")
+    assert re.match(r"At station 10 \(\d+\.\d s\), the board moved by 3\d mm", said.why)
+    assert verdict.level == "FAIL"
 
 
 @pytest.mark.parametrize(
@@ -60,7 +63,7 @@ def test_an_uneven_floor_is_no_step(seed):
     uneven, robot = Imperfection({}, replace(STATION_NOISE, floor_m=0.01)), tick_robot()
     made = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed), uneven, seed)
     solution = solve(made)
-    assert solution.height_steps == ()
+    assert solution.jumps == ()
     (height,) = (check for check in judge(solution, made).checks if check.id == "noise.height")
     assert height.value == pytest.approx(10, rel=0.5)
     assert height.outcome == "warning"

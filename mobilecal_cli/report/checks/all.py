@@ -9,6 +9,7 @@ from mobilecal_cli.report.at_work import use_checks, uses
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.checks.estimate import (
     height_checks,
+    jump_checks,
     noise_checks,
     outlier_checks,
     square_checks,
@@ -49,13 +50,14 @@ def all_checks(solution: Solution, extraction: Extraction, limits: Mapping[str, 
     if not extraction.observations:
         return
     yield from camera_info(extraction)
+    yield from jump_checks(solution, extraction)
     yield from contradiction_checks(solution, extraction)
     yield second_solution(solution, extraction)
     yield wheel_difference(solution)
     yield from nominal_checks(solution, extraction)
     yield stereo_error(solution, extraction)
     yield from square_checks(solution, extraction)
-    yield from height_checks(solution, extraction)
+    yield from height_checks(solution)
     if len(solution.residuals.legs):
         yield from leg_checks(solution, extraction)
         yield from error_checks(solution, extraction)

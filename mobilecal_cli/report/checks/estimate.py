@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from mobilecal_cli.model import NINE, Extraction, Solution
 from mobilecal_cli.report.check import LEAST_MOTION, Check, graded
+from mobilecal_cli.report.numbers import station_names
 from mobilecal_cli.report.values import Outcome
 
 # Stated square size against the stereo measurement; a difference scales all lengths.
@@ -18,6 +20,8 @@ OUTLIERS_BAD_PERCENT = 30.0
 JOINT_DEG, JOINT_MM, WHEEL = (0.2, 0.4), (0.35, 0.7), (0.015, 0.03)
 FLOOR_DEG, STAMP_MS, WHEEL_SHARE_PERCENT = (0.3, 1.5), (2.0, 20.0), (1.0, 5.0)
 HEIGHT_MM = (4.0, 30.0)
+# A jump that moves the result by more than this makes it neither the old nor the new one.
+JUMP_SHIFT_SIGMAS = 1.0
 
 
 def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
@@ -96,14 +100,19 @@ def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
             yield Check(f"noise.{name}", level, bad, unit, graded(level, look, bad), facts={"usual": look})
 
 
-def height_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
-    """Steps of the board's height above the floor, and the noise of that height."""
-    several = len(extraction.wheels) > 1
-    for step in solution.height_steps:
-        names = [f"{step.log}:{station}" if several else str(station) for station in step.stations]
-        facts = {"stations": names}
-        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "mm", "warning", facts=facts)
-    if solution.uncertainty is not None and solution.uncertainty.noise.floor_m and not solution.height_steps:
+def jump_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
+    """Moments from which on something is not where it was before."""
+    names = station_names(extraction)
+    for jump in solution.jumps:
+        begin = int(extraction.wheels[jump.log].time_ns[0])
+        facts = {"jump": jump, "station": names[jump.station], "at_s": (jump.time_ns - begin) / 1e9}
+        value = jump.shift_sigmas if math.isfinite(jump.shift_sigmas) else None
+        yield Check("jump", value, JUMP_SHIFT_SIGMAS, "sigma", "fail", facts=facts)
+
+
+def height_checks(solution: Solution) -> Iterator[Check]:
+    """Noise of the floor's height."""
+    if solution.uncertainty is not None and solution.uncertainty.noise.floor_m:
         level, (look, bad) = 1e3 * solution.uncertainty.noise.floor_m, HEIGHT_MM
         yield Check("noise.height", level, bad, "mm", graded(level, look, bad), facts={"usual": look})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from mobilecal_cli.model.text import visible
@@ -257,15 +258,33 @@ def _noise(c: Check) -> Words:
     )
 
 
-def _height_step(c: Check) -> Words:
-    (before, after), higher_mm = c.facts["stations"], c.value or 0.0
+_JUMPS = {
+    "": ("something", "Check the mounts of head, cameras and board, and the cables"),
+    "head mount": ("the camera on the head", "Fasten the camera to the head"),
+    "board": ("the board", "Fasten the board"),
+    "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
+    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
+    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+}
+
+
+def _jump(c: Check) -> Words:
+    jump, since = c.facts["jump"], f"station {c.facts['station']} ({c.facts['at_s']:.1f} s)"
+    joint = visible(jump.part.removeprefix("joint "))
+    what, cure = _JUMPS.get(
+        jump.part, (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
+    )
+    parts = [f"{1e3 * abs(jump.move_m):.2g} mm"] if jump.move_m else []
+    parts += [f"{math.degrees(jump.turn_rad):.2g} degrees"] if jump.turn_rad else []
+    size = " by " + " and ".join(parts) if parts else ""
+    moved = "moved" if jump.part in ("", "head mount", "board", "right camera") else "changed"
+    lost = f"The images of {jump.rejected} stations are not used, because they do not fit those before."
     return Words(
-        "height of the board above the floor",
-        f"{higher_mm:+.0f} mm from station {after} on",
-        f"constant within {c.limit:g} mm",
-        f"From station {after} on, the board is {abs(higher_mm):.0f} mm {'higher' if higher_mm > 0 else 'lower'} than "
-        f"up to station {before}.",
-        "Check that the board is fixed and that the floor has no step. Then record again.",
+        "changes inside the recording",
+        f"{what} {moved}{size} at {since}" if jump.part else f"the images do not fit from {since} on",
+        f"moves the result by at most {c.limit:g} sigma",
+        f"At {since}, {what} {moved}{size}. {lost if jump.rejected else ''}".rstrip(),
+        f"{cure}. Then record again.",
     )
 
 
@@ -333,7 +352,7 @@ WORDS: dict[str, Callable[[Check], Words]] = {
     "outliers": _outliers,
     "outliers_as_noise": _outliers_as_noise,
     "noise": _noise,
-    "height_step": _height_step,
+    "jump": _jump,
     "use": use_words,
     "rejected": _rejected,
     "change": _change,

@@ -1,0 +1,259 @@
+"""Jumps inside a recording: something has one value up to a moment, and another from there on.
+
+For each leg of a recording and each part of the robot, the score test (Rao, 1948) of an additional step of that part
+from the leg's end on: with the gradient g of half the sum of squares by the step, and its information I after all other
+unknowns are eliminated, ``g^T I^-1 g`` is chi-squared without a change. The step is then ``-I^-1 g``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.special import chdtrc
+
+from mobilecal_cli import se3
+from mobilecal_cli.likelihood.chain import banded
+from mobilecal_cli.likelihood.evidence import from_chance
+from mobilecal_cli.likelihood.normal import station_information
+from mobilecal_cli.likelihood.state import board_in_camera
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from mobilecal_cli.likelihood.linearization import Linearization
+
+_FEWEST_EACH_SIDE = 3  # stations before and after a change
+_MOST_MOMENTS = 60  # that are compared; around the best one, all
+_LEAST = 1e-9  # information about a direction, relative to that for known others, that is none
+_EXPLAINED = 0.3  # of a misfit, that a jump may leave
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jump:
+    """A step of one part.
+
+    Attributes:
+        part: "head mount", "joint <name>", "board", "right camera", "right wheel" or "left wheel".
+        station: index of the first station after it.
+        chi2, dof: of the score test.
+        tried: number of parts and moments that were compared.
+        sigmas: standard deviations of a normal distribution with the same chance, for the best of all that were tried.
+        shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
+            deviations.
+        value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
+            own frame (rad, m), rotation of the right camera and direction of the baseline (rad), or m of the radius.
+    """
+
+    part: str
+    station: int
+    chi2: float
+    dof: int
+    tried: int
+    sigmas: float
+    shift_sigmas: float
+    value: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Derivatives by a part's m numbers: of (delta, direct constants), (N, Q, m), or of the legs' ends, (L, 3, m)."""
+
+    views: FloatArray | None = None
+    legs: FloatArray | None = None
+
+
+def _parts(lin: Linearization) -> Iterator[tuple[str, _Part]]:
+    data, views = lin.data, lin.views
+    count, Q = len(views.information), views.information.shape[1]
+
+    def of_delta(columns: FloatArray) -> _Part:
+        out = np.zeros((count, Q, columns.shape[2]))
+        out[:, :6] = columns
+        return _Part(views=out)
+
+    yield "head mount", of_delta(views.by_shared[:, :, :6])
+    for j, name in enumerate(data.chain.joints):
+        yield f"joint {name}", of_delta(views.by_own[:, :, j : j + 1])
+    yield "board", of_delta(se3.adjoint(board_in_camera(data, lin.state)))
+    names = [data.layout.names[k] for k in views.direct]
+    pair = [
+        k
+        for k, name in enumerate(names)
+        if name.startswith(("stereo_r_", "baseline_x", "baseline_y", "baseline_z"))
+    ]
+    if pair:
+        moved = np.zeros((count, Q, len(pair)))
+        moved[:, [6 + k for k in pair], range(len(pair))] = 1.0
+        yield "right camera", _Part(views=moved)
+    for k, side in enumerate(("right", "left")):
+        yield f"{side} wheel", _Part(legs=lin.legs.by_wheels[:, :, k : k + 1])
+
+
+class _Test:
+    """Score tests at an optimum."""
+
+    def __init__(self, lin: Linearization) -> None:
+        self._lin = lin
+        self._G = station_information(lin)
+        normal = lin.normal
+        self._factor = cholesky_banded(banded(*normal.chain), lower=True, check_finite=False)
+        self._followed = normal.base_by_shared
+        self._C = lin.conditional_covariance
+        self._leg_shared = lin.legs.by_shared(lin.data.layout)
+
+    def of(self, part: _Part, first: int) -> tuple[float, int, FloatArray]:
+        """Chi-squared, degrees of freedom and step of a part that changes before a station."""
+        gradient, information, _, known = self.terms(part, first)
+        return _score(gradient, information, known)
+
+    def terms(self, part: _Part, first: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Gradient (m,), information (m, m), that with the shared parameters (P, m), and (m,) for known others."""
+        lin, data = self._lin, self._lin.data
+        after = _after(lin, first)
+        P, B = data.layout.size, data.base_width
+        columns = part.views if part.views is not None else part.legs
+        assert columns is not None
+        m = columns.shape[2]
+        base, shared = np.zeros((data.stations, B, m)), np.zeros((P, m))
+        if part.views is not None:
+            V, views = part.views[after], lin.views
+            GV = self._G[after] @ V
+            own = np.einsum("nqa,nqb->ab", V, GV)
+            base[after] = np.swapaxes(views.by_base[after], 1, 2) @ GV[:, :6]
+            shared = np.einsum("nqp,nqa->pa", views.by_shared[after], GV[:, :6])
+            shared[views.direct] += GV[:, 6:].sum(axis=0)
+            gradient = np.einsum("nqa,nq->a", V, views.gradient[after])
+        else:
+            on = after[data.legs[:, 1]]
+            i, j = data.legs[on].T
+            D, W = columns[on], lin.leg_weight[on]
+            WD = W @ D
+            own = np.einsum("laq,lab->qb", D, WD)
+            base[i] += np.swapaxes(lin.legs.by_start[on], 1, 2) @ WD
+            base[j] += np.swapaxes(lin.legs.by_end[on], 1, 2) @ WD
+            shared = np.einsum("lap,lab->pb", self._leg_shared[on], WD)
+            gradient = np.einsum("laq,la->q", WD, lin.legs.residual[on])
+        flat = base.reshape(-1, m)
+        solved = cho_solve_banded((self._factor, True), flat, check_finite=False)
+        across = shared + self._followed.reshape(-1, P).T @ flat
+        information = own - flat.T @ solved - across.T @ self._C @ across
+        return gradient, information, across, np.diag(own)
+
+
+def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[float, int, FloatArray]:
+    unit = 1 / np.sqrt(np.where(known > 0, known, 1.0))
+    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    shown = values > _LEAST
+    along = vectors.T @ (unit * g)
+    over = np.where(shown, along / np.where(shown, values, 1.0), 0.0)
+    return float(along @ over), int(shown.sum()), -unit * (vectors @ over)
+
+
+def without(lin: Linearization, jump: Jump) -> Linearization:
+    """The same point with the residuals that remain after a step, to first order."""
+    data, part = lin.data, dict(_parts(lin))[jump.part]
+    after = _after(lin, jump.station)
+    views, offset = lin.views, lin.leg_offset
+    if part.views is not None:
+        moved = np.where(after[:, None], part.views @ jump.value, 0.0)
+        change = (views.information @ moved[..., None])[..., 0]
+        cost = views.cost + np.sum(moved * (2 * views.gradient + change), axis=1)
+        views = replace(views, gradient=views.gradient + change, cost=cost)
+    if part.legs is not None:
+        offset = offset + np.where(after[data.legs[:, 1], None], part.legs @ jump.value, 0.0)
+    other = replace(lin, leg_offset=offset)
+    other.__dict__["views"] = views
+    return other
+
+
+def again(lin: Linearization, jump: Jump) -> Jump:
+    """The test of a step whose residuals have been taken out, at other noise levels."""
+    value = jump.value
+    _, information, across, _ = _Test(lin).terms(dict(_parts(lin))[jump.part], jump.station)
+    chi2 = float(value @ information @ value)
+    shift = -(lin.covariance[:9] @ across) @ value
+    own = np.zeros(9)
+    if jump.part == "head mount":
+        own[:6] = value
+    elif jump.part.startswith("joint"):
+        own[:3] = np.linalg.norm(value) * (np.arange(3) == np.argmin(np.diag(lin.covariance)[:3]))
+    elif jump.part.endswith("wheel"):
+        own[6 + (jump.part == "left wheel")] = value[0]
+    std = np.sqrt(np.diag(lin.covariance)[:9])
+    moved = np.maximum(np.abs(shift), np.abs(own)) / np.where(std > 0, std, np.inf)
+    significance = _significance(chi2, jump.dof, jump.tried)
+    return replace(jump, chi2=chi2, value=value, sigmas=significance, shift_sigmas=float(moved.max()))
+
+
+def cause(lin: Linearization, first: int) -> str:
+    """The part whose jump at a station explains most of the misfit from there on; "" if none explains nearly all.
+
+    Args:
+        lin: a point at which the misfit is part of the measurements.
+        first: index of the first station after it.
+    """
+    test, parts, after = _Test(lin), dict(_parts(lin)), _after(lin, first)
+    before = float(lin.views.cost[after].sum())
+    best, least = "", _EXPLAINED * before
+    for name, part in parts.items():
+        if part.views is None:
+            continue
+        chi2, dof, value = test.of(part, first)
+        left = without(lin, Jump(name, first, chi2, dof, 1, 0.0, 0.0, value)).views.cost[after].sum()
+        if left < least:
+            best, least = name, float(left)
+    return best
+
+
+def _significance(chi2: float, dof: int, tried: int) -> float:
+    return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
+
+
+def _after(lin: Linearization, first: int) -> BoolArray:
+    """(N,) stations of the same recording from a station on."""
+    log = lin.data.log
+    return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
+
+
+def likeliest(lin: Linearization) -> Jump | None:
+    """The most probable jump inside a recording, whether or not it is significant; None if nothing can be compared.
+
+    Args:
+        lin: an optimum.
+    """
+    data = lin.data
+    moments: list[int] = []
+    for log in np.unique(data.log).tolist():
+        mine = np.flatnonzero((data.log == log) & lin.inliers.views)
+        moments += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
+    if not moments:
+        return None
+    test, parts = _Test(lin), dict(_parts(lin))
+    every = math.ceil(len(moments) / _MOST_MOMENTS)
+    some = np.array(moments[::every])
+    best = _best(test, parts, some)
+    if every > 1 and best is not None:
+        near = np.array(moments)
+        best = _best(test, parts, near[np.abs(near - best.station) < every])
+    if best is None:
+        return None
+    tried = len(moments) * len(parts)
+    return replace(best, tried=tried, sigmas=_significance(best.chi2, best.dof, tried))
+
+
+def _best(test: _Test, parts: Mapping[str, _Part], moments: IntArray) -> Jump | None:
+    best: tuple[float, Jump] | None = None
+    for first in moments.tolist():
+        for name, part in parts.items():
+            chi2, dof, value = test.of(part, first)
+            if not dof:
+                continue
+            # Minus twice the logarithm of the chance, far out in the tail.
+            rank = chi2 - (dof - 2) * math.log(max(chi2, 2.0) / 2) + 2 * math.lgamma(dof / 2)
+            if best is None or rank > best[0]:
+                best = rank, Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)
+    return None if best is None else best[1]
