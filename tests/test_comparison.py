@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline.comparing import Limits
 from mobilecal_cli.report.changes import change_from_nominal
-from mobilecal_cli.report.comparison import comparison_text
+from mobilecal_cli.report.comparison import comparison_json, comparison_text
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -114,10 +115,32 @@ def test_nominal_values_have_no_sigma():
 def test_the_text_has_digits_that_match_the_sigma():
     moved = se3.transform(np.eye(3), np.array([0.00123, 0.0, 0.0]))
     text = comparison_text(("a", "b"), [difference(robot(), robot(moved, log="b"))], None)
-    row = next(line.split() for line in text.splitlines() if "t_x" in line)
+    row = next(line.split() for line in text.splitlines() if line.startswith("  t_x"))
     assert row == ["t_x", "+1.2", "2.8", "+0.4", "mm"]
     assert "Change from a to b" in text
     assert "probability by chance 100 %" in text
+
+
+@pytest.mark.parametrize(
+    ("t_x", "std", "said", "value"),
+    [
+        (2.8, STD, "Changed: from a to b, at most 989.9 sigma (t_x).", True),
+        (0.003, STD, "Unchanged: from a to b, at most 1.1 sigma (t_x).", False),
+        (
+            2.8,
+            None,
+            "Unknown: a and b have no parameter that both determine with a standard deviation.",
+            None,
+        ),
+    ],
+)
+def test_the_first_line_says_whether_the_robot_changed(t_x, std, said, value):
+    first = robot(std=std)
+    other = robot(se3.transform(np.eye(3), np.array([t_x, 0.0, 0.0])), log="b", std=std)
+    found = difference(first, other)
+    assert comparison_text(("a", "b"), [found], None).splitlines()[0] == said
+    plain = json.loads(comparison_json(("a", "b"), (first, other), [found], None))
+    assert plain["against_first"][0]["changed"] is value
 
 
 def test_history_tells_what_moves():

@@ -13,14 +13,18 @@ from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
 from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.wording.comparison import conclusion, constancy, effects
+from mobilecal_cli.report.wording.comparison import changed, conclusion, constancy, effects, headline
 
 COMPARISON_SCHEMA = 1
 
 
 def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
-    """Change from the first calibration to each other one; for three or more also a test of each parameter."""
-    lines = []
+    """Change from the first calibration to each other one; for three or more also a test of each parameter.
+
+    The first lines, one for each other calibration, say whether it has changed.
+    """
+    pairs = zip(names[1:], differences, strict=True)
+    lines = [*(headline(found, visible(names[0]), visible(name)) for name, found in pairs), ""]
     for name, found in zip(names[1:], differences, strict=True):
         lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
         lines += [f"  {'':<14}{'change':>12}{'1 sigma':>12}{'in sigma':>10}"]
@@ -71,6 +75,7 @@ def _plain(found: Difference) -> dict[str, Any]:
         "sigmas": _numbers(found.sigmas),
         "chi2": found.chi2,
         "chance": found.chance,
+        "changed": changed(found),
         "share_a_recording": found.shared,
         "unobservable": dict(zip(NINE, found.unobservable.tolist(), strict=True)),
         "ray_at_2m_mm": found.ray_m * 1e3,
