@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals
-from mobilecal_cli.kinematics import Arcs, Increments
+from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import EXACT, SLIP_M_PER_SQRT_M, Noise, encoder_sigmas
@@ -22,31 +24,35 @@ UNKNOWN = 1e6
 _LEVEL = 0.95  # of the intervals that are widened because the noise levels are estimates
 _SAMPLE_S, _WINDOW = 0.1, 3  # a wheel turns if it does within this many samples
 _STANDS_RAD = 2e-3
-_STEPS = 100  # of a straight drive
+_STEPS = 100  # of a straight drive, and of a turn
+_PLAIN_DRIVE_M = 1.0  # for wheels that the recording does not determine
 _WHEEL_LEVELS = frozenset({"wheel_rad_per_sqrt_rad", "wheel_share"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryCovariance:
-    """Diagonals in the order of ROS: x, y, z, rotation about x, y, z.
+    """Diagonals in the order of ROS: x, y, z, rotation about x, y, z. x is along a drive, y across it.
 
     Attributes:
-        pose: (6,) variances of the pose after a drive, m^2 and rad^2.
+        pose: (6,) variances of the pose after a drive, m^2 and rad^2; x along the line from its start to its end.
+        correlation: (3, 3) of x, y and heading after a drive.
         twist: (6,) variances of the velocity in one message, (m/s)^2 and (rad/s)^2.
         rate_hz: odometry messages per second that `twist` applies to.
+        motion: the drives that the variances apply to, in words.
         legs: number of legs of the recording, which the noise levels come from.
-        path_m, turn_rad, moving_s: path, rotation and time in motion of the drives that the variances apply to, mean.
+        path_m, moving_s: path and time in motion of these drives, mean.
         widening: factor on the variances, because the noise levels are estimated from few legs.
         systematic: (2,) share of the variances of length and heading from proportional noise and the covariance of the
             calibration. It grows with the square of the distance, the rest with the distance.
     """
 
     pose: FloatArray
+    correlation: FloatArray
     twist: FloatArray
     rate_hz: float
+    motion: str
     legs: int
     path_m: float
-    turn_rad: float
     moving_s: float
     widening: float
     systematic: FloatArray
@@ -60,6 +66,9 @@ def odometry_covariance(
     A filter that adds up the velocities of n messages with independent errors of variance s^2, at intervals of dt,
     obtains a length with variance n s^2 dt^2. `twist` makes this equal to the variance over some drives, for the
     messages while the robot moves: s^2 = rate_hz * (sum of the variances) / (sum of the times in motion).
+
+    A recording does not show the errors of the wheels that it does not determine. The drive is then straight (1 m by
+    default) with a full turn in place at its end, so that the full width of their covariance counts.
 
     Args:
         robot: the calibration, with standard deviations.
@@ -86,26 +95,34 @@ def odometry_covariance(
             "the robot does not drive in the recording, so the noise of the wheels is unknown",
             "calibrate from a recording with motion",
         )
-    steps = data.steps()
-    if distance_m is not None:
-        steps, moving_s = _straight(distance_m, wheels), distance_m / speed_mps
+    steps, motion = data.steps(), ""
+    if distance_m is not None or robot.unobservable[6:].any():
+        turn_rad = 2 * np.pi if robot.unobservable[6:].any() else 0.0
+        distance_m = _PLAIN_DRIVE_M if distance_m is None else distance_m
+        steps = _straight_and_turn(distance_m, turn_rad, wheels)
+        moving_s = (distance_m + turn_rad * wheels.separation_m / 2) / speed_mps
+        motion = f"{distance_m:g} m straight ahead" + (", then a full turn in place" if turn_rad else "")
     random, systematic = _of_length_and_heading(data, steps, wheels, noise, C)
     both, pose = random + systematic, _of_pose(data, steps, wheels, noise, C)
-    xy = (pose[0, 0] + pose[1, 1]) / 2
+    std = np.sqrt(np.diag(pose))
     right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
     path_m = float(np.abs(right + left).sum() / 2)
+    if not motion:
+        degrees = math.degrees(np.abs(right - left).sum() / wheels.separation_m / steps.legs)
+        motion = f"the {steps.legs} legs of the recording, on average {path_m / steps.legs:.2f} m and {degrees:.0f} deg"
     widening, rate = _widening(extraction.rig.noise.given, len(data.legs)), rate_hz / moving_s
     slip = SLIP_M_PER_SQRT_M**2 * path_m
     floor = np.array([noise.floor_m, noise.floor_rad, noise.floor_rad]) ** 2
     return OdometryCovariance(
-        pose=np.concatenate([[widening * xy, widening * xy], floor, [widening * pose[2, 2]]]),
+        pose=np.concatenate([widening * np.diag(pose)[:2], floor, [widening * pose[2, 2]]]),
+        correlation=pose / np.outer(std, std),
         twist=np.array(
             [widening * rate * both[0], rate * slip, UNKNOWN, UNKNOWN, UNKNOWN, widening * rate * both[1]]
         ),
         rate_hz=rate_hz,
+        motion=motion,
         legs=len(data.legs),
         path_m=path_m / steps.legs,
-        turn_rad=float(np.abs(right - left).sum() / wheels.separation_m / steps.legs),
         moving_s=moving_s / steps.legs,
         widening=widening,
         systematic=systematic / both,
@@ -141,16 +158,23 @@ def _motion(data: Dataset, wheels: WheelGeometry) -> tuple[float, float]:
     return moving * _SAMPLE_S, float(np.sum(speed**2) / max(np.sum(speed), 1e-12))
 
 
-def _straight(distance_m: float, wheels: WheelGeometry) -> Increments:
-    """One leg straight ahead, in steps."""
-    right, left = (np.full(_STEPS, distance_m / _STEPS / radius) for radius in wheels.vector[:2])
-    return Increments(right, left, np.zeros(_STEPS, dtype=np.int64), 1)
+def _straight_and_turn(distance_m: float, turn_rad: float, wheels: WheelGeometry) -> Increments:
+    """One leg in steps: straight ahead, then a turn in place."""
+    rim_m = turn_rad * wheels.separation_m / 2
+    right, left = (
+        np.repeat([distance_m, sign * rim_m], _STEPS) / _STEPS / radius
+        for sign, radius in zip((1, -1), wheels.vector[:2], strict=True)
+    )
+    return Increments(right, left, np.zeros(2 * _STEPS, dtype=np.int64), 1)
 
 
 def _of_pose(
     data: Dataset, steps: Increments, wheels: WheelGeometry, noise: Noise, C: FloatArray
 ) -> FloatArray:
-    """(3, 3) covariance of x, y (m) and heading (rad) after a leg, mean over the legs."""
+    """(3, 3) covariance of a leg's end, mean over the legs.
+
+    Order: along and across the line from its start to its end (m), heading (rad).
+    """
     nothing = np.zeros((steps.legs, 2))
     whole = steps.with_ends(nothing, nothing)  # every leg has a step
     arcs = Arcs.along(whole, wheels)
@@ -162,7 +186,11 @@ def _of_pose(
     for at in (np.searchsorted(whole.leg, legs), np.searchsorted(whole.leg, legs, side="right") - 1):
         by_reading = arcs.sensitivity(at)
         covariance = covariance + (by_reading * variance) @ by_reading.mT
-    return np.asarray(covariance.mean(axis=0))
+    x, y = integrate(whole, wheels).t_m.T
+    along = np.zeros((steps.legs, 3, 3))
+    along[:, :2, :2] = se3.exp_so3(np.arctan2(y, x)[:, None] * [0.0, 0.0, 1.0])[:, :2, :2].mT
+    along[:, 2, 2] = 1.0
+    return np.asarray((along @ covariance @ along.mT).mean(axis=0))
 
 
 def _of_length_and_heading(
@@ -190,14 +218,17 @@ def _of_length_and_heading(
 
 def odometry_yaml(found: OdometryCovariance) -> str:
     """Parameters of diff_drive_controller, and of robot_localization's ekf_node, which fuses the velocities."""
-    drive = f"{found.path_m:.2f} m, {np.degrees(found.turn_rad):.0f} deg, {found.moving_s:.1f} s in motion"
+    along_heading, across_heading, along_across = (found.correlation[k] for k in ((0, 2), (1, 2), (0, 1)))
     length, heading = (f"{100 * share:.0f} %" for share in found.systematic)
     return "\n".join(
         [
             "# Covariance of wheel odometry with the calibrated wheels. Order: x, y, z, roll, pitch, yaw.",
-            f"# Applies to drives like this (mean): {drive}. Longer ones have larger errors:",
+            f"# Motion: {found.motion}; {found.moving_s:.1f} s in motion. Longer drives have larger errors:",
             f"# {length} of the variance of the length and {heading} of that of the heading are systematic, and",
             "# grow with the square of the distance. --distance exports for longer drives.",
+            "# x is along the line from the start of the drive to its end, y is across it. Correlations, which the",
+            f"# diagonals cannot state: along and across {along_across:+.2f}, along and heading {along_heading:+.2f}, "
+            f"across and heading {across_heading:+.2f}.",
             f"# Variances times {found.widening:.3f}, because the noise is estimated from {found.legs} legs.",
             f"# Twist: (m/s)^2, (rad/s)^2, for {found.rate_hz:g} messages per second. Change both together.",
             "# Pose: m^2, rad^2, after one such drive. The error grows with the distance: let filters use the twist.",

@@ -40,12 +40,12 @@ class HeldOut:
     Attributes:
         error: (L, 3) x, y (m) and heading (rad) of the end in the frame of the start, odometry minus truth.
         predicted: (L, 3, 3) their covariance, as a filter adds it up from the velocities.
-        start_rad: (L,) heading at the start.
+        direction_rad: (L,) direction from the start to the end in the frame of the start.
     """
 
     error: FloatArray
     predicted: FloatArray
-    start_rad: FloatArray
+    direction_rad: FloatArray
 
 
 def robot_of(name: str, seed: int) -> Case:
@@ -73,17 +73,18 @@ def held_out(
         rolled = np.floor(rolled / step) * step
     motion = integrate(Increments(*np.diff(rolled, axis=0).T, leg, len(ends_s) - 1), robot.wheels)
     poses = drive.poses(ends_s)
-    error, predicted = [], []
+    error, predicted, direction = [], [], []
     for number, (start, end) in enumerate(itertools.pairwise(poses)):
         truth = _seen_from(start, end[None])[0]
         off = np.append(motion.t_m[number], motion.psi_rad[number]) - truth
         off[2] = np.remainder(off[2] + np.pi, 2 * np.pi) - np.pi
         error.append(off)
+        direction.append(np.arctan2(truth[1], truth[0]))
         at_s = np.arange(ends_s[number] + dt / 2, ends_s[number + 1], dt)
         before, after = (drive.wheel_angles(at_s + late * dt / 4, true.wheels) for late in (-1, 1))
         moves = np.any(np.abs(after - before) > 1e-9, axis=1)
         predicted.append(added_up(_seen_from(start, drive.poses(at_s[moves])), truth, found.twist, dt))
-    return HeldOut(np.array(error), np.array(predicted), poses[:-1, 2])
+    return HeldOut(np.array(error), np.array(predicted), np.array(direction))
 
 
 def _seen_from(start: FloatArray, poses: FloatArray) -> FloatArray:
@@ -116,9 +117,9 @@ def inside(drive: HeldOut, found: OdometryCovariance) -> FloatArray:
     e, P = drive.error, drive.predicted
     single = e**2 < INSIDE * np.diagonal(P, axis1=1, axis2=2)
     whole = np.einsum("la,lab,lb->l", e, np.linalg.inv(P), e) < INSIDE_3
-    cos, sin = np.cos(drive.start_rad), np.sin(drive.start_rad)
-    world = np.stack([cos * e[:, 0] - sin * e[:, 1], sin * e[:, 0] + cos * e[:, 1]], axis=1)
-    place = np.mean(world**2 < INSIDE * found.pose[:2], axis=1)
+    cos, sin = np.cos(drive.direction_rad), np.sin(drive.direction_rad)
+    along = np.stack([cos * e[:, 0] + sin * e[:, 1], -sin * e[:, 0] + cos * e[:, 1]], axis=1)
+    place = np.mean(along**2 < INSIDE * found.pose[:2], axis=1)
     heading = e[:, 2] ** 2 < INSIDE * found.pose[5]
     return np.column_stack([single, whole, place, heading])
 

@@ -9,8 +9,10 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz, odometry_covariance, odometry_yaml
+from mobilecal_cli.export import extraction_to_npz, odometry, odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, WheelGeometry
 from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
@@ -44,7 +46,7 @@ def robot_with(**levels):
     C = np.zeros((9, 9))
     C[6:, 6:] = ROOT @ ROOT.T
     known = Knowledge(C, np.ones(9, bool), {**LEVELS, **levels})
-    return CalibratedRobot("head", "camera", np.eye(4), TRUE, known)
+    return CalibratedRobot("head_link", "stereo_left_optical", np.eye(4), TRUE, known)
 
 
 def test_the_variances_are_those_of_simulated_drives(extraction):
@@ -62,11 +64,34 @@ def test_the_variances_are_those_of_simulated_drives(extraction):
         ends.append([*motion.t_m[0], motion.psi_rad[0]])
     x, y, heading = np.var(np.array(ends) - [DISTANCE_M, 0, 0], axis=0)
     of_variance = 4 * np.sqrt(2 / drives)
-    assert (x + y) / 2 == pytest.approx(found.pose[0], rel=of_variance)
+    assert x == pytest.approx(found.pose[0], rel=of_variance)
+    assert y == pytest.approx(found.pose[1], rel=of_variance)
+    assert y > 5 * x
+    assert np.corrcoef(np.array(ends).T) == pytest.approx(found.correlation, abs=4 / np.sqrt(drives))
+    assert found.motion == "4 m straight ahead"
     assert heading == pytest.approx(found.pose[5], rel=of_variance)
     messages = found.moving_s * RATE_HZ
     assert x == pytest.approx(found.twist[0] * messages / RATE_HZ**2, rel=of_variance)
     assert heading == pytest.approx(found.twist[5] * messages / RATE_HZ**2, rel=of_variance)
+
+
+def test_across_is_across_the_drive_forward_and_backward(extraction):
+    """Backward, the heading moves the end to the other side of the base, and to the same side of the drive."""
+    data, noise = dataset_of(extraction), LegNoise(0.1, SQRT, 0.0, 0.0)
+    step = 2.0 / 50 / TRUE.vector[:2]
+    forward, backward = (
+        odometry._of_pose(
+            data,
+            Increments(*(np.full(50, sign * s) for s in step), np.zeros(50, int), 1),
+            TRUE,
+            noise,
+            np.zeros((3, 3)),
+        )
+        for sign in (1, -1)
+    )
+    assert backward == pytest.approx(forward, rel=1e-6, abs=1e-6)
+    assert forward[1, 1] > 2 * forward[0, 0]
+    assert forward[1, 2] > 0
 
 
 @pytest.mark.parametrize("process_noise", [1e-4, 1.0, 1e4])
