@@ -52,7 +52,7 @@ class SolveError(MobilecalError):
 
 
 class QualityError(MobilecalError):
-    """The result was written, but the verdict is not PASS."""
+    """The verdict is not PASS, or a limit is exceeded."""
 
     exit_code = 6
     code = "quality"

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from mobilecal_cli.cli import calibrating, fleet, looking, printing, simulating, using
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.errors import MobilecalError, QualityError, RecordingError, ResourceError
+from mobilecal_cli.errors import MobilecalError, RecordingError, ResourceError
 from mobilecal_cli.source_date import source_date
 
 #: Error code of OpenCV.
@@ -38,8 +38,6 @@ def main() -> None:
     try:
         source_date()  # before libraries are imported that read it too
         app()
-    except QualityError as error:  # `conclude` has printed the verdict
-        sys.exit(error.exit_code)
     except MobilecalError as error:
         _fail(error)
     except PermissionError as error:  # of a directory on the way to a file

@@ -101,6 +101,13 @@ def export(
             help="For --to foxglove: recording of the calibration, for its images. Repeatable.",
         ),
     ] = None,
+    allow_failed: Annotated[
+        bool,
+        typer.Option(
+            "--allow-failed",
+            help="Also export a calibration whose verdict is not PASS; the export states the verdict.",
+        ),
+    ] = False,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", readable=False, help="File to write. [default: standard output]"),
@@ -108,6 +115,8 @@ def export(
     force: Force = False,
 ) -> None:
     """Export a calibration as URDF, xacro, ros2_control and more.
+
+    Refuses a calibration whose verdict is not PASS with exit code 6.
 
     Example: mobilecal export out/params.yaml --to urdf --urdf robot.urdf --output robot_calibrated.urdf
 
@@ -136,6 +145,7 @@ def export(
         rate_hz=rate,
         distance_m=distance,
         logs=log or [],
+        allow_failed=allow_failed,
     )
     if output is None:
         typer.echo(made.content, nl=False)

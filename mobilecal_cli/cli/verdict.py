@@ -23,7 +23,7 @@ def conclude(
         quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
 
     Raises:
-        QualityError: the level is not PASS; the message has been printed.
+        Exit: with the code of `QualityError`, as the level is not PASS.
     """
     from mobilecal_cli.terminal import verdict_text
 
@@ -33,7 +33,7 @@ def conclude(
     if written and (not quiet or not passed):
         typer.echo(written_line(*written), err=quiet)
     if not passed:
-        raise QualityError(f"{level}: {reason}", next_step)
+        raise typer.Exit(QualityError.exit_code)
 
 
 def written_line(*paths: Path) -> str:

@@ -10,6 +10,8 @@ from mobilecal_cli.export.formats import (
     plain_json,
     static_transform_launch,
     static_transform_yaml,
+    verdict_note,
+    with_verdict,
     xacro_properties,
 )
 from mobilecal_cli.export.improved import (
@@ -55,6 +57,8 @@ __all__ = [
     "static_transform_launch",
     "static_transform_yaml",
     "to_plain",
+    "verdict_note",
+    "with_verdict",
     "write_file",
     "write_outputs",
     "xacro_properties",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Mapping
 from typing import Any
@@ -20,7 +21,8 @@ _CONVENTION = (
     "x_parent = R x_child + translation; optical frames: x right, y down, z forward. "
     "Lengths in m, angles in rad."
 )
-_KALIBR_MODELS = {"none": "none", "plumb_bob": "radtan", "equidistant": "equidistant"}
+#: Without distortion, radtan with zeros: Kalibr's reader accepts "none", but builds no camera from it.
+_KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 def frame_note(robot: CalibratedRobot) -> str:
@@ -31,6 +33,34 @@ def frame_note(robot: CalibratedRobot) -> str:
         f"{robot.child_frame} is the rectified optical frame: the calibration was made from rectified images. "
         "For raw images, use head_eye_raw of params.yaml."
     )
+
+
+def verdict_note(robot: CalibratedRobot) -> tuple[str, ...]:
+    """What a reader of an export has to know: a verdict other than PASS, its reasons, unobservable parameters."""
+    lines: tuple[str, ...] = ()
+    if not robot.verdict:
+        lines = (
+            "Verdict of the calibration: unknown. Its params.yaml states none, like those of earlier versions.",
+        )
+    elif robot.verdict != "PASS":
+        lines = (f"Verdict of the calibration: {robot.verdict}.", *robot.reasons)
+    hidden = ", ".join(name for name, hides in zip(NINE, robot.unobservable, strict=True) if hides)
+    if hidden:
+        lines += (f"Unobservable, so the calibration keeps the nominal value: {hidden}.",)
+    return lines
+
+
+def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
+    """A file in XML or YAML with `verdict_note` as comments at its beginning."""
+    note = verdict_note(robot)
+    if not note:
+        return content
+    start = re.match(rb"(?:\xef\xbb\xbf)?(?:<\?xml\s[^>]*\?>)?\s*(<?)", content)
+    assert start is not None  # it matches the empty text too
+    xml = start.group(1)
+    lines = (f"<!-- {comment(line)} -->\n" if xml else f"# {visible(line)}\n" for line in note)
+    at = start.start(1)
+    return content[:at] + "".join(lines).encode() + content[at:]
 
 
 def plain_json(robot: CalibratedRobot) -> str:
@@ -50,6 +80,8 @@ def plain_json(robot: CalibratedRobot) -> str:
         "order": list(NINE),
         "covariance": None if known is None else known.covariance.tolist(),
         "observable": None if known is None else known.observable.tolist(),
+        "verdict": robot.verdict or None,
+        "verdict_reasons": list(robot.reasons),
         "created": robot.created,
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
@@ -138,11 +170,15 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
 
     The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
     nominal sizes; without these, the radius is the mean of both and the multiplier of the separation is 1.
+    Unobservable sizes are left out, so that the controller keeps its own.
 
     Args:
         robot: the calibration.
         joints: names of the wheel joints, as far as they are known.
         nominal: sizes that the multipliers refer to; the mean of their radii is used.
+
+    Raises:
+        ConfigError: all sizes are unobservable.
     """
     wheels = robot.wheels
     radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
@@ -153,19 +189,38 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     names = [
         f"    {side}_wheel_names: [{quoted(joints[side])}]" for side in ("left", "right") if side in joints
     ]
+    left, right = decimal(wheels.radius_left_m), decimal(wheels.radius_right_m)
+    calibrated, sizes = (
+        [f"left radius {left}", f"right radius {right}"],
+        [
+            f"    wheel_radius: {decimal(radius_m)}",
+            f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
+            f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
+        ],
+    )
+    if robot.unobservable[6:8].any():
+        calibrated, sizes = [], ["    # Unobservable: keep the wheel_radius of your controller."]
+    if robot.unobservable[8]:
+        sizes.append("    # Unobservable: keep the wheel_separation of your controller.")
+    else:
+        calibrated.append(f"separation {decimal(wheels.separation_m)}")
+        sizes += [
+            f"    wheel_separation: {decimal(separation_m)}",
+            f"    wheel_separation_multiplier: {decimal(wheels.separation_m / separation_m)}",
+        ]
+    if not calibrated:
+        raise ConfigError(
+            "the calibration determines neither the wheel radii nor the separation",
+            "record again with straight drives and turns",
+        )
     return "\n".join(
         [
             f"# Lengths in m. The multipliers refer to {base}. Calibrated:",
-            f"# left radius {decimal(wheels.radius_left_m)}, right radius {decimal(wheels.radius_right_m)}, "
-            f"separation {decimal(wheels.separation_m)}.",
+            f"# {', '.join(calibrated)}.",
             "diff_drive_controller:",
             "  ros__parameters:",
             *names,
-            f"    wheel_separation: {decimal(separation_m)}",
-            f"    wheel_radius: {decimal(radius_m)}",
-            f"    wheel_separation_multiplier: {decimal(wheels.separation_m / separation_m)}",
-            f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
-            f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
+            *sizes,
             "",
         ]
     )

@@ -48,7 +48,8 @@ _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannal
 def foxglove_mcap(scene: Scene) -> bytes:
     """An MCAP file with Foxglove's protobuf messages; two JSON topics have numbers for plots.
 
-    Message times are the stations' and the wheels' times. Images come with annotations of the same time.
+    Message times are the stations' and the wheels' times. Images come with annotations of the same time. The metadata
+    record "mobilecal" has the verdict of the calibration and its reasons.
     """
     messages = _Messages()
     for motion, stations in zip(scene.motions, scene.stations, strict=True):
@@ -57,7 +58,8 @@ def foxglove_mcap(scene: Scene) -> bytes:
         for station in stations:
             _add_station(messages, scene, station)
     _add_unused(messages, scene)
-    return messages.written()
+    robot = scene.robot
+    return messages.written({"verdict": robot.verdict or "unknown", "reasons": "\n".join(robot.reasons)})
 
 
 class _Messages:
@@ -80,10 +82,12 @@ class _Messages:
         self._schemas[topic] = (f"mobilecal.{topic.strip('/')}", "jsonschema", json.dumps(schema).encode())
         self._found.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
 
-    def written(self) -> bytes:
+    def written(self, metadata: dict[str, str]) -> bytes:
+        """The file, with one metadata record of the name "mobilecal"."""
         stream = io.BytesIO()
         writer = Writer(stream)
         writer.start(profile="", library=f"mobilecal {__version__}")
+        writer.add_metadata("mobilecal", metadata)
         channels = {}
         encodings = {topic: encoding for _, topic, encoding, _ in self._found}
         for topic, schema in self._schemas.items():

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 import reprlib
-from typing import Annotated, Any, get_type_hints
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -44,8 +45,8 @@ from mobilecal_cli.yaml_input import load_yaml
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
-SCHEMA_VERSION = 2
-_OLDEST_READ = 1  # no constants
+SCHEMA_VERSION = 3
+_OLDEST_READ = 1  # no constants; no verdict up to 2
 NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
 _SAME_ROTATION_DEG = 0.01
 _SAME_STD = 1e-3
@@ -55,7 +56,13 @@ _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the join
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
 
-def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
+def params_yaml(
+    solution: Solution,
+    extraction: Extraction,
+    provenance: Provenance,
+    verdict: str = "",
+    reasons: Sequence[str] = (),
+) -> str:
     """The calibrated robot as commented YAML, the same bytes for the same values.
 
     ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,
@@ -66,6 +73,8 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         solution: the solution.
         extraction: its measurements.
         provenance: time, version, recordings and settings.
+        verdict: "PASS", "FAIL" or "NOT ENOUGH"; "" to state none.
+        reasons: why it is not PASS, whole sentences.
     """
     cameras, chain = solution.cameras, extraction.rig.chain
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
@@ -75,6 +84,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         f"{FIRST_LINE} Lengths in m, angles in rad unless the key says deg.",
         f"schema_version: {SCHEMA_VERSION}",
         "",
+        *(_verdict_lines(verdict, reasons) if verdict else []),
         *_head_eye_comment(cameras),
         "head_eye:",
         *_transform_lines(chain.head_frame, frame, T_h_reference),
@@ -98,6 +108,17 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         *_provenance_lines(provenance),
     ]
     return "\n".join(blocks) + "\n"
+
+
+def _verdict_lines(verdict: str, reasons: Sequence[str]) -> list[str]:
+    return [
+        "# PASS: the calibration can be used. FAIL or NOT ENOUGH: it cannot, and export refuses it.",
+        "verdict:",
+        f"  level: {quoted(verdict)}",
+        "  reasons:" if reasons else "  reasons: []",
+        *(f"  - {quoted(visible(reason))}" for reason in reasons),
+        "",
+    ]
 
 
 def _uncertainty_lines(solution: Solution) -> list[str]:
@@ -315,7 +336,21 @@ class _Nominal(_Section):
     wheels: _Wheels | None = None
 
 
+class _Joints(_Section):
+    elsewhere: dict[str, Any] = {}
+
+
+class _Link(_Section):
+    joint: str | None = None
+
+
+class _Head(_Section):
+    chain: tuple[_Link, ...] = ()
+
+
 class _Settings(_Section):
+    joints: _Joints = _Joints()
+    head: _Head = _Head()
     wheels: _BothWheels = _BothWheels()
     nominal: _Nominal = _Nominal()
 
@@ -326,8 +361,14 @@ class _Provenance(_Section):
     config: _Settings = _Settings()
 
 
+class _Verdict(_Section):
+    level: Literal["PASS", "FAIL", "NOT ENOUGH"]
+    reasons: tuple[str, ...] = ()
+
+
 class _File(_Section):
     schema_version: int
+    verdict: _Verdict | None = None
     head_eye: _HeadEye
     head_eye_raw: _HeadEye | None = None
     wheels: _Wheels
@@ -363,7 +404,12 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         checked = _File.model_validate(data)
     except ValidationError as error:
         raise ConfigError(f"{name}: {_problems(error)}", _HINT) from error
-    head_eye, wheels, constants = checked.head_eye, checked.wheels, checked.constants
+    head_eye, wheels, constants, verdict = (
+        checked.head_eye,
+        checked.wheels,
+        checked.constants,
+        checked.verdict,
+    )
     rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
     known = checked.uncertainty
     knowledge = None
@@ -386,8 +432,15 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
         wheel_joints={side: joint for side, joint in joints.items() if joint},
         nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
+        head_joints=tuple(
+            link.joint
+            for link in settings.head.chain
+            if link.joint is not None and link.joint not in settings.joints.elsewhere
+        ),
         rectified=checked.head_eye_raw is not None,
         constants=None if constants is None else {name: entry.value for name, entry in constants.items()},
+        verdict="" if verdict is None else verdict.level,
+        reasons=() if verdict is None else verdict.reasons,
     )
 
 

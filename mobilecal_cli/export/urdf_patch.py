@@ -16,8 +16,10 @@ from mobilecal_cli.export.improved import ImprovedChain
 from mobilecal_cli.export.urdf_chain import joint_origins
 from mobilecal_cli.export.xml_text import attribute, comment
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
-from mobilecal_cli.model import SIDES, CalibratedRobot, FloatArray, Side
+from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
 
+#: Sizes of a URDF that differ more from the nominal and the calibrated ones are those of another robot.
+_OTHER_ROBOT = 0.1
 #: A frame is at ground level if the wheel centers are one radius above it, to this much, m.
 _GROUND_M = 1e-3
 _SAME_PLACE_M = 1e-6
@@ -80,7 +82,7 @@ def patched_urdf(
     the camera has no link, one is added at the end of the file. The wheel joints move along their axle about its
     midpoint, and the cylinders and spheres of the wheels (visual and collision) get the calibrated radii. Where the
     wheel joints start from a frame on the ground, their height becomes the mean radius. With a chain, the moving joints
-    from the base to the head get their estimated origins and axes.
+    from the base to the head get their estimated origins and axes. Unobservable parameters stay as in the URDF.
 
     Args:
         content: the URDF, UTF-8.
@@ -90,21 +92,24 @@ def patched_urdf(
 
     Raises:
         ConfigError: invalid URDF, no fixed joint from the head to the camera, an unknown wheel joint, wheels at one
-            place or with one joint, or another head chain than that of the calibration.
+            place, with one joint or in the head chain, or the URDF of another robot: other joints, or wheels of
+            other sizes.
     """
     try:
         urdf = parse_urdf(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"the URDF is not UTF-8: {error}", "save it as UTF-8") from error
     places = _places(content)
+    _check_robot(urdf, robot, wheel_joints)
     edits: list[tuple[int, int, bytes]] = []
     changes: list[str] = []
+    hidden = ", ".join(name for name, hides in zip(NINE[:6], robot.unobservable, strict=False) if hides)
     if robot.child_frame in urdf.links:
         mount, T_head_mount = _mount(urdf, robot)
         edits.append(_moved(content, places, mount.name, T_head_mount))
         changes.append(
             f"joint {mount.name!r}: the origin gives the calibrated pose of {robot.child_frame!r} on "
-            f"{robot.parent_frame!r}"
+            f"{robot.parent_frame!r}" + (f"; unobservable, so unchanged: {hidden}" if hidden else "")
         )
     else:
         edits.append(_added(places, urdf, robot))
@@ -116,18 +121,23 @@ def patched_urdf(
         moved, told = _chain(content, places, urdf, chain)
         edits += moved
         changes += told
+    no_radius, no_separation = robot.unobservable[6:8].any(), robot.unobservable[8]
     if len(wheel_joints) == len(SIDES):
-        height_m, heights = _height(content, places, urdf, robot, wheel_joints)
-        for name, T in _wheel_origins(urdf, robot, wheel_joints):
-            if height_m is not None:
-                T[2, 3] = height_m
-            edits.append(_moved(content, places, name, T, ("xyz",)))
-        changes.append(
-            f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}: {robot.wheels.separation_m:.6g} m apart"
-        )
+        height_m, heights = (None, ()) if no_radius else _height(content, places, urdf, robot, wheel_joints)
+        if height_m is not None or not no_separation:
+            for name, T in _wheel_origins(urdf, robot, wheel_joints):
+                if height_m is not None:
+                    T[2, 3] = height_m
+                edits.append(_moved(content, places, name, T, ("xyz",)))
+        joints = f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}"
+        apart = f"{robot.wheels.separation_m:.6g} m apart"
+        changes.append(f"{joints}: {'separation unchanged, it is unobservable' if no_separation else apart}")
         changes += heights
     for side, name in wheel_joints.items():
         link = _joint(urdf, name).child
+        if no_radius:
+            changes.append(f"link {link!r}: radius unchanged, it is unobservable")
+            continue
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
         tags = places.wheels.get(link, [])
         edits += [(*_span(tag), _with(content, tag, {"radius": f"{radius_m:.12g}"})) for tag in tags]
@@ -202,7 +212,64 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
     T_mount_camera = np.eye(4)
     for joint in path[1:]:
         T_mount_camera = T_mount_camera @ joint.T_parent_child
-    return path[0], robot.T_parent_child @ se3.inverse(T_mount_camera)
+    T = _where_observable(robot, path[0].T_parent_child @ T_mount_camera)
+    return path[0], T @ se3.inverse(T_mount_camera)
+
+
+def _where_observable(robot: CalibratedRobot, T_before: FloatArray) -> FloatArray:
+    """The calibrated head-eye transform (4, 4), with the unobservable parameters of the one before."""
+    hides = robot.unobservable
+    if not hides[:6].any():
+        return robot.T_parent_child
+    R_before = T_before[:3, :3]
+    change = np.where(hides[:3], 0.0, se3.log_so3(robot.T_parent_child[:3, :3] @ R_before.T))
+    place = np.where(hides[3:6], T_before[:3, 3], robot.T_parent_child[:3, 3])
+    return se3.transform(se3.exp_so3(change) @ R_before, place)
+
+
+def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]) -> None:
+    """Refuse the URDF of another robot, by its joints and the sizes of its wheels; and wheel joints that are none."""
+    missing = [name for name in robot.head_joints if name not in urdf.joints]
+    if missing:
+        raise ConfigError(
+            f"URDF: no joint {missing[0]!r}, which moves the calibrated head",
+            "give the URDF of the robot that was calibrated",
+        )
+    above = {joint.child: joint for joint in urdf.joints.values()}
+    carrying, link = set[str](), robot.parent_frame
+    while link in above and above[link].name not in carrying:
+        carrying.add(above[link].name)
+        link = above[link].parent
+    for side, name in wheel_joints.items():
+        joint = _joint(urdf, name)
+        if joint.kind not in ("continuous", "revolute") or name in carrying:
+            kind = "carries the head" if name in carrying else f"is {joint.kind}"
+            raise ConfigError(
+                f"URDF: joint {name!r} {kind}, so it is not that of the {side} wheel",
+                f"give the joint of the {side} wheel with --{side}-joint",
+            )
+    sizes = {
+        f"radius_{side}_m": urdf.cylinder_radius_m.get(_joint(urdf, name).child) or 0.0
+        for side, name in wheel_joints.items()
+    }
+    if len(wheel_joints) == len(SIDES):
+        left, right = (_wheel_center(urdf, wheel_joints[side])[1] for side in SIDES)
+        sizes["separation_m"] = float(np.linalg.norm(left - right))
+        # x of a base is forward, except on rare robots: the names that the calibration read need no proof.
+        if wheel_joints != robot.wheel_joints and (left - right)[1] < -sizes["separation_m"] / 2:
+            raise ConfigError(
+                f"URDF: joint {wheel_joints['left']!r} is on the right of {wheel_joints['right']!r}",
+                "exchange --left-joint and --right-joint",
+            )
+    for name, drawn_m in sizes.items():
+        if not drawn_m or robot.nominal_wheels is None:
+            continue
+        size_m, nominal_m = (getattr(wheels, name) for wheels in (robot.wheels, robot.nominal_wheels))
+        if min(abs(drawn_m / size_m - 1), abs(drawn_m / nominal_m - 1)) > _OTHER_ROBOT:
+            raise ConfigError(
+                f"URDF: {name} is {drawn_m:.6g}; in the calibration it is {size_m:.6g} (nominal {nominal_m:.6g})",
+                "give the URDF of the robot that was calibrated",
+            )
 
 
 def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
@@ -230,27 +297,29 @@ def _wheel_origins(
     urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
 ) -> Iterable[tuple[str, FloatArray]]:
     """New origins of both wheel joints: on the old axle, about its old midpoint."""
-    T = {}
-    for side, name in wheel_joints.items():
-        above = urdf.path(urdf.root, _joint(urdf, name).child)
-        T_root_parent = np.eye(4)
-        for joint in above[:-1]:
-            T_root_parent = T_root_parent @ joint.T_parent_child
-        T[side] = (T_root_parent, above[-1].T_parent_child)
-    center = {side: (parent @ own)[:3, 3] for side, (parent, own) in T.items()}
-    axle = center["left"] - center["right"]
+    T = {side: _wheel_center(urdf, name) for side, name in wheel_joints.items()}
+    axle = T["left"][1] - T["right"][1]
     if np.linalg.norm(axle) < _SAME_PLACE_M:
         raise ConfigError(
             f"URDF: joints {wheel_joints['left']!r} and {wheel_joints['right']!r} are at the same place",
             "correct their origins, or give the wheel joints with --left-joint and --right-joint",
         )
-    middle = (center["left"] + center["right"]) / 2
-    for side, sign in (("left", 0.5), ("right", -0.5)):
-        place = middle + sign * robot.wheels.separation_m * axle / np.linalg.norm(axle)
-        parent, own = T[side]
-        moved = own.copy()
-        moved[:3, 3] = se3.act(se3.inverse(parent), place[None])[0]
+    middle, drawn_m = (T["left"][1] + T["right"][1]) / 2, np.linalg.norm(axle)
+    separation_m = drawn_m if robot.unobservable[8] else robot.wheels.separation_m
+    for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
+        place = middle + sign * separation_m * axle / drawn_m
+        moved = urdf.joints[wheel_joints[side]].T_parent_child.copy()
+        moved[:3, 3] = se3.act(se3.inverse(T[side][0]), place[None])[0]
         yield wheel_joints[side], moved
+
+
+def _wheel_center(urdf: Urdf, name: str) -> tuple[FloatArray, FloatArray]:
+    """Frame in which a joint is placed, (4, 4) to the root's coordinates, and the joint's place in the root, (3,) m."""
+    above = urdf.path(urdf.root, _joint(urdf, name).child)
+    T_root_parent = np.eye(4)
+    for joint in above[:-1]:
+        T_root_parent = T_root_parent @ joint.T_parent_child
+    return T_root_parent, (T_root_parent @ above[-1].T_parent_child)[:3, 3]
 
 
 def _height(

@@ -45,9 +45,12 @@ class CalibratedRobot:
         logs: recordings used for the calibration.
         wheel_joints: names of the wheel joints if the wheels were read from joint states.
         nominal_wheels: nominal wheels, if any.
+        head_joints: names of the head's joints that were read from joint states.
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
         constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
             or as a share; None if the file does not contain them.
+        verdict: "PASS", "FAIL" or "NOT ENOUGH"; "" if the file does not state it.
+        reasons: why the verdict is not PASS, whole sentences.
     """
 
     parent_frame: str
@@ -59,8 +62,18 @@ class CalibratedRobot:
     logs: tuple[LogSource, ...] = ()
     wheel_joints: Mapping[Side, str] = field(default_factory=dict)
     nominal_wheels: WheelGeometry | None = None
+    head_joints: tuple[str, ...] = ()
     rectified: bool = False
     constants: Mapping[str, float] | None = None
+    verdict: str = ""
+    reasons: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, T_parent_child=(4, 4))
+
+    @property
+    def unobservable(self) -> BoolArray:
+        """(9,) parameters that the recording does not determine and the user did not fix: they keep nominal values."""
+        if self.knowledge is None:
+            return np.zeros(9, dtype=np.bool_)
+        return np.asarray(~self.knowledge.observable & (np.diag(self.knowledge.covariance) > 0))

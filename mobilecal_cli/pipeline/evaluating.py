@@ -14,6 +14,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, 
 from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import (
+    SIDES,
     CalibratedRobot,
     Evaluation,
     Extraction,
@@ -180,6 +181,29 @@ def used_for(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
     """Names of the recordings that a calibration was made from, found by their content."""
     made_from = {log.sha256 for log in robot.logs}
     return tuple(log.path for log in extraction.logs if log.sha256 in made_from)
+
+
+def differences(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
+    """What shows that a calibration was not made from these measurements: recordings, names and nominal sizes."""
+    rig, nominal = extraction.rig, extraction.rig.nominal.wheels
+    wheel_joints = {side: rig.sources.wheels[side].joint for side in SIDES if rig.sources.wheels[side].joint}
+    logs, other_logs = (", ".join(sorted({log.sha256[:8] for log in of.logs})) for of in (robot, extraction))
+    pairs: list[tuple[str, object, object]] = [
+        ("recordings (SHA-256)", logs, other_logs),
+        ("head frame", robot.parent_frame, rig.chain.head_frame),
+        ("camera frame", robot.child_frame, reference_frame(rig.cameras)),
+        ("wheel joints", dict(robot.wheel_joints), wheel_joints),
+    ]
+    if robot.nominal_wheels is not None and nominal is not None:
+        mm, other_mm = (
+            " ".join(f"{1e3 * m:.6g}" for m in of.vector) for of in (robot.nominal_wheels, nominal)
+        )
+        pairs.append(("nominal wheels in mm", mm, other_mm))
+    return tuple(
+        f"{what}: {own} in the calibration, {other} in the measurements"
+        for what, own, other in pairs
+        if own and other and own != other
+    )
 
 
 def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) -> Parameters:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mobilecal_cli.config import LARGEST_URDF_BYTES
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export import (
     Improved,
     ImprovedChain,
@@ -27,10 +27,12 @@ from mobilecal_cli.export import (
     rectified_pair,
     static_transform_launch,
     static_transform_yaml,
+    verdict_note,
+    with_verdict,
     xacro_properties,
 )
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
-from mobilecal_cli.pipeline.evaluating import read_params
+from mobilecal_cli.pipeline.evaluating import differences, read_params
 from mobilecal_cli.pipeline.loading import AnyPath, paths_of
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import Target
@@ -67,8 +69,12 @@ def export(
     rate_hz: float | None = None,
     distance_m: float | None = None,
     logs: AnyPath | Iterable[AnyPath] = (),
+    allow_failed: bool = False,
 ) -> Exported:
     """A calibration in the format of another program, as `mobilecal export --to`.
+
+    A calibration whose verdict is FAIL or NOT ENOUGH is refused. A params.yaml of an earlier version states no verdict:
+    it is exported with a note. Unobservable parameters stay as they are in a URDF, and a controller keeps its own.
 
     Args:
         params: params.yaml; camera_info, camchain, the head chain, odometry_covariance and foxglove also need
@@ -80,15 +86,25 @@ def export(
         rate_hz: for the target odometry_covariance, messages per second; 50 by default.
         distance_m: for the target odometry_covariance, length of straight drives, m; the recording's legs by default.
         logs: for the target foxglove, recordings of the calibration, for the images.
+        allow_failed: also export a calibration whose verdict is not PASS. The export then states the verdict.
 
     Raises:
-        ConfigError: an unknown format, a file that is missing or invalid, or an option that does not apply to it.
+        ConfigError: an unknown format, a file that is missing or invalid, an option that does not apply to it, or files
+            of two robots.
+        QualityError: the verdict is not PASS.
     """
     if target not in tuple(Target):
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
     path, to, recordings = Path(params), Target(target), paths_of(logs)
     robot = read_params(path)
+    if robot.verdict not in ("PASS", "") and not allow_failed:
+        reason = robot.reasons[0] if robot.reasons else "report.html states the reasons"
+        raise QualityError(
+            f"{path}: {robot.verdict}: {reason}",
+            "calibrate again as report.html says, or add --allow-failed: the export then states the verdict",
+        )
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
+    _check_wheels(robot, wheel_joints or {}, joints)
     _check_options(
         to,
         {
@@ -98,29 +114,48 @@ def export(
             "--log": (bool(recordings), Target.foxglove),
         },
     )
-    if to == Target.urdf:
-        return _urdf(
-            robot, None if urdf is None else Path(urdf), joints, _chain(path, robot) if with_chain else None
-        )
-    if to in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
-        return _cameras(path, robot, to)
     if to == Target.foxglove:
-        return _foxglove(robot, path, recordings)
-    if to == Target.odometry_covariance:
+        made = _foxglove(robot, path, recordings)
+    elif to == Target.urdf:
+        chain = _chain(path, robot) if with_chain else None
+        made = _urdf(robot, None if urdf is None else Path(urdf), joints, chain)
+    elif to in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
+        made = _cameras(path, robot, to)
+    elif to == Target.odometry_covariance:
         rate = ODOMETRY_RATE.check("--rate", 50.0 if rate_hz is None else rate_hz)
         if distance_m is not None:
             DISTANCE.check("--distance", distance_m)
-        found = odometry_covariance(robot, _beside(path), rate, distance_m)
-        return Exported(odometry_yaml(found).encode(), _short(found) if distance_m is None else ())
-    text: dict[Target, Callable[[], str]] = {
-        Target.xacro: lambda: xacro_properties(robot),
-        Target.ros2_control: lambda: diff_drive_yaml(robot, joints, robot.nominal_wheels),
-        Target.static_transform_launch: lambda: static_transform_launch(robot),
-        Target.static_transform_yaml: lambda: static_transform_yaml(robot),
-        Target.json: lambda: plain_json(robot),
-    }
-    notes = (frame_note(robot),) if robot.rectified and to != Target.ros2_control else ()
-    return Exported(text[to]().encode(), notes)
+        found = odometry_covariance(robot, _beside(path, robot), rate, distance_m)
+        made = Exported(odometry_yaml(found).encode(), _short(found) if distance_m is None else ())
+    else:
+        text: dict[Target, Callable[[], str]] = {
+            Target.xacro: lambda: xacro_properties(robot),
+            Target.ros2_control: lambda: diff_drive_yaml(robot, joints, robot.nominal_wheels),
+            Target.static_transform_launch: lambda: static_transform_launch(robot),
+            Target.static_transform_yaml: lambda: static_transform_yaml(robot),
+            Target.json: lambda: plain_json(robot),
+        }
+        notes = (frame_note(robot),) if robot.rectified and to != Target.ros2_control else ()
+        made = Exported(text[to]().encode(), notes)
+    content = made.content
+    if to not in (Target.json, Target.foxglove):  # they have fields for it
+        content = with_verdict(content, robot)
+    return replace(made, content=content, notes=made.notes + verdict_note(robot))
+
+
+def _check_wheels(robot: CalibratedRobot, given: Mapping[Side, str], joints: Mapping[Side, str]) -> None:
+    """Refuse the joint of the head or of the other wheel as that of a wheel."""
+    for side, name in given.items():
+        other: Side = "right" if side == "left" else "left"
+        if name in robot.head_joints:
+            used = "moves the head in the calibration"
+        elif name in (robot.wheel_joints.get(other), joints.get(other)):
+            used = f"is that of the {other} wheel"
+        else:
+            continue
+        own = robot.wheel_joints.get(side)
+        hint = f"omit it: the calibration read {own!r}" if own else f"give the joint of the {side} wheel"
+        raise ConfigError(f"--{side}-joint {name}: this joint {used}", hint)
 
 
 def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -> None:
@@ -144,7 +179,7 @@ def _foxglove(robot: CalibratedRobot, params: Path, logs: Sequence[Path]) -> Exp
     from mobilecal_cli.export.foxglove import foxglove_layout, foxglove_mcap
     from mobilecal_cli.pipeline.showing import scene_of
 
-    scene = scene_of(robot, _beside(params), params, logs)
+    scene = scene_of(robot, _beside(params, robot), params, logs)
     notes = () if logs else ("The file contains no images. Give the recording with --log to add them.",)
     return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene))
 
@@ -155,7 +190,7 @@ def _chain(params: Path, robot: CalibratedRobot) -> ImprovedChain:
             f"{params}: the head chain was not estimated",
             "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
         )
-    return improved_chain(_beside(params).rig, robot.constants)
+    return improved_chain(_beside(params, robot).rig, robot.constants)
 
 
 def _urdf(
@@ -187,7 +222,7 @@ def _urdf(
 
 def _cameras(params: Path, robot: CalibratedRobot, target: Target) -> Exported:
     """The stereo pair of the calibrated robot, with the estimated constants."""
-    rig = _beside(params).rig
+    rig = _beside(params, robot).rig
     changed = camera_constants(rig, robot.constants or {})
     kalibr = target == Target.camchain
     improved = improved_cameras(rig, changed, kalibr)
@@ -226,11 +261,23 @@ def _camera_info(cameras: StereoRig, side: Side) -> str:
     return camera_info_yaml(camera, pair.R[side], pair.P[side])
 
 
-def _beside(params: Path) -> Extraction:
+def _beside(params: Path, robot: CalibratedRobot) -> Extraction:
+    """The measurements in the directory of a params.yaml.
+
+    Raises:
+        ConfigError: there are none, or they are not its own.
+    """
     path = params.with_name("extraction.npz")
     if not path.is_file():
         raise ConfigError(
             f"{path}: not found; it contains the measurements",
             "keep params.yaml in the directory that calibrate wrote",
         )
-    return extraction_from_npz(path)
+    extraction = extraction_from_npz(path)
+    different = differences(robot, extraction)
+    if different:
+        raise ConfigError(
+            f"{path}: not the measurements of {params}: {'; '.join(different)}",
+            "keep params.yaml in the directory that calibrate wrote",
+        )
+    return extraction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +12,10 @@ from typing import Any
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import SolveError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml, write_outputs
 from mobilecal_cli.model import (
+    CalibratedRobot,
     Evaluation,
     Extraction,
     FloatArray,
@@ -25,7 +26,7 @@ from mobilecal_cli.model import (
     Solution,
     StereoRig,
 )
-from mobilecal_cli.pipeline.evaluating import held_out, read_params
+from mobilecal_cli.pipeline.evaluating import differences, held_out, read_params
 from mobilecal_cli.pipeline.loading import AnyPath, load, paths_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
@@ -37,7 +38,7 @@ from mobilecal_cli.report.gates import Gate, gates_of
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.verdict import judge, reasons_of
 from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
@@ -217,7 +218,7 @@ class Report:
         values: content of report.json.
 
     Raises:
-        ConfigError: an unknown gate, or a params.yaml that cannot be read.
+        ConfigError: an unknown gate, a params.yaml that cannot be read, or a fit of other data.
     """
 
     def __init__(
@@ -233,15 +234,18 @@ class Report:
             gates = gates_of((), {**data.gates, **gates}, hold_out=fit.trial is not None)
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         self.provenance = Provenance(__version__, _created(), fit.method, extraction.logs, settings)
-        self.params = params_yaml(solution, extraction, self.provenance)
-        self.robot = parameters_from_yaml(self.params)
+        robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
+        _require_own(data.extraction, fit.extraction, robot)
         if last is None:
-            self.change = change_from_nominal(self.robot, extraction.rig.nominal)
+            self.change = change_from_nominal(robot, extraction.rig.nominal)
         else:
             earlier = read_params(last)
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
-            self.change = change_since(self.robot, earlier, name)
+            self.change = change_since(robot, earlier, name)
         self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
+        level, reasons = self.verdict.level, reasons_of(self.verdict)
+        self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
+        self.robot = replace(robot, verdict=level, reasons=reasons)
         case = Case(solution, extraction, self.provenance, self.verdict, fit.trial, self.change)
         self.values = build_report(case)
 
@@ -283,6 +287,21 @@ class Report:
             "report.html": self.html.encode(),
         }
         write_outputs(Path(directory), files, force)
+
+
+def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -> None:
+    """Refuse the data of another recording or robot than the fit's; a fit may hold out some of its stations."""
+    if solved is data:
+        return
+    different = differences(robot, data)
+    stations, used = ({(o.log, o.time_ns) for o in each.observations} for each in (data, solved))
+    if not used <= stations:
+        different += (f"{len(used - stations)} of {len(used)} stations of the fit are not in the data",)
+    if different:
+        raise ConfigError(
+            f"Report: the fit was not made from these data: {'; '.join(different)}",
+            "give the data that solve() got",
+        )
 
 
 def _created() -> str:

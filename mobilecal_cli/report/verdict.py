@@ -81,6 +81,11 @@ def decided_by(check: Check, checks: Checks, metrics: Mapping[str, float | None]
     return Verdict(LEVELS[check.outcome], said.why, said.next_step, checks, metrics or {})
 
 
+def reasons_of(verdict: Verdict) -> tuple[str, ...]:
+    """One sentence or two for each criterion that is not met; none for PASS."""
+    return tuple(words(check).why for check in verdict.checks if check.outcome in LEVELS)
+
+
 def check_data(check: Check) -> CheckData:
     """A criterion as numbers and sentences."""
     said, met = words(check), check.outcome == "pass"

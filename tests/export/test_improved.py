@@ -48,7 +48,7 @@ def calibrated(request, tmp_path_factory):
     extraction = imperfect_extraction(described, route, imperfection, seed=4)
     solution = solve(extraction)
     directory = tmp_path_factory.mktemp(request.param)
-    text = params_yaml(solution, extraction, make_provenance(extraction))
+    text = params_yaml(solution, extraction, make_provenance(extraction), "PASS")
     (directory / "params.yaml").write_text(text, encoding="utf-8")
     (directory / "extraction.npz").write_bytes(extraction_to_npz(extraction))
     (directory / "robot.urdf").write_text(urdf_text(described), encoding="utf-8")
@@ -165,7 +165,7 @@ def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
     _, extraction, _, params = calibrated
     text = params.read_text(encoding="utf-8")
     older = text[: text.index("constants:")] + text[text.index("# Provenance") :]
-    (tmp_path / "params.yaml").write_text(older.replace("schema_version: 2", "schema_version: 1"))
+    (tmp_path / "params.yaml").write_text(older.replace("schema_version: 3", "schema_version: 1"))
     (tmp_path / "extraction.npz").write_bytes(params.with_name("extraction.npz").read_bytes())
     assert parameters_from_yaml(older).constants is None
     made = export(tmp_path / "params.yaml", Target.camchain)

@@ -76,7 +76,7 @@ def test_the_whole_file_against_its_golden_copy(extraction, solution):
 def test_the_contract_of_keys(extraction, solution):
     data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
     assert list(data) == ["schema_version", "head_eye", "wheels", "quality", "provenance"]
-    assert data["schema_version"] == 2
+    assert data["schema_version"] == 3
     assert list(data["head_eye"]) == [
         "parent_frame", "child_frame", "translation_m", "quaternion_xyzw", "euler_zyx_deg",
     ]  # fmt: skip
@@ -210,8 +210,8 @@ def test_read_back(extraction, solution):
     ("change", "said"),
     [
         (
-            ("schema_version: 2", "schema_version: 3"),
-            "schema_version: version 3 is not supported, only 1 to 2",
+            ("schema_version: 3", "schema_version: 4"),
+            "schema_version: version 4 is not supported, only 1 to 3",
         ),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
         (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),
@@ -289,9 +289,21 @@ def test_without_priors_no_constant_is_listed(extraction, solution):
     assert parameters_from_yaml(text).constants == {}
 
 
-def test_a_file_of_version_1_is_read(extraction, solution):
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_file_of_an_earlier_version_is_read(extraction, solution, version):
     text = params_yaml(solution, extraction, make_provenance(extraction))
-    assert parameters_from_yaml(text.replace("schema_version: 2", "schema_version: 1")).constants is None
+    robot = parameters_from_yaml(text.replace("schema_version: 3", f"schema_version: {version}"))
+    assert (robot.constants, robot.verdict) == (None, "")
+
+
+def test_the_verdict_has_any_sentence_as_its_reason(extraction, solution):
+    text = params_yaml(
+        solution, extraction, make_provenance(extraction), "FAIL", ["a: 'b' # \u00b0", "line\nline"]
+    )
+    assert both_versions(text)["verdict"]["level"] == "FAIL"
+    robot = parameters_from_yaml(text)
+    assert (robot.verdict, robot.reasons[0]) == ("FAIL", "a: 'b' # \u00b0")
+    assert "\n" not in robot.reasons[1]
 
 
 def test_an_uncertainty_that_contradicts_itself_is_refused(extraction, solution):

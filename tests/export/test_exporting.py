@@ -1,0 +1,397 @@
+"""What leaves as an export: only what passed, of one robot, and numbers that the recording determines."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from defusedxml.ElementTree import fromstring
+from mcap.reader import make_reader
+
+import mobilecal_cli as mc
+from mobilecal_cli.errors import ConfigError, QualityError
+from mobilecal_cli.export import (
+    camchain_yaml,
+    camera_info_yaml,
+    diff_drive_yaml,
+    extraction_to_npz,
+    parameters_from_yaml,
+    patched_urdf,
+    rectified_pair,
+    with_verdict,
+)
+from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.pipeline.steps import Data
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.targets import Target
+from tests.command import run
+
+NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
+ROBOT = ROBOTS["paper"]()
+LINES = {
+    "static_transform_yaml", "ros2_control", "camchain", "camera_info_left", "camera_info_right", "odometry_covariance",
+}  # fmt: skip
+
+
+def recorded(motion, name="paper", seed=3, log="0"):
+    """An extraction without images, with nominal wheels."""
+    described = ROBOTS[name]()
+    extraction = ideal_extraction(described, plan_route(described, motion, 12, seed=seed), NOISE, seed=seed)
+    nominal = Nominal(described.T_h_c @ extraction.rig.cameras.T_c_reference, described.nominal_wheels)
+    return replace(
+        extraction, rig=replace(extraction.rig, nominal=nominal), logs=(LogSource("log.mcap", log * 64),)
+    )
+
+
+def saved(folder, extraction):
+    data = Data(extraction, (), {})
+    mc.Report(data, mc.solve(data)).save(folder)
+    (folder.parent / "robot.urdf").write_text(urdf_text(ROBOT), encoding="utf-8")
+    return folder / "params.yaml"
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory):
+    """params.yaml from straight driving: the separation is unobservable, the verdict is NOT ENOUGH."""
+    return saved(tmp_path_factory.mktemp("straight") / "result", recorded("straight"))
+
+
+@pytest.fixture(scope="module")
+def passed(tmp_path_factory):
+    """params.yaml with the verdict PASS."""
+    return saved(tmp_path_factory.mktemp("passed") / "result", recorded("standard"))
+
+
+def options(params, target):
+    return {"urdf": params.parent.parent / "robot.urdf"} if target == Target.urdf else {}
+
+
+# -- the verdict ----------------------------------------------------------------------------------
+
+
+def test_params_yaml_states_the_verdict(straight, passed):
+    stated = yaml.safe_load(straight.read_text(encoding="utf-8"))["verdict"]
+    report = json.loads(straight.with_name("report.json").read_text(encoding="utf-8"))["verdict"]
+    assert stated["level"] == report["level"] == "NOT ENOUGH"
+    assert stated["reasons"][0] == report["reason"]
+    robot = mc.load(straight)
+    assert (robot.verdict, robot.reasons) == ("NOT ENOUGH", tuple(stated["reasons"]))
+    assert yaml.safe_load(passed.read_text(encoding="utf-8"))["verdict"] == {"level": "PASS", "reasons": []}
+
+
+@pytest.mark.parametrize("target", list(Target))
+def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
+    with pytest.raises(
+        QualityError, match="NOT ENOUGH: The recording does not determine separation"
+    ) as caught:
+        mc.export_to(straight, target, **options(straight, target))
+    assert "--allow-failed" in caught.value.hint
+    made = mc.export_to(straight, target, **options(straight, target), allow_failed=True)
+    assert "Verdict of the calibration: NOT ENOUGH." in made.notes
+    if target == Target.foxglove:
+        (record,) = make_reader(io.BytesIO(made.content)).iter_metadata()
+        assert (record.name, record.metadata["verdict"]) == ("mobilecal", "NOT ENOUGH")
+        assert "does not determine separation" in record.metadata["reasons"]
+        return
+    text = made.content.decode()
+    assert "NOT ENOUGH" in text
+    assert "The recording does not determine separation" in text
+    if target == Target.json:
+        assert json.loads(text)["verdict"] == "NOT ENOUGH"
+    elif target in LINES:
+        assert text.startswith("# Verdict of the calibration: NOT ENOUGH.\n")
+        assert yaml.safe_load(text)
+    else:
+        assert fromstring(text).tag in ("robot", "launch")
+
+
+def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
+    refused = run("export", straight, "--to", "ros2_control", "-o", tmp_path / "out.yaml", cwd=tmp_path)
+    assert (refused.code, refused.out, refused.left) == (6, "", [])
+    assert "error: " in refused.err
+    assert "NOT ENOUGH: The recording does not determine separation" in refused.err
+    assert "hint: " in refused.err
+    done = run("export", straight, "--to", "ros2_control", "--allow-failed")
+    assert done.code == 0
+    assert "Verdict of the calibration: NOT ENOUGH." in done.err
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_file_of_an_earlier_version_has_an_unknown_verdict(passed, tmp_path, version):
+    text = passed.read_text(encoding="utf-8")
+    older = text[: text.index("# PASS:")] + text[text.index("# Head-eye") :]
+    shutil.copytree(passed.parent, tmp_path / "result")
+    path = tmp_path / "result" / "params.yaml"
+    path.write_text(older.replace("schema_version: 3", f"schema_version: {version}"), encoding="utf-8")
+    made = mc.export_to(path, "ros2_control")
+    (note,) = made.notes
+    assert note.startswith("Verdict of the calibration: unknown")
+    assert made.content.decode().startswith(f"# {note}\n")
+    assert json.loads(mc.export_to(path, "json").content)["verdict"] is None
+
+
+def test_an_export_that_passed_has_no_note(passed):
+    made = mc.export_to(passed, "ros2_control")
+    assert made.notes == ()
+    assert b"erdict" not in made.content
+    drawn = mc.export_to(passed, "urdf", **options(passed, Target.urdf)).content
+    assert drawn.startswith(b'<?xml version="1.0"?>\n<robot')
+
+
+@pytest.mark.parametrize(
+    "start", [b"", b"<?xml version='1.0'?>", b"\xef\xbb\xbf<?xml version='1.0'?>\r\n", b"\n "]
+)
+def test_the_comment_keeps_xml_valid(start):
+    content = start + b"<robot name='a'/>\n"
+    if start.startswith(b"\n"):
+        content = content.lstrip(b"\n")
+    failed = CalibratedRobot(
+        "h", "c", np.eye(4), WheelGeometry(0.1, 0.1, 0.4), verdict="FAIL", reasons=("a -- b <c>",)
+    )
+    made = with_verdict(content, failed)
+    assert fromstring(made).tag == "robot"
+    assert b"<!-- Verdict of the calibration: FAIL. -->" in made
+
+
+# -- unobservable parameters ----------------------------------------------------------------------
+
+
+def partly(unobservable, nominal=WheelGeometry(0.1, 0.1, 0.43)):  # noqa: B008 - frozen
+    observable = np.ones(9, dtype=bool)
+    observable[list(unobservable)] = False
+    T = np.eye(4)
+    T[:3, 3] = 0.05, 0.06, 0.07
+    known = Knowledge(np.eye(9) * 0.01, observable)
+    return CalibratedRobot(
+        "head", "optical", T, WheelGeometry(0.101, 0.102, 0.43), known, nominal_wheels=nominal
+    )
+
+
+URDF = b"""<robot name="r"><link name="base"/><link name="head"/><link name="optical"/>
+<joint name="pan" type="revolute"><parent link="base"/><child link="head"/><origin xyz="0 0 1"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="mount" type="fixed"><parent link="head"/><child link="optical"/>
+<origin xyz="0.01 0.02 0.03" rpy="0.1 0.2 0.3"/></joint>
+<link name="l"><visual><geometry><cylinder radius="0.1" length="0.1"/></geometry></visual></link>
+<link name="r"><visual><geometry><cylinder radius="0.1" length="0.1"/></geometry></visual></link>
+<joint name="left" type="continuous"><parent link="base"/><child link="l"/><origin xyz="0 0.2 0"/></joint>
+<joint name="right" type="continuous"><parent link="base"/><child link="r"/><origin xyz="0 -0.2 0"/></joint>
+</robot>"""
+JOINTS = {"left": "left", "right": "right"}
+
+
+def test_an_unobservable_separation_stays_in_the_urdf_and_in_the_controller():
+    made = patched_urdf(URDF, partly([8]), JOINTS)
+    assert [line for line in URDF.splitlines() if b"continuous" in line] == [
+        line for line in made.content.splitlines() if b"continuous" in line
+    ]
+    assert b'radius="0.101"' in made.content
+    assert any("separation unchanged, it is unobservable" in change for change in made.changes)
+    sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS, None))["diff_drive_controller"]
+    assert set(sizes["ros__parameters"]) == {
+        "left_wheel_names", "right_wheel_names", "wheel_radius", "left_wheel_radius_multiplier",
+        "right_wheel_radius_multiplier",
+    }  # fmt: skip
+
+
+def test_unobservable_radii_stay():
+    made = patched_urdf(URDF, partly([6, 7]), JOINTS)
+    assert made.content.count(b'radius="0.1"') == 2
+    assert b"0 0.215 0" in made.content
+    sizes = yaml.safe_load(diff_drive_yaml(partly([6, 7]), JOINTS, None))["diff_drive_controller"]
+    assert not [name for name in sizes["ros__parameters"] if "radius" in name]
+    with pytest.raises(ConfigError, match="neither the wheel radii nor the separation"):
+        diff_drive_yaml(partly([6, 7, 8]), JOINTS, None)
+
+
+def test_an_unobservable_height_of_the_camera_stays():
+    urdf = parse_urdf(patched_urdf(URDF, partly([5]), {}).content.decode())
+    T = urdf.joints["mount"].T_parent_child
+    assert T[:3, 3] == pytest.approx([0.05, 0.06, 0.03])
+    assert T[:3, :3] == pytest.approx(np.eye(3))
+    hidden = parse_urdf(patched_urdf(URDF, partly([0, 1, 2]), {}).content.decode())
+    before = parse_urdf(URDF.decode()).joints["mount"].T_parent_child
+    assert hidden.joints["mount"].T_parent_child[:3, :3] == pytest.approx(before[:3, :3])
+
+
+def test_a_parameter_that_the_user_fixed_is_written():
+    robot = partly([8])
+    C = robot.knowledge.covariance.copy()
+    C[8, 8] = 0.0
+    fixed = replace(robot, knowledge=Knowledge(C, robot.knowledge.observable))
+    assert not fixed.unobservable.any()
+    assert b"0 0.215 0" in patched_urdf(URDF, fixed, JOINTS).content
+
+
+def test_the_covariance_of_odometry_has_the_full_width(straight):
+    """The drive has a full turn: 20 % of the separation are 72 degrees of heading."""
+    made = mc.export_to(straight, "odometry_covariance", allow_failed=True)
+    values = yaml.safe_load(made.content)["diff_drive_controller"]["ros__parameters"]
+    robot = mc.load(straight)
+    relative = math.sqrt(robot.knowledge.covariance[8, 8]) / robot.wheels.separation_m
+    assert relative > 0.1
+    assert math.sqrt(values["pose_covariance_diagonal"][5]) > 2 * math.pi * relative
+    assert "1 m straight ahead, then a full turn in place" in made.content.decode()
+
+
+# -- two robots -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", ["foxglove", "camchain", "odometry_covariance"])
+def test_measurements_of_another_robot_are_refused(passed, tmp_path, target):
+    shutil.copytree(passed.parent, tmp_path / "result")
+    params = tmp_path / "result" / "params.yaml"
+    other = recorded("standard", "tick", log="1")
+    params.with_name("extraction.npz").write_bytes(extraction_to_npz(other))
+    with pytest.raises(
+        ConfigError, match=r"not the measurements of .*SHA-256.*00000000 .*11111111"
+    ) as caught:
+        mc.export_to(params, target)
+    assert "nominal wheels in mm" in caught.value.message
+
+
+def test_a_report_on_the_data_of_another_robot_is_refused():
+    mine, other = (
+        Data(recorded("standard", name, log=log), (), {}) for name, log in (("paper", "0"), ("tick", "1"))
+    )
+    fit = mc.solve(mine)
+    with pytest.raises(ConfigError, match="the fit was not made from these data: recordings"):
+        mc.Report(other, fit)
+    again = Data(recorded("standard", seed=4), (), {})
+    with pytest.raises(ConfigError, match=r"\d+ of 12 stations of the fit are not in the data"):
+        mc.Report(again, fit)
+    same = Data(recorded("standard"), (), {})
+    assert mc.Report(same, fit).verdict.level == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("robot", "joints", "said"),
+    [
+        (replace(partly([]), nominal_wheels=WheelGeometry(0.2, 0.2, 0.43)), JOINTS, None),
+        (
+            replace(partly([], WheelGeometry(0.2, 0.2, 0.4)), wheels=WheelGeometry(0.2, 0.2, 0.4)),
+            JOINTS,
+            "URDF: radius_left_m is 0.1; in the calibration it is 0.2",
+        ),
+        (
+            replace(partly([], WheelGeometry(0.1, 0.1, 0.6)), wheels=WheelGeometry(0.1, 0.1, 0.6)),
+            JOINTS,
+            "URDF: separation_m is 0.4; in the calibration it is 0.6",
+        ),
+        (
+            replace(partly([]), head_joints=("neck",)),
+            JOINTS,
+            "no joint 'neck', which moves the calibrated head",
+        ),
+        (partly([]), {"left": "pan"}, "joint 'pan' carries the head"),
+        (partly([]), {"left": "mount"}, "joint 'mount' is fixed, so it is not that of the left wheel"),
+        (partly([]), {"left": "right", "right": "left"}, "'right' is on the right of 'left'"),
+    ],
+)
+def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
+    if said is None:
+        assert patched_urdf(URDF, robot, joints).changes
+        return
+    with pytest.raises(ConfigError, match=said):
+        patched_urdf(URDF, robot, joints)
+
+
+@pytest.mark.parametrize("target", [Target.ros2_control, Target.urdf])
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        ({"left": "head_pan_joint"}, "--left-joint head_pan_joint: this joint moves the head"),
+        (
+            {"left": "wheel_right_joint"},
+            "--left-joint wheel_right_joint: this joint is that of the right wheel",
+        ),
+        (
+            {"right": "wheel_left_joint"},
+            "--right-joint wheel_left_joint: this joint is that of the left wheel",
+        ),
+        ({"left": "a", "right": "a"}, "this joint is that of the right wheel"),
+    ],
+)
+def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, target, joints, said):
+    with pytest.raises(ConfigError, match=said):
+        mc.export_to(passed, target, **options(passed, target), wheel_joints=joints)
+
+
+# -- the readers' own rules -----------------------------------------------------------------------
+
+
+def kalibr_camera(entry):
+    """A camera of a camchain by the rules of Kalibr's reader; the number of coefficients is that of its model."""
+    assert entry["camera_model"] == "pinhole"
+    assert len(entry["intrinsics"]) == 4
+    assert all(isinstance(value, float) and value >= 0 for value in entry["intrinsics"])
+    assert (
+        len(entry["distortion_coeffs"])
+        == {"radtan": 4, "equidistant": 4, "fov": 1}[entry["distortion_model"]]
+    )
+    assert [type(size) for size in entry["resolution"]] == [int, int]
+    assert isinstance(entry["rostopic"], str)
+
+
+@pytest.mark.parametrize(("model", "count"), [("none", 0), ("plumb_bob", 5), ("equidistant", 4)])
+def test_kalibr_reads_the_camchain(model, count):
+    cameras = ROBOT.rig_cameras
+    left, right = (
+        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.left, cameras.right)
+    )
+    data = yaml.safe_load(
+        camchain_yaml(replace(cameras, left=left, right=right), {"left": "/l", "right": "/r"})
+    )
+    assert list(data) == ["cam0", "cam1"]
+    for entry in data.values():
+        kalibr_camera(entry)
+    T = np.array(data["cam1"]["T_cn_cnm1"])
+    assert T.shape == (4, 4)
+    assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3))
+    assert T[3].tolist() == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "named", "read"),
+    [
+        ("none", 0, "plumb_bob", 5),
+        ("plumb_bob", 5, "plumb_bob", 5),
+        ("rational_polynomial", 8, "rational_polynomial", 8),
+        ("equidistant", 4, "equidistant", 4),
+    ],
+)
+def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, read):
+    """Matrices of fixed sizes, as many values as rows times columns, and the coefficients of sensor_msgs' models."""
+    cameras = ROBOT.rig_cameras
+    left, right = (
+        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.left, cameras.right)
+    )
+    pair = rectified_pair(replace(cameras, left=left, right=right))
+    data = yaml.safe_load(camera_info_yaml(left, pair.R["left"], pair.P["left"]))
+    sizes = {
+        "camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4),
+        "distortion_coefficients": (1, read),
+    }  # fmt: skip
+    for name, (rows, columns) in sizes.items():
+        assert (data[name]["rows"], data[name]["cols"], len(data[name]["data"])) == (
+            rows,
+            columns,
+            rows * columns,
+        )
+    assert data["distortion_model"] == named
+    assert (data["image_width"], data["image_height"]) == (left.width, left.height)
+
+
+def test_a_verdict_is_read_back():
+    with pytest.raises(ConfigError, match=r"verdict\.level"):
+        parameters_from_yaml("schema_version: 3\nverdict: {level: good}\n")
