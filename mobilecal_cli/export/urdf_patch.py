@@ -252,13 +252,17 @@ def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side,
         f"radius_{side}_m": urdf.cylinder_radius_m.get(_joint(urdf, name).child) or 0.0
         for side, name in wheel_joints.items()
     }
-    if len(wheel_joints) == len(SIDES):
-        left, right = (_wheel_center(urdf, wheel_joints[side])[1] for side in SIDES)
-        sizes["separation_m"] = float(np.linalg.norm(left - right))
-        # x of a base is forward, except on rare robots: the names that the calibration read need no proof.
-        if wheel_joints != robot.wheel_joints and (left - right)[1] < -sizes["separation_m"] / 2:
+    places = {side: _wheel_center(urdf, name)[1] for side, name in wheel_joints.items()}
+    middle = np.zeros(3)
+    if len(places) == len(SIDES):
+        sizes["separation_m"] = float(np.linalg.norm(places["left"] - places["right"]))
+        middle = (places["left"] + places["right"]) / 2
+    for side, place in places.items():
+        to_its_side_m = (place - middle)[1] * (1 if side == "left" else -1)  # x of a base is forward
+        named = wheel_joints[side] != robot.wheel_joints.get(side)
+        if named and to_its_side_m < -robot.wheels.separation_m / 4:
             raise ConfigError(
-                f"URDF: joint {wheel_joints['left']!r} is on the right of {wheel_joints['right']!r}",
+                f"URDF: joint {wheel_joints[side]!r} is on the other side of the robot than the {side} wheel",
                 "exchange --left-joint and --right-joint",
             )
     for name, drawn_m in sizes.items():

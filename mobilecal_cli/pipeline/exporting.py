@@ -98,9 +98,9 @@ def export(
     path, to, recordings = Path(params), Target(target), paths_of(logs)
     robot = read_params(path)
     if robot.verdict not in ("PASS", "") and not allow_failed:
-        reason = robot.reasons[0] if robot.reasons else "report.html states the reasons"
+        reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
         raise QualityError(
-            f"{path}: {robot.verdict}: {reason}",
+            f"{path}: the verdict is {robot.verdict}. {reason}",
             "calibrate again as report.html says, or add --allow-failed: the export then states the verdict",
         )
     joints = {**robot.wheel_joints, **(wheel_joints or {})}

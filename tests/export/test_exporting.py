@@ -92,7 +92,7 @@ def test_params_yaml_states_the_verdict(straight, passed):
 @pytest.mark.parametrize("target", list(Target))
 def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
     with pytest.raises(
-        QualityError, match="NOT ENOUGH: The recording does not determine separation"
+        QualityError, match="NOT ENOUGH. The recording does not determine separation"
     ) as caught:
         mc.export_to(straight, target, **options(straight, target))
     assert "--allow-failed" in caught.value.hint
@@ -119,7 +119,7 @@ def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
     refused = run("export", straight, "--to", "ros2_control", "-o", tmp_path / "out.yaml", cwd=tmp_path)
     assert (refused.code, refused.out, refused.left) == (6, "", [])
     assert "error: " in refused.err
-    assert "NOT ENOUGH: The recording does not determine separation" in refused.err
+    assert "NOT ENOUGH. The recording does not determine separation" in refused.err
     assert "hint: " in refused.err
     done = run("export", straight, "--to", "ros2_control", "--allow-failed")
     assert done.code == 0
@@ -295,7 +295,12 @@ def test_a_report_on_the_data_of_another_robot_is_refused():
         ),
         (partly([]), {"left": "pan"}, "joint 'pan' carries the head"),
         (partly([]), {"left": "mount"}, "joint 'mount' is fixed, so it is not that of the left wheel"),
-        (partly([]), {"left": "right", "right": "left"}, "'right' is on the right of 'left'"),
+        (
+            partly([]),
+            {"left": "right", "right": "left"},
+            "'right' is on the other side of the robot than the left wheel",
+        ),
+        (partly([]), {"right": "left"}, "'left' is on the other side of the robot than the right wheel"),
     ],
 )
 def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
