@@ -92,7 +92,7 @@ def test_params_yaml_states_the_verdict(straight, passed):
 @pytest.mark.parametrize("target", list(Target))
 def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
     with pytest.raises(
-        QualityError, match="NOT ENOUGH. The recording does not determine separation"
+        QualityError, match=r"NOT ENOUGH\. The recording does not determine separation"
     ) as caught:
         mc.export_to(straight, target, **options(straight, target))
     assert "--allow-failed" in caught.value.hint
