@@ -21,6 +21,7 @@ from mobilecal_cli.export import (
     camera_info_yaml,
     diff_drive_yaml,
     extraction_to_npz,
+    foxglove,
     parameters_from_yaml,
     patched_urdf,
     rectified_pair,
@@ -395,6 +396,23 @@ def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, r
         )
     assert data["distortion_model"] == named
     assert (data["image_width"], data["image_height"]) == (left.width, left.height)
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "named", "read"),
+    [
+        ("none", 0, "plumb_bob", 5),
+        ("plumb_bob", 5, "plumb_bob", 5),
+        ("rational_polynomial", 8, "rational_polynomial", 8),
+        ("equidistant", 4, "kannala_brandt", 4),
+    ],
+)
+def test_foxglove_reads_the_camera_calibration(model, count, named, read):
+    """Models and numbers of coefficients as in Foxglove's schema."""
+    camera = replace(ROBOT.rig_cameras.left, distortion=model, D=np.zeros(count))
+    made = foxglove._calibration(camera, "camera", 0)
+    assert (made.distortion_model, len(made.D)) == (named, read)
+    assert (len(made.K), len(made.R), len(made.P)) == (9, 9, 12)
 
 
 def test_a_verdict_is_read_back():
