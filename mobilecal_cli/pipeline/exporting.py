@@ -101,7 +101,8 @@ def export(
         reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
         raise QualityError(
             f"{path}: the verdict is {robot.verdict}. {reason}",
-            "calibrate again as report.html says, or add --allow-failed: the export then states the verdict",
+            "calibrate again as report.html says, or add --allow-failed (in Python allow_failed=True): the export then "
+            "states the verdict",
         )
     joints = {**robot.wheel_joints, **(wheel_joints or {})}
     _check_wheels(robot, wheel_joints or {}, joints)
