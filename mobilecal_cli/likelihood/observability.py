@@ -10,6 +10,8 @@ import numpy as np
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import NINE, FloatArray
 
+_SCATTERS = 5.0
+
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
 
@@ -23,14 +25,14 @@ class Directions:
         singular_values: (9,) falling: scale over standard deviation along each direction of the free
             parameters.
         directions: (9, 9) rows, orthonormal, in units of `scales`.
-        least: a direction with a smaller singular value is unobservable: the measurements show less than a drawing, or
-            no more than their noise alone would.
+        least: (9,) a direction with a smaller singular value is unobservable: the measurements show less than a drawing,
+            or no more than their noise alone would.
     """
 
     scales: FloatArray
     singular_values: FloatArray
     directions: FloatArray
-    least: float
+    least: FloatArray
 
     @property
     def unobservable(self) -> FloatArray:
@@ -42,8 +44,9 @@ def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
     """Singular directions of the information about the nine, the constants (with their priors) and boards eliminated.
 
     Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
-    to show the separation to 100 %. Over n such legs that makes a singular value of ``WHEEL_SIGMA sqrt(n)``. A
-    direction is observable from three times that on.
+    to show the separation to 100 %. Over n such legs that makes a squared singular value of ``WHEEL_SIGMA^2 n`` of the
+    wheels' share of a direction, with a scatter of ``WHEEL_SIGMA^2 sqrt(2 n)``. A direction is observable if it shows
+    more than this, and five times the scatter, and a drawing.
 
     Args:
         lin: where.
@@ -67,5 +70,8 @@ def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
     values, vectors = np.linalg.eigh(kept.T @ (reduced * np.outer(scales, scales)) @ kept)
     order = np.argsort(-values)
     singular = np.sqrt(np.maximum(values[order], 0.0))
-    least = max(1.0, 3 * WHEEL_SIGMA * float(np.sqrt(len(lin.data.legs))))
-    return Directions(scales, singular, (kept @ vectors[:, order]).T, least)
+    along = (kept @ vectors[:, order]).T
+    legs = len(lin.data.legs)
+    by_noise = WHEEL_SIGMA**2 * (legs + _SCATTERS * np.sqrt(2 * legs))
+    least = np.sqrt(1 + by_noise * np.sum(along[:, 6:] ** 2, axis=1))
+    return Directions(scales, singular, along, least)
