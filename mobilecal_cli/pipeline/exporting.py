@@ -33,7 +33,7 @@ from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, Stereo
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import AnyPath, paths_of
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
-from mobilecal_cli.targets import Target
+from mobilecal_cli.targets import OPTIONS, Target
 from mobilecal_cli.yaml_input import read_bytes, reason_of
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
@@ -92,10 +92,13 @@ def export(
     _check_options(
         to,
         {
-            "--with-chain": (with_chain, Target.urdf),
-            "--rate": (rate_hz is not None, Target.odometry_covariance),
-            "--distance": (distance_m is not None, Target.odometry_covariance),
-            "--log": (bool(recordings), Target.foxglove),
+            "--urdf": urdf is not None,
+            "--left-joint": "left" in (wheel_joints or {}),
+            "--right-joint": "right" in (wheel_joints or {}),
+            "--with-chain": with_chain,
+            "--rate": rate_hz is not None,
+            "--distance": distance_m is not None,
+            "--log": bool(recordings),
         },
     )
     if to == Target.urdf:
@@ -123,11 +126,11 @@ def export(
     return Exported(text[to]().encode(), notes)
 
 
-def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -> None:
-    """Refuse an option that is given (True) for another format than its own."""
-    for name, (given, own) in options.items():
-        if given and target != own:
-            raise ConfigError(f"{name} applies only to --to {own.value}", "leave it out")
+def _check_options(target: Target, given: Mapping[str, bool]) -> None:
+    """Refuse an option that is given (True) for a format that does not use it."""
+    for name, formats in OPTIONS.items():
+        if given[name] and target not in formats:
+            raise ConfigError(f"{name} applies only to --to {' and '.join(formats)}", "leave it out")
 
 
 def _short(found: OdometryCovariance) -> tuple[str, ...]:

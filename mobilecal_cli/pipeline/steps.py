@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
-from mobilecal_cli.errors import SolveError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml, write_outputs
 from mobilecal_cli.model import (
     Evaluation,
@@ -29,6 +29,7 @@ from mobilecal_cli.pipeline.evaluating import held_out, read_params
 from mobilecal_cli.pipeline.loading import AnyPath, load, paths_of
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
+from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.build import build_report
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.changes import change_from_nominal, change_since
@@ -43,6 +44,9 @@ from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
 from mobilecal_cli.source_date import source_date
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
+
+#: Sections of rig.yaml that only the method "ml" uses.
+_ONLY_ML = frozenset({"noise", "priors"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +164,32 @@ def solve(
     return fitted(extraction, method, constraints, hold_out, progress)
 
 
+def check_options(
+    method: Method, constraints: Constraints | None, hold_out: float | None, settings: Iterable[str] = ()
+) -> None:
+    """Check how to solve, before any work.
+
+    Args:
+        method, constraints, hold_out: see `solve`.
+        settings: dotted keys of the settings that the user gives for this run.
+
+    Raises:
+        ConfigError: an unknown method, a share that is out of range, or options that the method does not use.
+    """
+    methods = get_args(Method)
+    if not isinstance(method, str) or method not in methods:
+        raise ConfigError(f"method {method!r}: no such method", f"methods: {', '.join(methods)}")
+    if hold_out is not None:
+        HOLD_OUT.check("hold_out", hold_out)
+    if method != "ml":
+        unused = [*(constraints.given if constraints is not None else ())]
+        unused += [f"--set {key}" for key in settings if key.partition(".")[0] in _ONLY_ML]
+        if unused:
+            raise ConfigError(
+                f"{', '.join(unused)}: not used by --method {method}", "use --method ml, or leave them out"
+            )
+
+
 def fitted(
     whole: Extraction,
     method: Method = "ml",
@@ -172,6 +202,7 @@ def fitted(
     Raises:
         MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
     """
+    check_options(method, constraints, hold_out)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":
