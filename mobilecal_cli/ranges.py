@@ -88,6 +88,8 @@ ODOMETRY_RATE = Range(1e-1, 1e4, "Hz")
 ANGLE = Range(-100.0, 100.0, "rad")
 #: Standard deviations and noise levels in any unit of this package.
 SIGMA = Range(1e-9, 1e3)
+#: Noise levels that were estimated.
+LEVEL = Range(0.0, 1e3)
 PRIOR_SIGMA = Range(1e-9, 1e3, zero=True)
 #: The difference of a constant of the robot description from its stated value: rad, m, s or a share.
 DIFFERENCE = Range(-100.0, 100.0)

@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 from mobilecal_cli import ranges, se3
+from mobilecal_cli.config import WheelsNominal, checked_settings
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.likelihood.nuisance import kind
@@ -275,6 +276,15 @@ class _Uncertainty(_Section):
     observable: dict[str, bool]
     noise: dict[str, Any] = {}
 
+    @field_validator("noise")
+    @classmethod
+    def _levels(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name, level in value.items():
+            number = isinstance(level, int | float) and not isinstance(level, bool)
+            if name != "estimated" and not (number and level in ranges.LEVEL):
+                raise ValueError(f"{name} must be from {ranges.LEVEL} (got {level!r})")
+        return value
+
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
         if self.order != NINE or self.observable.keys() != set(NINE):
@@ -294,7 +304,7 @@ class _Uncertainty(_Section):
 
 
 class _Constant(_Section):
-    value: _Number
+    value: Annotated[_Number, AfterValidator(ranges.DIFFERENCE.validated)]
 
 
 class _Log(_Section):
@@ -302,28 +312,10 @@ class _Log(_Section):
     sha256: str
 
 
-class _Wheel(_Section):
-    joint: str | None = None
-
-
-class _BothWheels(_Section):
-    left: _Wheel = _Wheel()
-    right: _Wheel = _Wheel()
-
-
-class _Nominal(_Section):
-    wheels: _Wheels | None = None
-
-
-class _Settings(_Section):
-    wheels: _BothWheels = _BothWheels()
-    nominal: _Nominal = _Nominal()
-
-
 class _Provenance(_Section):
     created: str = ""
     logs: tuple[_Log, ...] = ()
-    config: _Settings = _Settings()
+    config: dict[str, Any] = {}
 
 
 class _File(_Section):
@@ -368,10 +360,10 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     known = checked.uncertainty
     knowledge = None
     if known is not None:
-        noise = {name: s for name, s in known.noise.items() if isinstance(s, float)}
+        noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in NINE])
         knowledge = Knowledge(np.array(known.covariance), observable, noise)
-    settings = checked.provenance.config
+    settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints: dict[Side, str | None] = {
         "left": settings.wheels.left.joint,
         "right": settings.wheels.right.joint,
@@ -391,7 +383,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     )
 
 
-def _geometry(wheels: _Wheels) -> WheelGeometry:
+def _geometry(wheels: _Wheels | WheelsNominal) -> WheelGeometry:
     return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
 
 

@@ -16,7 +16,6 @@ from mobilecal_cli.export import (
     camera_constants,
     camera_info_yaml,
     diff_drive_yaml,
-    extraction_from_npz,
     frame_note,
     improved_cameras,
     improved_chain,
@@ -31,7 +30,7 @@ from mobilecal_cli.export import (
 )
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
 from mobilecal_cli.pipeline.evaluating import read_params
-from mobilecal_cli.pipeline.loading import AnyPath, paths_of
+from mobilecal_cli.pipeline.loading import AnyPath, paths_of, read_extraction
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 from mobilecal_cli.targets import OPTIONS, Target
 from mobilecal_cli.yaml_input import read_bytes, reason_of
@@ -236,4 +235,4 @@ def _beside(params: Path) -> Extraction:
             f"{path}: not found; it contains the measurements",
             "keep params.yaml in the directory that calibrate wrote",
         )
-    return extraction_from_npz(path)
+    return read_extraction(path)
