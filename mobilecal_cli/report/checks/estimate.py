@@ -50,9 +50,7 @@ def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
         "observable",
         9 - len(fixed),
         9,
-        "",
         "warning" if enough else "not_enough",
-        at_least=True,
         facts={"unobservable": fixed, "cures": cures},
     )
 
@@ -66,11 +64,9 @@ def outlier_checks(solution: Solution, extraction: Extraction) -> Iterator[Check
     share = 100 * len(gross) / max(1, stations)
     outcome: Outcome = "fail" if share > OUTLIERS_BAD_PERCENT else "warning" if gross else "pass"
     facts = {"count": len(gross), "stations": stations, "first": gross[0].text if gross else ""}
-    yield Check("outliers", share, OUTLIERS_BAD_PERCENT, "%", outcome, facts=facts)
+    yield Check("outliers", share, OUTLIERS_BAD_PERCENT, outcome, facts)
     if solution.noisy:
-        yield Check(
-            "outliers_as_noise", len(solution.noisy), 0, "", "warning", facts={"kinds": solution.noisy}
-        )
+        yield Check("outliers_as_noise", len(solution.noisy), 0, "warning", {"kinds": solution.noisy})
 
 
 def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -80,20 +76,20 @@ def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     noise, chain = solution.uncertainty.noise, extraction.rig.chain
     slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
     joint = (
-        (1e3 * chain.joint_units[0] * noise.joint_rad, "mm", JOINT_MM)
+        ("sliding_joint", 1e3 * chain.joint_units[0] * noise.joint_rad, JOINT_MM)
         if slides
-        else (float(np.degrees(noise.joint_rad)), "degrees", JOINT_DEG)
+        else ("joint", float(np.degrees(noise.joint_rad)), JOINT_DEG)
     )
     moving = not all(o.at_rest for o in extraction.observations)
-    for name, (level, unit, (look, bad)) in {
-        "joint": joint,
-        "wheel": (noise.wheel_rad_per_sqrt_rad, "rad per sqrt(rad)", WHEEL),
-        "wheel_share": (100 * noise.wheel_share, "%", WHEEL_SHARE_PERCENT),
-        "floor": (float(np.degrees(noise.floor_rad)), "degrees", FLOOR_DEG),
-        "stamp": (1e3 * noise.stamp_s if moving else 0.0, "ms", STAMP_MS),
-    }.items():
+    for name, level, (look, bad) in (
+        joint,
+        ("wheel", noise.wheel_rad_per_sqrt_rad, WHEEL),
+        ("wheel_share", 100 * noise.wheel_share, WHEEL_SHARE_PERCENT),
+        ("floor", float(np.degrees(noise.floor_rad)), FLOOR_DEG),
+        ("stamp", 1e3 * noise.stamp_s if moving else 0.0, STAMP_MS),
+    ):
         if level:
-            yield Check(f"noise.{name}", level, bad, unit, graded(level, look, bad), facts={"usual": look})
+            yield Check(f"noise.{name}", level, bad, graded(level, look, bad), {"usual": look})
 
 
 def height_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -102,10 +98,10 @@ def height_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]
     for step in solution.height_steps:
         names = [f"{step.log}:{station}" if several else str(station) for station in step.stations]
         facts = {"stations": names}
-        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "mm", "warning", facts=facts)
+        yield Check("height_step", 1e3 * step.higher_m, HEIGHT_MM[0], "warning", facts)
     if solution.uncertainty is not None and solution.uncertainty.noise.floor_m and not solution.height_steps:
         level, (look, bad) = 1e3 * solution.uncertainty.noise.floor_m, HEIGHT_MM
-        yield Check("noise.height", level, bad, "mm", graded(level, look, bad), facts={"usual": look})
+        yield Check("noise.height", level, bad, graded(level, look, bad), {"usual": look})
 
 
 def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -116,4 +112,4 @@ def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]
         off = 100 * (seen / stated - 1)
         outcome = graded(abs(off), SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT)
         facts = {"seen_mm": seen * 1e3, "stated_mm": stated * 1e3}
-        yield Check("square_size", off, SQUARE_BAD_PERCENT, "%", outcome, facts=facts)
+        yield Check("square_size", off, SQUARE_BAD_PERCENT, outcome, facts)
