@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mobilecal_cli.config import LARGEST_URDF_BYTES
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, MobilecalError
 from mobilecal_cli.export import (
     Improved,
     ImprovedChain,
@@ -29,9 +30,12 @@ from mobilecal_cli.export import (
     xacro_properties,
 )
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
+from mobilecal_cli.pipeline.arguments import AnyPath, by_name, path_of, paths_of, require
 from mobilecal_cli.pipeline.evaluating import read_params
-from mobilecal_cli.pipeline.loading import AnyPath, paths_of, read_extraction
+from mobilecal_cli.pipeline.loading import read_extraction
+from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
+from mobilecal_cli.scratch import scratch_directory
 from mobilecal_cli.targets import OPTIONS, Target
 from mobilecal_cli.yaml_input import read_bytes, reason_of
 
@@ -57,7 +61,7 @@ class Exported:
 
 
 def export(
-    params: AnyPath,
+    params: AnyPath | Report,
     target: str,
     *,
     urdf: AnyPath | None = None,
@@ -70,8 +74,8 @@ def export(
     """A calibration in the format of another program, as `mobilecal export --to`.
 
     Args:
-        params: params.yaml; camera_info, camchain, the head chain, odometry_covariance and foxglove also need
-            extraction.npz next to it.
+        params: params.yaml, or a report; camera_info, camchain, the head chain, odometry_covariance and foxglove also
+            need extraction.npz next to params.yaml.
         target: the format, see `mobilecal export --help`.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
@@ -83,17 +87,44 @@ def export(
     Raises:
         ConfigError: an unknown format, a file that is missing or invalid, or an option that does not apply to it.
     """
-    if target not in tuple(Target):
+    if not isinstance(target, str) or target not in tuple(Target):
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
-    path, to, recordings = Path(params), Target(target), paths_of(logs)
+    joint_names: Mapping[Any, str] = by_name("wheel_joints", {} if wheel_joints is None else wheel_joints)
+    for side, joint in joint_names.items():
+        if side not in SIDES or not (isinstance(joint, str) and joint):
+            raise ConfigError(
+                f"wheel_joints: {side!r}: {joint!r} is not a side and the name of its joint",
+                "for example {'left': 'wheel_left_joint'}",
+            )
+    if isinstance(params, Report):
+        with scratch_directory() as directory:
+            path = directory / "params.yaml"
+            for name, content in params.files().items():
+                path.with_name(name).write_bytes(content)
+            try:
+                return export(
+                    path,
+                    target,
+                    urdf=urdf,
+                    wheel_joints=wheel_joints,
+                    with_chain=with_chain,
+                    rate_hz=rate_hz,
+                    distance_m=distance_m,
+                    logs=logs,
+                )
+            except MobilecalError as error:
+                raise type(error)(error.message.replace(str(path), "the report"), error.hint) from error
+    path, to, recordings = path_of("params", params), Target(target), paths_of("logs", logs)
+    robot_urdf = None if urdf is None else path_of("urdf", urdf)
+    require("with_chain", with_chain, bool, "True or False")
     robot = read_params(path)
-    joints = {**robot.wheel_joints, **(wheel_joints or {})}
+    joints = {**robot.wheel_joints, **joint_names}
     _check_options(
         to,
         {
             "--urdf": urdf is not None,
-            "--left-joint": "left" in (wheel_joints or {}),
-            "--right-joint": "right" in (wheel_joints or {}),
+            "--left-joint": "left" in joint_names,
+            "--right-joint": "right" in joint_names,
             "--with-chain": with_chain,
             "--rate": rate_hz is not None,
             "--distance": distance_m is not None,
@@ -101,9 +132,7 @@ def export(
         },
     )
     if to == Target.urdf:
-        return _urdf(
-            robot, None if urdf is None else Path(urdf), joints, _chain(path, robot) if with_chain else None
-        )
+        return _urdf(robot, robot_urdf, joints, _chain(path, robot) if with_chain else None)
     if to in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
         return _cameras(path, robot, to)
     if to == Target.foxglove:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,6 @@ from mobilecal_cli.pipeline.overrides import refuse_others, with_settings
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.pipeline.settings import settings_of
-
-AnyPath = str | os.PathLike[str]
-
-
-def paths_of(paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
-    """One or several paths as a tuple."""
-    return (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(Path(path) for path in paths)
 
 
 def _is_extraction(path: Path) -> bool:

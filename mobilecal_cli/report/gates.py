@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Drift, Evaluation, Extraction, Solution
+from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.at_work import USE_GATES
 from mobilecal_cli.report.check import LEAST_MOTION, Check
 from mobilecal_cli.report.metrics import FIGURES, gate_names
@@ -92,7 +93,14 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    return tuple(Gate(name, float(limit)) for name, limit in limits.items())
+    return tuple(Gate(name, _finite(name, limit)) for name, limit in limits.items())
+
+
+def _finite(name: str, limit: object) -> float:
+    value = number_of(f"gate {name}", limit)
+    if not math.isfinite(value):
+        raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
+    return value
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:

@@ -201,7 +201,7 @@ def checked_constraints(
 
 
 def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
-    if name not in known and not (isinstance(name, str) and _OF_THE_ROBOT.fullmatch(name)):
+    if name not in known and not _OF_THE_ROBOT.fullmatch(name):
         raise _unknown(flag, name, known)
 
 

@@ -120,7 +120,11 @@ def test_figures_of_a_calibration_are_those_of_its_files():
     assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])
     assert figures["std.head_eye.r_x_rad"] == pytest.approx(solution.uncertainty.std[0])
     assert figures["hold_out.drift_mm_per_m"] == pytest.approx(4.0)
-    assert all(figures[name] is not None for name in figures if name.startswith(("std.", "predicted.", "noise.", "motion.")))
+    assert all(
+        figures[name] is not None
+        for name in figures
+        if name.startswith(("std.", "predicted.", "noise.", "motion."))
+    )
     unknown = figures_of(solve(extraction, "lm"), extraction)
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
