@@ -13,6 +13,7 @@ import pytest
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.pipeline import steps
 from mobilecal_cli.pipeline.calibrating import calibrate
 from mobilecal_cli.pipeline.steps import Data
 from mobilecal_cli.solvers import constraints_of
@@ -75,19 +76,23 @@ def report(data):
 @pytest.mark.parametrize(
     "number", [np.float64(0.34), np.float32(0.34), np.array(0.34), Fraction(17, 50), Decimal("0.34")]
 )
-def test_numbers_of_any_kind(data, number):
-    fixed = mc.solve(data, fix={"separation": number})
-    assert fixed.parameters.wheels.separation_m == pytest.approx(0.34, abs=1e-7)
-    prior = mc.solve(data, prior={"separation": (number, np.float64(1e-6))})
-    assert prior.parameters.wheels.separation_m == pytest.approx(0.34, abs=1e-5)
-    pair = mc.solve(data, prior={"separation": np.array([float(number), 1e-6])})
-    assert pair.parameters.wheels.separation_m == pytest.approx(
-        prior.parameters.wheels.separation_m, abs=1e-9
+def test_numbers_of_any_kind(data, monkeypatch, number):
+    monkeypatch.setattr(steps, "fitted", lambda _, method, constraints, *rest: constraints)
+    asked = mc.solve(
+        data,
+        fix={"separation": number},
+        prior={"t_x": (number, np.float32(0.5)), "t_y": np.array([float(number), 0.01])},
     )
+    assert asked.fixed == {"separation": pytest.approx(0.34, abs=1e-7)}
+    assert asked.priors == {"t_x": (pytest.approx(0.34, abs=1e-7), 0.5), "t_y": (float(number), 0.01)}
+    assert {
+        type(value) for value in (asked.fixed["separation"], *asked.priors["t_x"], *asked.priors["t_y"])
+    } == {float}
 
 
-def test_a_numpy_integer_fixes_too(data):
-    assert mc.solve(data, fix={"t_x": np.int64(0)}).parameters.T_h_c[0, 3] == pytest.approx(0, abs=1e-12)
+def test_a_numpy_number_fixes(data):
+    fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
+    assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
 
 
 def test_one_name_needs_no_list(data):
