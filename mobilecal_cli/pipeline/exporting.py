@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +55,9 @@ class Exported:
         layout: text of a second file, the layout for Foxglove; "" for none.
     """
 
-    content: bytes
+    content: bytes = field(repr=False)
     notes: tuple[str, ...] = ()
-    layout: str = ""
+    layout: str = field(default="", repr=False)
 
 
 def export(

@@ -66,23 +66,25 @@ class Constraints:
             for name in names:
                 if name not in known:
                     raise _unknown(flag, name, known)
-        at_nominal = {name for name, value in self.fixed.items() if value is None}
-        for flag, names in self._by_flag()[:2]:
-            for key, value, relative in (
-                ("nominal.head_eye", nominal.T_h_reference, {*NINE[:3], *(at_nominal & {*NINE[3:6]})}),
-                ("nominal.wheels", nominal.wheels, at_nominal & {*NINE[6:]}),
-            ):
-                lacking = [f"{flag} {name}" for name in names if name in relative] if value is None else []
-                if lacking:
-                    raise ConfigError(
-                        f"{', '.join(lacking)}: relative to {key}, which is not known",
-                        f"set {key} in rig.yaml"
-                        + (
-                            ""
-                            if flag == "--prior" or {*names} & {*NINE[:3]}
-                            else f", or give {lacking[0]}=VALUE"
-                        ),
-                    )
+        relative = [
+            ("--fix", name) for name, value in self.fixed.items() if value is None or name in NINE[:3]
+        ]
+        relative += [("--prior", name) for name in self.priors if name in NINE[:3]]
+        for key, known_value, own in (
+            ("nominal.head_eye", nominal.T_h_reference, NINE[:6]),
+            ("nominal.wheels", nominal.wheels, NINE[6:]),
+        ):
+            lacking = [(flag, name) for flag, name in relative if name in own and known_value is None]
+            if lacking:
+                absolute = (
+                    ""
+                    if any(name in NINE[:3] for _, name in lacking)
+                    else ", or give values: --fix NAME=VALUE"
+                )
+                raise ConfigError(
+                    f"{', '.join(map(' '.join, lacking))}: relative to {key}, which is not known",
+                    f"set {key} in rig.yaml{absolute}",
+                )
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:

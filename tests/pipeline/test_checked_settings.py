@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from mobilecal_cli.config import load_rig
+from mobilecal_cli.config import checked_settings, load_rig
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml
-from mobilecal_cli.model import KnownNoise, Nominal, Provenance, WheelGeometry
+from mobilecal_cli.model import Board, KnownNoise, Markers, Nominal, Provenance, WheelGeometry
 from mobilecal_cli.pipeline.comparing import Limits, compare
 from mobilecal_cli.pipeline.evaluating import evaluate
 from mobilecal_cli.pipeline.exporting import export
@@ -176,6 +176,23 @@ def test_a_measured_square_is_no_setting(tmp_path):
     path = tmp_path / "extraction.npz"
     path.write_bytes(extraction_to_npz(replace(extraction, board=board, observations=seen)))
     assert read_extraction(path).board.square_m is None
+
+
+@pytest.mark.parametrize(
+    "board",
+    [
+        Board(9, 6, 0.08),
+        Board(9, 6),
+        Board(8, 5, 0.08, Markers("charuco", "DICT_5X5_100", 0.75)),
+        Board(6, 6, 0.08, Markers("aprilgrid", "DICT_APRILTAG_36h11", 0.3, 10, 2)),
+    ],
+)
+@pytest.mark.parametrize("sigma", [0.0, 1e-4, np.inf])
+def test_every_board_and_prior_passes(board, sigma):
+    extraction = prior(sigma)(replace(make_extraction(), board=board))
+    checked = checked_settings(settings_of(extraction), "")
+    assert checked.board.columns == board.columns
+    assert checked.priors["focal_left"] in ("fixed", "free", pytest.approx(0.01))
 
 
 def test_every_simulated_robot_passes(tmp_path):
