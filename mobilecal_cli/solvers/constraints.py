@@ -86,6 +86,28 @@ class Constraints:
                     f"set {key} in rig.yaml{absolute}",
                 )
 
+    def check_shown(self, shown: Collection[str]) -> None:
+        """Check that a recording shows the constants: otherwise, their values would be ignored.
+
+        Args:
+            shown: names of the constants that have an effect on the measurements.
+
+        Raises:
+            ConfigError: a constant has none, and is not fixed at its stated value.
+        """
+        as_stated = {name for name, value in self.fixed.items() if not value}
+        unused = [
+            f"{flag} {name}"
+            for flag, names in self._by_flag()
+            for name in names
+            if name not in shown and name not in _KINDS and name not in as_stated
+        ]
+        if unused:
+            raise ConfigError(
+                f"{', '.join(unused)}: no effect on the measurements of this recording",
+                "leave it out; clock offsets need images in motion, and backlash a joint that turns both ways",
+            )
+
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     message = f"{flag} {name}: no such parameter or constant"

@@ -226,8 +226,9 @@ class Fitter:
         has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
         mean, weight = np.zeros(layout.named), np.where(has_prior, scales**-2, 0.0)
         for name, (value, sigma) in self._constraints.priors.items():
-            k = layout.names.index(name)
-            mean[k], weight[k] = value - origin[k], sigma**-2
+            if name in layout.names:  # one of several recordings may not show a constant
+                k = layout.names.index(name)
+                mean[k], weight[k] = value - origin[k], sigma**-2
         fixed = np.array([name in self._constraints.fixed for name in layout.names])
         for k in np.flatnonzero(fixed).tolist():
             exact = self._constraints.fixed[layout.names[k]]

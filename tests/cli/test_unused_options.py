@@ -63,6 +63,24 @@ def test_only_one_of_two_would_count(fix, prior, estimate):
         constraints_of(fix, prior, estimate)
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--fix", "time_joints=0.1"), ("--prior", "time_joints=0.1±0.01"), ("--estimate", "time_joints")],
+)
+def test_the_recording_does_not_show_it(extraction, tmp_path, option, value):
+    """The robot rests at every station, so that its clocks have no effect."""
+    done = run("calibrate", extraction, option, value, cwd=tmp_path)
+    assert (done.code, done.left) == (2, [])
+    assert f"{option} time_joints: no effect on the measurements of this recording" in done.err
+
+
+def test_a_constant_without_effect_may_be_fixed_as_stated():
+    found = solve(
+        make_extraction(), constraints=constraints_of(["time_joints", "time_wheels=0"], [], ["clock"])
+    )
+    assert "time_joints" not in found.constants
+
+
 @pytest.mark.parametrize("target", Target)
 @pytest.mark.parametrize("option", OPTIONS)
 def test_the_format_does_not_use_it(tmp_path, option, target):
