@@ -100,6 +100,13 @@ def test_the_format_does_not_use_it(tmp_path, option, target):
             export(params, target, **given)
 
 
+def test_an_empty_name_is_no_joint(tmp_path):
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    done = run("export", "params.yaml", "--to", "ros2_control", "--left-joint", "", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "'left': '' is not a side and the name of its joint" in done.err
+
+
 PARAMS = """\
 schema_version: 2
 head_eye: {parent_frame: head, child_frame: camera, translation_m: [0.0, 0.0, 0.0], quaternion_xyzw: [0, 0, 0, 1]}
