@@ -17,17 +17,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mobilecal_cli.comparison import difference as compare
+    from mobilecal_cli.errors import MobilecalError
     from mobilecal_cli.pipeline.evaluating import read_params as load
     from mobilecal_cli.pipeline.exporting import export as export_to
     from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, solve
 
 __version__ = "0.1.0"
-__all__ = ["Data", "Fit", "Report", "compare", "export_to", "extract", "load", "solve"]
+__all__ = ["Data", "Fit", "MobilecalError", "Report", "compare", "export_to", "extract", "load", "solve"]
 
 
 _ELSEWHERE = {
     "compare": ("comparison", "difference"),
     "export_to": ("pipeline.exporting", "export"),
+    "MobilecalError": ("errors", "MobilecalError"),
     "load": ("pipeline.evaluating", "read_params"),
 }
 
@@ -37,3 +39,8 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, there = _ELSEWHERE.get(name, ("pipeline.steps", name))
     return getattr(import_module(f"{__name__}.{module}"), there)
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion."""
+    return [*__all__, "__doc__", "__version__"]

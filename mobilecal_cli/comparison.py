@@ -63,7 +63,13 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
 
     Raises:
         ConfigError: the frames differ.
+        TypeError: not calibrations.
     """
+    for robot in (first, second):
+        if not isinstance(robot, CalibratedRobot):
+            raise TypeError(
+                f"type {type(robot).__name__} is not a calibration: give load(path), or the robot of a report"
+            )
     for one, other, what in (
         (first.parent_frame, second.parent_frame, "head"),
         (first.child_frame, second.child_frame, "camera"),

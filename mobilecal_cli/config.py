@@ -337,11 +337,48 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     try:
         rig = RigConfig.model_validate(data)
     except ValidationError as error:
-        raise _explained(error, data, path) from error
+        raise _explained(error, data, "" if path is None else f"{path}: ") from error
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
     return rig
+
+
+def checked_settings(settings: Mapping[str, Any], where: str) -> RigConfig:
+    """The settings of a result as a configuration, checked like those of rig.yaml.
+
+    Args:
+        settings: nested as in rig.yaml, as in params.yaml; keys that rig.yaml does not have are ignored.
+        where: file and section, for messages.
+
+    Raises:
+        ConfigError: a value is not possible.
+    """
+    data = _known(settings, RigConfig)
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise _explained(error, data, where) from error
+
+
+def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
+    """The keys of a section that rig.yaml has too, without empty texts and measured values."""
+    known = {}
+    measured = {"square_m"} if data.get("square_from", "stated") != "stated" else set()
+    for name, field in section.model_fields.items():
+        value, inner = data.get(name, ""), _section_of(field.annotation)
+        if value == "" or name in measured:
+            continue
+        known[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
+    return known
+
+
+def _section_of(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401
+    """The section that a field holds, also where it may be None; None for a value, a list or a mapping."""
+    if get_origin(annotation) in (dict, tuple):
+        return None
+    inner = (annotation, *get_args(annotation))
+    return next((each for each in inner if isinstance(each, type) and issubclass(each, BaseModel)), None)
 
 
 def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
@@ -426,11 +463,9 @@ def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
 def setting_keys(section: type[BaseModel] = RigConfig, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Dotted keys of rig.yaml that hold a value, with their descriptions ("" if there is none)."""
     for name, field in section.model_fields.items():
-        inner = field.annotation
-        arguments = [inner, *get_args(inner)]
-        sections = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
-        if sections and get_origin(inner) not in (dict, tuple):
-            yield from setting_keys(sections[0], f"{prefix}{name}.")
+        inner = _section_of(field.annotation)
+        if inner is not None:
+            yield from setting_keys(inner, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", field.description or ""
 
@@ -452,7 +487,7 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     return list(section.model_fields)
 
 
-def _explained(error: ValidationError, data: Mapping[str, Any], path: Path | None) -> ConfigError:
+def _explained(error: ValidationError, data: Mapping[str, Any], where: str) -> ConfigError:
     problems, hints = [], []
     for item in error.errors():
         location = item["loc"]
@@ -465,7 +500,6 @@ def _explained(error: ValidationError, data: Mapping[str, Any], path: Path | Non
         else:
             got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
             problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
-    where = f"{path}: " if path is not None else ""
     return ConfigError(
         where + "; ".join(problems), "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
     )

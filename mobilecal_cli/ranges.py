@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass
+from typing import SupportsFloat
 
 from mobilecal_cli.errors import ConfigError
 
@@ -30,12 +32,13 @@ class Range:
     def __str__(self) -> str:
         return f"{self.low:g} to {self.high:g} {self.unit}".strip()
 
-    def check(self, name: str, value: float) -> float:
-        """The value itself.
+    def check(self, name: str, given: object) -> float:
+        """A value, a Python or NumPy number, as a float.
 
         Raises:
-            ConfigError: it is out of range, or NaN.
+            ConfigError: it is no number, out of range, or NaN.
         """
+        value = number_of(name, given)
         if value not in self:
             raise ConfigError(
                 f"{name}: {f'{value:g} {self.unit}'.strip()} is not possible (range {self}){self._unit_of(value)}",
@@ -60,6 +63,20 @@ class Range:
         return ""
 
 
+def number_of(name: str, value: object) -> float:
+    """A Python or NumPy number as a float.
+
+    Raises:
+        ConfigError: it is a text, True, an array, or anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, SupportsFloat) or getattr(value, "shape", ()) != ():
+        raise ConfigError(f"{name}: {reprlib.repr(value)} is not a number", "give one number")
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError) as error:  # such as an array of one text
+        raise ConfigError(f"{name}: {reprlib.repr(value)} is not a number", "give one number") from error
+
+
 WHEEL_RADIUS = Range(1e-3, 10.0, "m")
 WHEEL_SEPARATION = Range(1e-2, 100.0, "m")
 SQUARE = Range(1e-4, 10.0, "m")
@@ -71,9 +88,13 @@ ODOMETRY_RATE = Range(1e-1, 1e4, "Hz")
 ANGLE = Range(-100.0, 100.0, "rad")
 #: Standard deviations and noise levels in any unit of this package.
 SIGMA = Range(1e-9, 1e3)
+#: Noise levels that were estimated.
+LEVEL = Range(0.0, 1e3)
 PRIOR_SIGMA = Range(1e-9, 1e3, zero=True)
 #: The difference of a constant of the robot description from its stated value: rad, m, s or a share.
 DIFFERENCE = Range(-100.0, 100.0)
+#: Share of the stations that are held out.
+HOLD_OUT = Range(1e-4, 0.8)
 TICKS = Range(1.0, 1e9)
 FOCAL_LENGTH = Range(1.0, 1e6, "px")
 #: A reading of a joint, a counter or an odometry, rad or m.

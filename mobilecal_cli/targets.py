@@ -21,6 +21,18 @@ class Target(StrEnum):
     json = "json"
 
 
+#: Option of `mobilecal export` → the formats that use it.
+OPTIONS: dict[str, tuple[Target, ...]] = {
+    "--urdf": (Target.urdf,),
+    "--left-joint": (Target.urdf, Target.ros2_control),
+    "--right-joint": (Target.urdf, Target.ros2_control),
+    "--with-chain": (Target.urdf,),
+    "--rate": (Target.odometry_covariance,),
+    "--distance": (Target.odometry_covariance,),
+    "--log": (Target.foxglove,),
+}
+
+
 class Paper(StrEnum):
     """A page of `mobilecal board`: automatic (A4 to A0), a standard size, or as large as the board needs."""
 

@@ -6,17 +6,15 @@ import logging
 import os
 import subprocess
 import sys
-import textwrap
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import verdict_lines, visible
 from mobilecal_cli.pipeline.progress import Progress, silent
 
-_WIDTH = 80
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
 _PLAIN = "\x1b[0m"
 
@@ -31,10 +29,10 @@ def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = Fals
         to_stderr: for standard error instead of standard output.
     """
     stream = sys.stderr if to_stderr else sys.stdout
-    lines = textwrap.wrap(f"{level}: {visible(reason)}", _WIDTH)
+    lines = verdict_lines(level, reason, next_step)
     if stream.isatty() and not os.environ.get("NO_COLOR"):
         lines[0] = f"{_BOLD[level]}{level}{_PLAIN}{lines[0][len(level) :]}"
-    return "\n".join([*lines, *textwrap.wrap(f"Next: {visible(next_step)}", _WIDTH)])
+    return "\n".join(lines)
 
 
 def open_page(page: Path) -> str:

@@ -150,6 +150,7 @@ def calibrate(
     from mobilecal_cli.export import write_file
     from mobilecal_cli.pipeline import calibrating
     from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import open_page, progress_bar
 
@@ -176,7 +177,7 @@ def calibrate(
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:
-        typer.echo(str(report))
+        typer.echo(summary_text(report.values))
     if open_report:
         typer.echo(open_page(directory / "report.html"), err=True)
     verdict = report.verdict

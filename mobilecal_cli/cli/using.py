@@ -135,7 +135,7 @@ def export(
     for path in (output, layout):
         if path is not None:
             check_file(path, force, [params, urdf, *(log or [])])
-    joints = {side: name for side, name in given.items() if name}
+    joints = {side: name for side, name in given.items() if name is not None}
     made = exporting.export(
         params,
         to,

@@ -54,7 +54,7 @@ def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadCha
         if sigma is None:
             continue
         shown = float(f"{sigma * row.of_kind.shown * (row.of_kind.sigma / row.sigma):.12g}")
-        entries[row.name] = "free" if math.isinf(sigma) else shown if sigma else "fixed"
+        entries[row.name] = "free" if sigma == math.inf else shown if sigma else "fixed"
     return entries
 
 

@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from mobilecal_cli import ranges, se3
+from mobilecal_cli.config import WheelsNominal, checked_settings
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.likelihood.nuisance import kind
@@ -296,6 +297,15 @@ class _Uncertainty(_Section):
     observable: dict[str, bool]
     noise: dict[str, Any] = {}
 
+    @field_validator("noise")
+    @classmethod
+    def _levels(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name, level in value.items():
+            number = isinstance(level, int | float) and not isinstance(level, bool)
+            if name != "estimated" and not (number and level in ranges.LEVEL):
+                raise ValueError(f"{name} must be from {ranges.LEVEL} (got {level!r})")
+        return value
+
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
         if self.order != NINE or self.observable.keys() != set(NINE):
@@ -315,7 +325,7 @@ class _Uncertainty(_Section):
 
 
 class _Constant(_Section):
-    value: _Number
+    value: Annotated[_Number, AfterValidator(ranges.DIFFERENCE.validated)]
 
 
 class _Log(_Section):
@@ -323,42 +333,10 @@ class _Log(_Section):
     sha256: str
 
 
-class _Wheel(_Section):
-    joint: str | None = None
-
-
-class _BothWheels(_Section):
-    left: _Wheel = _Wheel()
-    right: _Wheel = _Wheel()
-
-
-class _Nominal(_Section):
-    wheels: _Wheels | None = None
-
-
-class _Joints(_Section):
-    elsewhere: dict[str, Any] = {}
-
-
-class _Link(_Section):
-    joint: str | None = None
-
-
-class _Head(_Section):
-    chain: tuple[_Link, ...] = ()
-
-
-class _Settings(_Section):
-    joints: _Joints = _Joints()
-    head: _Head = _Head()
-    wheels: _BothWheels = _BothWheels()
-    nominal: _Nominal = _Nominal()
-
-
 class _Provenance(_Section):
     created: str = ""
     logs: tuple[_Log, ...] = ()
-    config: _Settings = _Settings()
+    config: dict[str, Any] = {}
 
 
 class _Verdict(_Section):
@@ -414,10 +392,12 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     known = checked.uncertainty
     knowledge = None
     if known is not None:
-        noise = {name: s for name, s in known.noise.items() if isinstance(s, float)}
+        noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in NINE])
         knowledge = Knowledge(np.array(known.covariance), observable, noise)
-    settings = checked.provenance.config
+    read_elsewhere = checked.provenance.config.get("joints", {})
+    elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
+    settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints: dict[Side, str | None] = {
         "left": settings.wheels.left.joint,
         "right": settings.wheels.right.joint,
@@ -434,8 +414,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
         head_joints=tuple(
             link.joint
-            for link in settings.head.chain
-            if link.joint is not None and link.joint not in settings.joints.elsewhere
+            for link in settings.head.chain or ()
+            if link.joint is not None and link.joint not in elsewhere
         ),
         rectified=checked.head_eye_raw is not None,
         constants=None if constants is None else {name: entry.value for name, entry in constants.items()},
@@ -444,7 +424,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     )
 
 
-def _geometry(wheels: _Wheels) -> WheelGeometry:
+def _geometry(wheels: _Wheels | WheelsNominal) -> WheelGeometry:
     return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
 
 

@@ -25,8 +25,8 @@ class Directions:
         singular_values: (9,) falling: scale over standard deviation along each direction of the free
             parameters.
         directions: (9, 9) rows, orthonormal, in units of `scales`.
-        least: (9,) a direction with a smaller singular value is unobservable: the measurements show less than a drawing,
-            or no more than their noise alone would.
+        least: (9,) a direction with a smaller singular value is unobservable: the measurements show less than a
+            drawing, or no more than their noise alone would.
     """
 
     scales: FloatArray

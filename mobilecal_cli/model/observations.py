@@ -179,6 +179,12 @@ class Extraction:
     counts: Mapping[str, int]
     joint_tracks: tuple[tuple[Track, ...], ...] = ()
 
+    def __repr__(self) -> str:
+        """One line."""
+        files = ", ".join(log.path for log in self.logs[:3]) + (", ..." if len(self.logs) > 3 else "")
+        logs = f"{len(self.wheels)} recording{'' if len(self.wheels) == 1 else 's'}"
+        return f"Extraction({len(self.observations)} stations, {logs}: {files or 'no files'})"
+
     @property
     def log_names(self) -> tuple[str, ...]:
         """A name for each log: its file, or its number where files and logs do not correspond."""

@@ -282,6 +282,11 @@ class Solution:
     suggestions: tuple[Suggestion, ...] = ()
     diagnosis: Diagnosis | None = None
 
+    def __repr__(self) -> str:
+        """One line."""
+        errors = f"point error {1e3 * self.point_rms_m:.3g} mm, {self.reprojection_rms_px:.3g} px"
+        return f"Solution({self.method!r}, {errors}, {len(self.outliers)} outliers)"
+
 
 @dataclass(frozen=True, slots=True)
 class Provenance:

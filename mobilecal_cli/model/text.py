@@ -43,3 +43,10 @@ def wrapped(text: str, start: str = "  ", indent: str = "", width: int = 96) -> 
     """
     indent = indent or " " * (len(start) + 2 if start.isspace() else len(start))
     return textwrap.wrap(visible(text), width, initial_indent=visible(start), subsequent_indent=indent)
+
+
+def verdict_lines(level: str, reason: str, next_step: str) -> list[str]:
+    """A verdict and the next step as lines for the terminal, escaped."""
+    return [
+        line for text in (f"{level}: {reason}", f"Next: {next_step}") for line in wrapped(text, "", "", 80)
+    ]

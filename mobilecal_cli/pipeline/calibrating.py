@@ -12,7 +12,7 @@ from mobilecal_cli.model import Method
 from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.pipeline.steps import Data, Report, fitted
+from mobilecal_cli.pipeline.steps import Data, Report, check_options, fitted
 from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.gates import gates_of
 from mobilecal_cli.report.wording.findings import suggestion_sentences
@@ -82,6 +82,8 @@ def calibrate(
     Raises:
         MobilecalError: see `errors`; nothing is written then.
     """
+    settings = [key for key, value in (flags or {}).items() if value is not None]
+    check_options(method, constraints, hold_out, settings)
     directory = output if output is not None else default_output(logs[0])
     check_output(directory, force)
     config = load_rig(config_path, flags)

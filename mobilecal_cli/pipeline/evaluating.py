@@ -24,7 +24,8 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.pipeline.loading import AnyPath, load
+from mobilecal_cli.pipeline.arguments import AnyPath, path_of
+from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
@@ -67,8 +68,9 @@ def read_params(params: AnyPath) -> CalibratedRobot:
 
     Raises:
         ConfigError: the file cannot be read, or is not a params.yaml.
+        TypeError: not a path.
     """
-    path = Path(params)
+    path = path_of("params", params)
     try:
         text = read_text(path, LARGEST_BYTES)
     except (OSError, ValueError) as error:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from mobilecal_cli.config import LARGEST_URDF_BYTES
-from mobilecal_cli.errors import ConfigError, QualityError
+from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
 from mobilecal_cli.export import (
     Improved,
     ImprovedChain,
@@ -16,7 +17,6 @@ from mobilecal_cli.export import (
     camera_constants,
     camera_info_yaml,
     diff_drive_yaml,
-    extraction_from_npz,
     frame_note,
     improved_cameras,
     improved_chain,
@@ -32,10 +32,13 @@ from mobilecal_cli.export import (
     xacro_properties,
 )
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side, StereoRig
+from mobilecal_cli.pipeline.arguments import AnyPath, by_name, path_of, paths_of, require
 from mobilecal_cli.pipeline.evaluating import differences, read_params
-from mobilecal_cli.pipeline.loading import AnyPath, paths_of
+from mobilecal_cli.pipeline.loading import read_extraction
+from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
-from mobilecal_cli.targets import Target
+from mobilecal_cli.scratch import scratch_directory
+from mobilecal_cli.targets import OPTIONS, Target
 from mobilecal_cli.yaml_input import read_bytes, reason_of
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
@@ -54,13 +57,13 @@ class Exported:
         layout: text of a second file, the layout for Foxglove; "" for none.
     """
 
-    content: bytes
+    content: bytes = field(repr=False)
     notes: tuple[str, ...] = ()
-    layout: str = ""
+    layout: str = field(default="", repr=False)
 
 
 def export(
-    params: AnyPath,
+    params: AnyPath | Report,
     target: str,
     *,
     urdf: AnyPath | None = None,
@@ -77,8 +80,8 @@ def export(
     it is exported with a note. Unobservable parameters stay as they are in a URDF, and a controller keeps its own.
 
     Args:
-        params: params.yaml; camera_info, camchain, the head chain, odometry_covariance and foxglove also need
-            extraction.npz next to it.
+        params: params.yaml, or a report; camera_info, camchain, the head chain, odometry_covariance and foxglove also
+            need extraction.npz next to params.yaml.
         target: the format, see `mobilecal export --help`.
         urdf: the file to patch, for the target urdf.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
@@ -93,9 +96,37 @@ def export(
             of two robots.
         QualityError: the verdict is not PASS.
     """
-    if target not in tuple(Target):
+    if not isinstance(target, str) or target not in tuple(Target):
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
-    path, to, recordings = Path(params), Target(target), paths_of(logs)
+    joint_names: Mapping[Any, str] = by_name("wheel_joints", {} if wheel_joints is None else wheel_joints)
+    for side, joint in joint_names.items():
+        if side not in SIDES or not (isinstance(joint, str) and joint):
+            raise ConfigError(
+                f"wheel_joints: {side!r}: {joint!r} is not a side and the name of its joint",
+                "for example {'left': 'wheel_left_joint'}",
+            )
+    if isinstance(params, Report):
+        with scratch_directory() as directory:
+            path = directory / "params.yaml"
+            for name, content in params.files().items():
+                path.with_name(name).write_bytes(content)
+            try:
+                return export(
+                    path,
+                    target,
+                    urdf=urdf,
+                    wheel_joints=wheel_joints,
+                    with_chain=with_chain,
+                    rate_hz=rate_hz,
+                    distance_m=distance_m,
+                    logs=logs,
+                    allow_failed=allow_failed,
+                )
+            except MobilecalError as error:
+                raise type(error)(error.message.replace(str(path), "the report"), error.hint) from error
+    path, to, recordings = path_of("params", params), Target(target), paths_of("logs", logs)
+    robot_urdf = None if urdf is None else path_of("urdf", urdf)
+    require("with_chain", with_chain, bool, "True or False")
     robot = read_params(path)
     if robot.verdict not in ("PASS", "") and not allow_failed:
         reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
@@ -104,22 +135,25 @@ def export(
             "calibrate again as report.html says, or add --allow-failed (in Python allow_failed=True): the export then "
             "states the verdict",
         )
-    joints = {**robot.wheel_joints, **(wheel_joints or {})}
-    _check_wheels(robot, wheel_joints or {}, joints)
+    joints = {**robot.wheel_joints, **joint_names}
+    _check_wheels(robot, joint_names, joints)
     _check_options(
         to,
         {
-            "--with-chain": (with_chain, Target.urdf),
-            "--rate": (rate_hz is not None, Target.odometry_covariance),
-            "--distance": (distance_m is not None, Target.odometry_covariance),
-            "--log": (bool(recordings), Target.foxglove),
+            "--urdf": urdf is not None,
+            "--left-joint": "left" in joint_names,
+            "--right-joint": "right" in joint_names,
+            "--with-chain": with_chain,
+            "--rate": rate_hz is not None,
+            "--distance": distance_m is not None,
+            "--log": bool(recordings),
         },
     )
     if to == Target.foxglove:
         made = _foxglove(robot, path, recordings)
     elif to == Target.urdf:
         chain = _chain(path, robot) if with_chain else None
-        made = _urdf(robot, None if urdf is None else Path(urdf), joints, chain)
+        made = _urdf(robot, robot_urdf, joints, chain)
     elif to in (Target.camchain, Target.camera_info_left, Target.camera_info_right):
         made = _cameras(path, robot, to)
     elif to == Target.odometry_covariance:
@@ -159,11 +193,11 @@ def _check_wheels(robot: CalibratedRobot, given: Mapping[Side, str], joints: Map
         raise ConfigError(f"--{side}-joint {name}: this joint {used}", hint)
 
 
-def _check_options(target: Target, options: Mapping[str, tuple[bool, Target]]) -> None:
-    """Refuse an option that is given (True) for another format than its own."""
-    for name, (given, own) in options.items():
-        if given and target != own:
-            raise ConfigError(f"{name} applies only to --to {own.value}", "leave it out")
+def _check_options(target: Target, given: Mapping[str, bool]) -> None:
+    """Refuse an option that is given (True) for a format that does not use it."""
+    for name, formats in OPTIONS.items():
+        if given[name] and target not in formats:
+            raise ConfigError(f"{name} applies only to --to {' and '.join(formats)}", "leave it out")
 
 
 def _short(found: OdometryCovariance) -> tuple[str, ...]:
@@ -274,7 +308,7 @@ def _beside(params: Path, robot: CalibratedRobot) -> Extraction:
             f"{path}: not found; it contains the measurements",
             "keep params.yaml in the directory that calibrate wrote",
         )
-    extraction = extraction_from_npz(path)
+    extraction = read_extraction(path)
     different = differences(robot, extraction)
     if different:
         raise ConfigError(

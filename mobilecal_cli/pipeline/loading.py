@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mobilecal_cli.config import RigConfig
+from mobilecal_cli.config import RigConfig, checked_settings
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz
 from mobilecal_cli.model import Extraction, Snapshot
@@ -16,13 +15,7 @@ from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.overrides import refuse_others, with_settings
 from mobilecal_cli.pipeline.progress import Progress
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
-
-AnyPath = str | os.PathLike[str]
-
-
-def paths_of(paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
-    """One or several paths as a tuple."""
-    return (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(Path(path) for path in paths)
+from mobilecal_cli.pipeline.settings import settings_of
 
 
 def _is_extraction(path: Path) -> bool:
@@ -61,20 +54,17 @@ def load(
             "give it without recordings and without --config, or give the recordings instead",
         )
     refuse_others(given, str(logs[0]))
-    extraction = extraction_from_npz(logs[0])
-    _check(extraction, logs[0])
-    # Earlier versions wrote extractions that contain a recording twice.
-    refuse_equal_files(extraction.logs)
-    refuse_equal_recordings(extraction, extraction.log_names)
-    return with_settings(extraction, config, given), ()
+    return with_settings(read_extraction(logs[0]), config, given), ()
 
 
-def _check(extraction: Extraction, path: Path) -> None:
-    """Reject an extraction whose parts do not match.
+def read_extraction(path: Path) -> Extraction:
+    """The extraction in an extraction.npz.
 
     Raises:
-        RecordingError: the numbers of logs, tracks and observations do not match.
+        RecordingError: it cannot be read, its parts do not match, or a setting is out of the range of rig.yaml.
+        ConfigError: it contains a recording twice, as those of earlier versions may.
     """
+    extraction = extraction_from_npz(path)
     tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
     if not logs or joints not in (0, tracks) or any(not 0 <= o.log < tracks for o in extraction.observations):
         raise RecordingError(
@@ -82,3 +72,11 @@ def _check(extraction: Extraction, path: Path) -> None:
             "without a recording",
             "calibrate again from the recordings",
         )
+    try:
+        checked_settings(settings_of(extraction), f"{path}: damaged: ")
+    except (ConfigError, ArithmeticError, KeyError, ValueError) as error:
+        reason = error.message if isinstance(error, ConfigError) else f"{path}: damaged: settings: {error}"
+        raise RecordingError(reason, "calibrate again from the recordings") from error
+    refuse_equal_files(extraction.logs)
+    refuse_equal_recordings(extraction, extraction.log_names)
+    return extraction

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, get_args
+
+import numpy as np
 
 from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
@@ -26,10 +27,13 @@ from mobilecal_cli.model import (
     Solution,
     StereoRig,
 )
+from mobilecal_cli.model.text import verdict_lines
+from mobilecal_cli.pipeline.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.pipeline.evaluating import differences, held_out, read_params
-from mobilecal_cli.pipeline.loading import AnyPath, load, paths_of
+from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
+from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.build import build_report
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.changes import change_from_nominal, change_since
@@ -39,11 +43,14 @@ from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.values import json_text
 from mobilecal_cli.report.verdict import judge, reasons_of
-from mobilecal_cli.solvers import Constraints, clock_offsets, constraints_of
+from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction
 from mobilecal_cli.source_date import source_date
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
+
+#: Sections of rig.yaml that only the method "ml" uses.
+_ONLY_ML = frozenset({"noise", "priors"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +66,10 @@ class Data:
     extraction: Extraction
     snapshots: tuple[Snapshot, ...]
     gates: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Data({self.extraction!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +89,12 @@ class Fit:
     method: Method
     hold_out: float | None = None
     trial: Evaluation | None = None
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"Fit({self.method!r}, {self.extraction!r}, point error {1e3 * self.solution.point_rms_m:.3g} mm)"
+        )
 
     @property
     def parameters(self) -> Parameters:
@@ -119,10 +136,18 @@ def extract(
 
     Raises:
         MobilecalError: see `errors`.
+        TypeError: an argument of another type.
     """
-    path, flags = None if config is None else Path(config), settings or {}
+    path = None if config is None else path_of("config", config)
+    flags = by_name("settings", {} if settings is None else settings)
+    files = paths_of("logs", logs)
+    if not files:
+        raise ConfigError("logs: no recording is given", "give a recording, or a list of them")
+    require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
+    if jobs is True or not isinstance(jobs, int | np.integer) or jobs < 1:
+        raise ConfigError(f"jobs: {jobs!r} worker processes are not possible", "give 1 or more")
     rig = load_rig(path, flags)
-    extraction, snapshots = load(paths_of(logs), rig, path, flags, progress, jobs)
+    extraction, snapshots = load(files, rig, path, flags, progress, int(jobs))
     return Data(extraction, snapshots, rig.gates)
 
 
@@ -130,9 +155,9 @@ def solve(
     data: Data | Extraction,
     *,
     method: Method = "ml",
-    fix: Mapping[str, float | None] | Iterable[str] = (),
+    fix: str | Mapping[str, float | None] | Iterable[str] = (),
     prior: Mapping[str, tuple[float, float]] | None = None,
-    estimate: Iterable[str] = (),
+    estimate: str | Iterable[str] = (),
     hold_out: float | None = None,
     progress: Progress = silent,
 ) -> Fit:
@@ -141,24 +166,55 @@ def solve(
     Args:
         data: the measurements.
         method: "ml" (maximum likelihood), "linear", "paper" or "lm", see `--method`.
-        fix: parameters, groups of them or constants to fix; with a value (m, rad, share) or None for the nominal one.
+        fix: parameters, groups of them or constants to fix, one or several; a mapping gives each a value (m, rad,
+            share), or None for the nominal one. Rotations are relative to the nominal rotation.
         prior: parameter or constant → (value, standard deviation).
-        estimate: constants, kinds of them, or groups of kinds ("stereo", "lenses", "board", "head"), whose stated
-            values are ignored.
+        estimate: constants, kinds of them, or groups of kinds ("stereo", "lenses", "board", "head"), one or several,
+            whose stated values are ignored.
         hold_out: share at the end of each recording to hold out and to test the parameters on.
         progress: called with the progress.
 
     Raises:
         MobilecalError: see `errors`.
+        TypeError: an argument of another type.
     """
-    fixed = fix if isinstance(fix, Mapping) else dict.fromkeys(fix)
-    constraints = constraints_of(
-        [name if value is None else f"{name}={value!r}" for name, value in fixed.items()],
-        [f"{name}={value!r}±{sigma!r}" for name, (value, sigma) in (prior or {}).items()],
-        list(estimate),
+    require("data", data, (Data, Extraction), "what extract() returns")
+    require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
+    fixed = by_name("fix", fix) if isinstance(fix, Mapping) else dict.fromkeys(names_of("fix", fix))
+    priors = by_name("prior", {} if prior is None else prior)
+    constraints = checked_constraints(
+        fixed.items(),
+        [(name, pair_of(f"--prior {name}", pair)) for name, pair in priors.items()],
+        names_of("estimate", estimate),
     )
     extraction = data.extraction if isinstance(data, Data) else data
     return fitted(extraction, method, constraints, hold_out, progress)
+
+
+def check_options(
+    method: Method, constraints: Constraints | None, hold_out: float | None, settings: Iterable[str] = ()
+) -> None:
+    """Check how to solve, before any work.
+
+    Args:
+        method, constraints, hold_out: see `solve`.
+        settings: dotted keys of the settings that the user gives for this run.
+
+    Raises:
+        ConfigError: an unknown method, a share that is out of range, or options that the method does not use.
+    """
+    methods = get_args(Method)
+    if not isinstance(method, str) or method not in methods:
+        raise ConfigError(f"method {method!r}: no such method", f"methods: {', '.join(methods)}")
+    if hold_out is not None:
+        HOLD_OUT.check("hold_out", hold_out)
+    if method != "ml":
+        unused = [*(constraints.given if constraints is not None else ())]
+        unused += [f"--set {key}" for key in settings if key.partition(".")[0] in _ONLY_ML]
+        if unused:
+            raise ConfigError(
+                f"{', '.join(unused)}: not used by --method {method}", "use --method ml, or leave them out"
+            )
 
 
 def fitted(
@@ -173,6 +229,7 @@ def fitted(
     Raises:
         MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
     """
+    check_options(method, constraints, hold_out)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":
@@ -219,6 +276,7 @@ class Report:
 
     Raises:
         ConfigError: an unknown gate, a params.yaml that cannot be read, or a fit of other data.
+        TypeError: an argument of another type.
     """
 
     def __init__(
@@ -228,10 +286,16 @@ class Report:
         gates: Mapping[str, float] | Sequence[Gate] = (),
         last: AnyPath | None = None,
     ) -> None:
+        require("data", data, Data, "what extract() returns")
+        require("fit", fit, Fit, "what solve() returns")
         self.data, self.fit = data, fit
         solution, extraction = fit.solution, fit.extraction
         if isinstance(gates, Mapping):
-            gates = gates_of((), {**data.gates, **gates}, hold_out=fit.trial is not None)
+            limits = {**data.gates, **by_name("gates", gates)}
+            gates = gates_of((), limits, hold_out=fit.trial is not None)
+        require("gates", gates, Sequence, "a mapping from name to limit")
+        for gate in gates:
+            require("gates", gate, Gate, "a mapping from name to limit")
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         self.provenance = Provenance(__version__, _created(), fit.method, extraction.logs, settings)
         robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
@@ -239,7 +303,7 @@ class Report:
         if last is None:
             self.change = change_from_nominal(robot, extraction.rig.nominal)
         else:
-            earlier = read_params(last)
+            earlier = read_params(path_of("last", last))
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(robot, earlier, name)
         self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
@@ -249,9 +313,15 @@ class Report:
         case = Case(solution, extraction, self.provenance, self.verdict, fit.trial, self.change)
         self.values = build_report(case)
 
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Report({self.verdict.level}, {self.fit!r})"
+
     def __str__(self) -> str:
-        """The summary for the terminal."""
-        return summary_text(self.values)
+        """The summary and the verdict, as `calibrate` prints them."""
+        verdict = self.verdict
+        lines = verdict_lines(verdict.level, verdict.reason, verdict.next_step)
+        return "\n".join((summary_text(self.values), *lines))
 
     @property
     def json(self) -> str:
@@ -280,13 +350,16 @@ class Report:
         Raises:
             OutputError: the directory cannot be written.
         """
-        files = {
+        path = path_of("directory", directory)
+        write_outputs(path, self.files() | {"report.html": self.html.encode()}, force)
+
+    def files(self) -> dict[str, bytes]:
+        """Name → content of params.yaml, report.json and extraction.npz."""
+        return {
             "params.yaml": self.params.encode(),
             "report.json": self.json.encode(),
             "extraction.npz": extraction_to_npz(self.data.extraction),
-            "report.html": self.html.encode(),
         }
-        write_outputs(Path(directory), files, force)
 
 
 def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -> None:

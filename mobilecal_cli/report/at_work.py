@@ -1,4 +1,4 @@
-"""Expected errors when the calibration is used: their names, units and limits, and the criteria on them."""
+"""Expected errors when the calibration is used, and the criteria on them."""
 
 from __future__ import annotations
 
@@ -9,58 +9,18 @@ from dataclasses import dataclass
 from mobilecal_cli.model import AtWork, Solution
 from mobilecal_cli.report.budget import shares_of
 from mobilecal_cli.report.check import LEAST_MOTION, Check
+from mobilecal_cli.report.metrics import FIGURES, Figure
 from mobilecal_cli.report.values import Outcome
 from mobilecal_cli.report.wording.budget import advice, limiting_sentence
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One expected error.
-
-    Attributes:
-        field: of `AtWork`.
-        gate: name for `--gate` and `gates:`.
-        meaning: label.
-        unit: for people.
-        factor: how many of it one unit of the field is.
-        limit: default limit in this unit; None for no limit.
-    """
-
-    field: str
-    gate: str
-    meaning: str
-    unit: str
-    factor: float
-    limit: float | None = None
-
-    def of(self, expected: AtWork) -> float:
-        """The figure in its unit."""
-        return float(getattr(expected, self.field)) * self.factor
-
-
-_DEG = 180 / math.pi
-# fmt: off
-FIGURES = (
-    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "mm", 1e3, 20.0),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 1.0),
-    Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "mm", 1e3),
-    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3,
-           10.0),
-    Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
-           "mm/m", 1e3),
-    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight", "deg/m",
-           _DEG, 1.0),
-    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn", "deg",
-           _DEG, 5.0),
-)
-# fmt: on
 def default_errors(expected: AtWork) -> list[tuple[float, str]]:
     """(value, unit) of the expected errors that have a default limit."""
     return [(figure.of(expected), figure.unit) for figure in FIGURES if figure.limit is not None]
 
 
 #: Names of the gates that the verdict on use judges.
-USE_GATES = frozenset(figure.gate for figure in FIGURES)
+USE_GATES = frozenset(figure.name for figure in FIGURES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +57,7 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
     found = solution.uncertainty
     if found is None:
         return ()
-    pairs = [(figure, limits.get(figure.gate, figure.limit)) for figure in FIGURES]
+    pairs = [(figure, limits.get(figure.name, figure.limit)) for figure in FIGURES]
     return tuple(Use(f, f.of(found.at_work), limit) for f, limit in pairs if limit is not None)
 
 
@@ -117,7 +77,7 @@ def use_checks(solution: Solution, limits: Mapping[str, float]) -> Iterator[Chec
             "small": _small_motion(solution, figure),
         }
         outcome: Outcome = "pass" if use.within else "not_enough"
-        yield Check(f"use.{figure.field}", use.value, use.limit, figure.unit, outcome, facts=facts)
+        yield Check(figure.name, use.value, use.limit, outcome, facts)
 
 
 def _small_motion(solution: Solution, figure: Figure) -> Sequence[tuple[str, float]]:

@@ -81,7 +81,7 @@ def build_report(case: Case) -> ReportData:
     solution, extraction = case.solution, case.extraction
     board, counts = extraction.board, rejection_counts(extraction)
     return ReportData(
-        schema_version=4,
+        schema_version=5,
         verdict=verdict_data(case.verdict),
         metrics=case.verdict.metrics,
         parameters=_result(solution, extraction),

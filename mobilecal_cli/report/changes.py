@@ -79,8 +79,6 @@ def change_checks(change: Change | None) -> Iterator[Check]:
         "change",
         100 * change.chance,
         100 * _UNLIKELY,
-        "%",
         "warning" if change.chance < _UNLIKELY else "pass",
-        at_least=True,
-        facts=facts,
+        facts,
     )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from mobilecal_cli.report.metrics import metric_of
 from mobilecal_cli.report.values import Outcome
 
 #: Extent of the motion → with less, a parameter depends on a difference about as small as the noise.
@@ -17,25 +18,31 @@ _SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One criterion. Its sentences are in `wording`.
+    """One criterion. Its unit is in `metrics`, its sentences are in `wording`.
 
     Attributes:
-        id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint_rad").
+        id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint").
         value: as measured, None where it is unknown.
         limit: beyond it the outcome is "fail" or "not_enough"; None for a criterion without a number.
-        unit: of both, "" for counts and ratios.
         outcome: "pass", "warning" (which passes), "fail" or "not_enough" (too little data to decide).
-        at_least: whether the limit is a lower one.
         facts: further numbers and names that the sentences state.
     """
 
     id: str
     value: float | None
     limit: float | None
-    unit: str
     outcome: Outcome
-    at_least: bool = False
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def unit(self) -> str:
+        """Unit of value and limit, "" for counts and ratios."""
+        return metric_of(self.id).unit
+
+    @property
+    def at_least(self) -> bool:
+        """Whether the limit is a lower one."""
+        return metric_of(self.id).at_least
 
     @property
     def share(self) -> float:

@@ -32,10 +32,10 @@ def contradiction_checks(solution: Solution, extraction: Extraction) -> Iterator
             "several": found is solution.contradictions[-1] and len(solution.contradictions) > 1,
         }
         name = f"contradiction.{found.kind}.{found.part}"
-        yield Check(name, found.sigmas, CONTRADICTION_SIGMAS, "sigma", outcome, facts=facts)
+        yield Check(name, found.sigmas, CONTRADICTION_SIGMAS, outcome, facts)
     if not solution.contradictions:
         most = max((found.sigmas for found in solution.evidence), default=0.0)
-        yield Check("description", most, CONTRADICTION_SIGMAS, "sigma", "pass")
+        yield Check("description", most, CONTRADICTION_SIGMAS, "pass")
 
 
 def each_once(solution: Solution) -> tuple[Evidence, ...]:

@@ -31,11 +31,11 @@ SIGMA_SHARE = 0.5
 #: Corner errors above the limit fail the calibration if they are so many times those of the recording's own estimate.
 _TIMES_OWN = 1.5
 _QUANTITIES = (
-    ("camera_rotation", slice(0, 3), "deg", CAMERA_DEG),
-    ("camera_position", slice(3, 6), "mm", CAMERA_MM),
-    ("radius_right", slice(6, 7), "%", RADIUS_PERCENT),
-    ("radius_left", slice(7, 8), "%", RADIUS_PERCENT),
-    ("separation", slice(8, 9), "%", SEPARATION_PERCENT),
+    ("camera_rotation", slice(0, 3), CAMERA_DEG),
+    ("camera_position", slice(3, 6), CAMERA_MM),
+    ("radius_right", slice(6, 7), RADIUS_PERCENT),
+    ("radius_left", slice(7, 8), RADIUS_PERCENT),
+    ("separation", slice(8, 9), SEPARATION_PERCENT),
 )
 
 
@@ -84,11 +84,11 @@ def _checks(
     found: Evaluation, cameras: StereoRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
 ) -> Iterator[Check]:
     outcome = enough(found.stations, MIN_STATIONS)
-    yield Check("evaluated_stations", found.stations, MIN_STATIONS, "", outcome, at_least=True)
+    yield Check("evaluated_stations", found.stations, MIN_STATIONS, outcome)
     yield _corners(found, cameras, own)
     if isinstance(own, MobilecalError):
         facts = {"message": own.message, "hint": own.hint}
-        yield Check("own_estimate", None, None, "", "not_enough", facts=facts)
+        yield Check("own_estimate", None, None, "not_enough", facts)
         return
     yield from _differences(robot, own)
 
@@ -103,15 +103,15 @@ def _corners(found: Evaluation, cameras: StereoRig, own: OwnEstimate | Mobilecal
         "not_enough" if unexplained else "fail" if px > _TIMES_OWN * best_px and px > limit_px else "pass"
     )
     facts = {"limit_px": limit_px, "best_px": None if isinstance(own, MobilecalError) else best_px}
-    return Check("corner_error", px, max(limit_px, _TIMES_OWN * best_px), "px", outcome, facts=facts)
+    return Check("corner_error", px, max(limit_px, _TIMES_OWN * best_px), outcome, facts)
 
 
 def _differences(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
     change, covariance, known = _compared(robot, own.robot)
-    for name, part, unit, limit in _QUANTITIES:
+    for name, part, limit in _QUANTITIES:
         facts: dict[str, Any] = {"sigmas": SIGMAS, "cure": own.cure}
         if not known[part].all():
-            yield Check(f"agreement.{name}", None, limit, unit, "not_enough", facts=facts)
+            yield Check(f"agreement.{name}", None, limit, "not_enough", facts)
             continue
         x, C = change[part], covariance[part, part]
         size = float(np.linalg.norm(x))
@@ -124,7 +124,7 @@ def _differences(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         elif largest > needed:
             outcome = "not_enough"
         facts |= {"sigma": sigma, "largest": largest, "needed": needed}
-        yield Check(f"agreement.{name}", size, limit, unit, outcome, facts=facts)
+        yield Check(f"agreement.{name}", size, limit, outcome, facts)
 
 
 def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Drift, Evaluation, Extraction, Solution
-from mobilecal_cli.report.at_work import FIGURES, USE_GATES
-from mobilecal_cli.report.check import Check
+from mobilecal_cli.ranges import number_of
+from mobilecal_cli.report.at_work import USE_GATES
+from mobilecal_cli.report.check import LEAST_MOTION, Check
+from mobilecal_cli.report.metrics import FIGURES, gate_names
 from mobilecal_cli.report.numbers import reference_std
 from mobilecal_cli.report.parameters import PARAMETERS
 
 #: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
 
-#: Figures with a lower limit; all others have an upper limit.
-_AT_LEAST = frozenset({"stations", "legs", "hold_out.stations", "hold_out.legs"})
-_STD_KEYS = tuple(parameter.gate for parameter in PARAMETERS)
 _EVALUATED: Mapping[str, Callable[[Evaluation], float | None]] = {
     "stations": lambda found: float(found.stations),
     "legs": lambda found: float(len(found.legs)),
@@ -33,33 +32,13 @@ _EVALUATED: Mapping[str, Callable[[Evaluation], float | None]] = {
 }
 _SOLVED: Mapping[str, Callable[[Solution, Extraction], float]] = {
     "stations": lambda _, extraction: float(len(extraction.observations)),
+    "legs": lambda _, extraction: float(
+        len(extraction.observations) - len({o.log for o in extraction.observations})
+    ),
     "reprojection_rms_px": lambda solution, _: solution.reprojection_rms_px,
     "point_rms_mm": lambda solution, _: solution.point_rms_m * 1e3,
     "left_out": lambda solution, _: float(sum(outlier.kind != "corners" for outlier in solution.outliers)),
 }
-_CALIBRATED = (
-    *_SOLVED,
-    *_STD_KEYS,
-    *(figure.gate for figure in FIGURES),
-    *(f"hold_out.{name}" for name in _EVALUATED),
-)
-#: Criteria whose values gates can limit too, see `checks`.
-_CRITERIA = (
-    "leg_outlier.point",
-    "leg_outlier.reprojection",
-    "noise.joint",
-    "noise.wheel",
-    "noise.wheel_share",
-    "noise.floor",
-    "noise.height",
-    "noise.stamp",
-    "outliers",
-    "point_error",
-    "rejected",
-    "reprojection_error",
-    "stereo_error",
-    "wheel_difference",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +47,11 @@ class Gate:
 
     Attributes:
         name: name of the figure.
-        limit: upper limit, or lower limit for the figures in `_AT_LEAST`.
+        limit: upper limit, or a lower one, see `metrics`.
     """
 
     name: str
     limit: float
-
-
-def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
-    """Names of the figures that a gate of `calibrate` (or of `evaluate`) can limit."""
-    return tuple(_EVALUATED) if evaluating else (*_CALIBRATED, *_CRITERIA)
 
 
 def gates_of(
@@ -95,7 +69,7 @@ def gates_of(
         ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
     """
     known = gate_names(evaluating=evaluating)
-    every = {*_EVALUATED, *_CALIBRATED, *_CRITERIA}
+    every = {*gate_names(), *gate_names(evaluating=True)}
     limits = dict(config)
     for name in config:
         if name not in every:
@@ -119,7 +93,14 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    return tuple(Gate(name, float(limit)) for name, limit in limits.items())
+    return tuple(Gate(name, _finite(name, limit)) for name, limit in limits.items())
+
+
+def _finite(name: str, limit: object) -> float:
+    value = number_of(f"gate {name}", limit)
+    if not math.isfinite(value):
+        raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
+    return value
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -129,18 +110,33 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
 
 
 def figures_of(
-    solution: Solution, extraction: Extraction, hold_out: Evaluation | None = None
+    solution: Solution,
+    extraction: Extraction,
+    hold_out: Evaluation | None = None,
+    checks: Iterable[Check] = (),
 ) -> dict[str, float | None]:
-    """Figures of a calibration that a gate can limit; the values of the criteria are added by `judge`."""
+    """Value of every figure of a calibration that a gate can limit, None if unknown, in the units of `METRICS`.
+
+    Args:
+        solution, extraction: the calibration.
+        hold_out: evaluation on the held-out stations, if any.
+        checks: criteria, whose values are figures too.
+    """
     found = solution.uncertainty
-    figures: dict[str, float | None] = dict.fromkeys(_CALIBRATED)
+    figures: dict[str, float | None] = dict.fromkeys(gate_names())
     figures |= {name: of(solution, extraction) for name, of in _SOLVED.items()}
+    figures |= {f"motion.{key}": solution.motion.get(key) for key in LEAST_MOTION}
     if found is not None:
-        figures |= dict(zip(_STD_KEYS, reference_std(solution), strict=True))
-        figures |= {figure.gate: figure.of(found.at_work) for figure in FIGURES}
+        figures |= {
+            name: 0.0 for name in figures if name.startswith("noise.")
+        }  # levels of zero have no criterion
+        figures["observable"] = float(np.sum(found.observable | found.fixed))
+        stds = zip(PARAMETERS, reference_std(solution), strict=True)
+        figures |= {parameter.gate: std for parameter, std in stds}
+        figures |= {figure.name: figure.of(found.at_work) for figure in FIGURES}
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}
-    return figures
+    return figures | {check.id: check.value for check in checks if check.id in figures}
 
 
 def evaluated_figures(found: Evaluation) -> Figures:
@@ -172,8 +168,9 @@ def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
     Known expected errors in use are left out: `judge` compares them with `use_limits`.
     """
     for gate in gates:
-        value, least = figures.get(gate.name), gate.name in _AT_LEAST
+        value = figures.get(gate.name)
         if gate.name in USE_GATES and value is not None:
             continue
-        passes = value is not None and (value >= gate.limit if least else value <= gate.limit)
-        yield Check(f"gate.{gate.name}", value, gate.limit, "", "pass" if passes else "fail", at_least=least)
+        check = Check(f"gate.{gate.name}", value, gate.limit, "pass")
+        passes = value is not None and (value >= gate.limit if check.at_least else abs(value) <= gate.limit)
+        yield check if passes else replace(check, outcome="fail")

@@ -11,9 +11,9 @@ import numpy as np
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain, Setting
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.at_work import FIGURES
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
+from mobilecal_cli.report.metrics import FIGURES
 from mobilecal_cli.report.numbers import (
     lengths_mm,
     reference_pose,

@@ -389,7 +389,7 @@ class TableData:
 class ReportData:
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[4]
+    schema_version: Literal[5]
     verdict: VerdictData
     metrics: Mapping[str, Number]
     parameters: ResultData

@@ -32,7 +32,7 @@ class Verdict:
         reason: one or two sentences.
         next_step: what to do now.
         checks: every criterion.
-        metrics: name → value, None if unknown: the figures that gates can limit, and the value of every criterion.
+        metrics: name → value of every figure that gates can limit, None if unknown.
     """
 
     level: Level
@@ -59,7 +59,7 @@ def judge(
         change: difference from the last calibration, if there is one.
     """
     found = [*all_checks(solution, extraction, use_limits(gates)), *change_checks(change)]
-    metrics = figures_of(solution, extraction, trial) | {check.id: check.value for check in found}
+    metrics = figures_of(solution, extraction, trial, found)
     checks = Checks((*found, *gate_checks(gates, metrics)))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import NINE
+from mobilecal_cli.model import NINE, Nominal
 
 _GROUPS = {
     "head_eye": NINE[:6],
@@ -47,17 +47,66 @@ class Constraints:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     constants: tuple[str, ...] = ()
 
-    def check(self, constants: Sequence[str]) -> None:
-        """Check the names against the constants that a robot has.
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Each constraint as its option and name, for messages."""
+        return tuple(f"{flag} {name}" for flag, names in self._by_flag() for name in names)
+
+    def _by_flag(self) -> tuple[tuple[str, Iterable[str]], ...]:
+        return (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants))
+
+    def check(self, constants: Sequence[str], nominal: Nominal) -> None:
+        """Check the names against the constants that a robot has, and relative values against its nominal values.
 
         Raises:
-            ConfigError: an unknown name.
+            ConfigError: an unknown name, or a value that is relative to a nominal value that is not known.
         """
-        for flag, names in (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants)):
+        for flag, names in self._by_flag():
             known = [*(_KINDS if flag == "--estimate" else NINE), *constants]
             for name in names:
                 if name not in known:
                     raise _unknown(flag, name, known)
+        relative = [
+            ("--fix", name) for name, value in self.fixed.items() if value is None or name in NINE[:3]
+        ]
+        relative += [("--prior", name) for name in self.priors if name in NINE[:3]]
+        for key, known_value, own in (
+            ("nominal.head_eye", nominal.T_h_reference, NINE[:6]),
+            ("nominal.wheels", nominal.wheels, NINE[6:]),
+        ):
+            lacking = [(flag, name) for flag, name in relative if name in own and known_value is None]
+            if lacking:
+                absolute = (
+                    ""
+                    if any(name in NINE[:3] for _, name in lacking)
+                    else ", or give values: --fix NAME=VALUE"
+                )
+                raise ConfigError(
+                    f"{', '.join(map(' '.join, lacking))}: relative to {key}, which is not known",
+                    f"set {key} in rig.yaml{absolute}",
+                )
+
+    def check_shown(self, shown: Collection[str]) -> None:
+        """Check that a recording shows the constants: otherwise, their values would be ignored.
+
+        Args:
+            shown: names of the constants that have an effect on the measurements.
+
+        Raises:
+            ConfigError: a constant has none, and is not fixed at its stated value.
+        """
+        as_stated = {name for name, value in self.fixed.items() if not value}
+        unused = [
+            f"{flag} {name}"
+            for flag, names in self._by_flag()
+            for name in names
+            if name not in shown and name not in _KINDS and name not in as_stated
+        ]
+        if unused:
+            raise ConfigError(
+                f"{', '.join(unused)}: no effect on the measurements of this recording",
+                "leave it out; clock offsets need images in motion, and backlash a joint that turns both ways",
+            )
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -89,15 +138,6 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     return ConfigError(message, f"{kinds}docs/reference/rig-yaml.md lists all constants")
 
 
-def _value(flag: str, text: str, number: str) -> float:
-    if not re.fullmatch(_NUMBER, number.strip()):
-        raise ConfigError(
-            f"{flag} {text}: {number!r} is not a number",
-            "give lengths in m, angles in rad and ratios as shares",
-        )
-    return ranges.of_parameter(text.partition("=")[0]).check(f"{flag} {text}", float(number))
-
-
 def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Constraints:
     """Parse the values of --fix, --prior and --estimate.
 
@@ -109,36 +149,86 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     Raises:
         ConfigError: unknown name or wrong format.
     """
-    named = (name.strip() for text in estimate for name in text.split(",") if name.strip())
-    requested = tuple(member for name in named for member in _KIND_GROUPS.get(name, (name,)))
-    fixed_rows = [row.name for row in nuisance.CONSTANTS]
-    for name in requested:
-        if name not in (*_KINDS, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--estimate", name, [*_KIND_GROUPS, *_KINDS, *fixed_rows])
-    known = [*NINE, *_GROUPS, *fixed_rows]
-    fixed: dict[str, float | None] = {}
+    fixed: list[tuple[str, float | None]] = []
     for text in fix:
         name, given, number = text.partition("=")
-        if name not in known and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--fix", name, known)
-        if given and name in _GROUPS:
+        if given and not re.fullmatch(_NUMBER, number.strip()):
             raise ConfigError(
-                f"--fix {text}: {name} is a group of parameters and takes no value",
-                f"omit the value, or fix one of {', '.join(_GROUPS[name])}",
+                f"--fix {text}: {number!r} is not a number",
+                "give lengths in m, angles in rad and ratios as shares",
             )
-        for member in _GROUPS.get(name, (name,)):
-            fixed[member] = _value("--fix", text, number) if given else None
-    priors: dict[str, tuple[float, float]] = {}
+        fixed.append((name, float(number) if given else None))
+    priors: list[tuple[str, tuple[float, float]]] = []
     for text in prior:
         name, _, rest = text.partition("=")
-        if name not in (*NINE, *fixed_rows) and not _OF_THE_ROBOT.fullmatch(name):
-            raise _unknown("--prior", name, [*NINE, *fixed_rows])
         match = _PRIOR.fullmatch(rest.replace(" ", ""))
         if match is None:
             raise ConfigError(
                 f"--prior {text}: not in the format NAME=VALUE±SIGMA",
                 f"for example --prior {name}=0.1±0.002; lengths in m, angles in rad, ratios as shares",
             )
-        sigma = ranges.SIGMA.check(f"--prior {text}: standard deviation", float(match[2]))
-        priors[name] = (_value("--prior", text, match[1]), sigma)
-    return Constraints(fixed, priors, requested)
+        priors.append((name, (float(match[1]), float(match[2]))))
+    names: list[str] = []
+    for text in estimate:
+        named = [name.strip() for name in text.split(",") if name.strip()]
+        if not named:
+            raise ConfigError(
+                f"--estimate {text!r}: names no constant", "for example --estimate pan_zero,stereo"
+            )
+        names += named
+    return checked_constraints(fixed, priors, names)
+
+
+def checked_constraints(
+    fix: Iterable[tuple[str, float | None]],
+    prior: Iterable[tuple[str, tuple[float, float]]],
+    estimate: Iterable[str],
+) -> Constraints:
+    """Constraints from values; groups are replaced by their members.
+
+    Args:
+        fix: parameters, groups of them or constants, each with its value, or None for the nominal one.
+        prior: parameters or constants, each with its value and standard deviation.
+        estimate: constants, kinds of constants or groups of kinds.
+
+    Raises:
+        ConfigError: an unknown name, a name given twice, or a value that is no number or out of range.
+    """
+    rows = [row.name for row in nuisance.CONSTANTS]
+    fixed: dict[str, float | None] = {}
+    for name, value in fix:
+        _check_name("--fix", name, [*NINE, *_GROUPS, *rows])
+        if value is not None and name in _GROUPS:
+            raise ConfigError(
+                f"--fix {name}={value}: {name} is a group of parameters and takes no value",
+                f"omit the value, or fix one of {', '.join(_GROUPS[name])}",
+            )
+        exact = None if value is None else ranges.of_parameter(name).check(f"--fix {name}", value)
+        for member in _GROUPS.get(name, (name,)):
+            _check_new("--fix", member, fixed)
+            fixed[member] = exact
+    priors: dict[str, tuple[float, float]] = {}
+    for name, (mean, sigma) in prior:
+        _check_name("--prior", name, [*NINE, *rows])
+        _check_new("--prior", name, (*fixed, *priors))
+        priors[name] = (
+            ranges.of_parameter(name).check(f"--prior {name}", mean),
+            ranges.SIGMA.check(f"--prior {name}: standard deviation", sigma),
+        )
+    constants: list[str] = []
+    for name in estimate:
+        for member in _KIND_GROUPS.get(name, (name,)):
+            _check_name("--estimate", member, [*_KIND_GROUPS, *_KINDS, *rows])
+            _check_new("--estimate", member, (*fixed, *priors))
+            constants.append(member)
+    return Constraints(fixed, priors, tuple(dict.fromkeys(constants)))
+
+
+def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
+    if name not in known and not _OF_THE_ROBOT.fullmatch(name):
+        raise _unknown(flag, name, known)
+
+
+def _check_new(flag: str, name: str, given: Collection[str]) -> None:
+    if name in given:
+        raise ConfigError(f"{flag} {name}: given twice", "name each parameter or constant once")

@@ -132,11 +132,11 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     """The measurements, with all constants that they can show under the priors of rig.yaml and of the user.
 
     Raises:
-        ConfigError: the user names a constant that this robot does not have.
+        ConfigError: see `Constraints.check`.
     """
     rig = extraction.rig
     rows = (*nuisance.table(rig.cameras, rig.chain), *corner_modes(data))
-    constraints.check([row.name for row in rows])
+    constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:
         sigmas["square_scale"] = NO_SQUARE
@@ -231,8 +231,9 @@ class Fitter:
         has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
         mean, weight = np.zeros(layout.named), np.where(has_prior, scales**-2, 0.0)
         for name, (value, sigma) in self._constraints.priors.items():
-            k = layout.names.index(name)
-            mean[k], weight[k] = value - origin[k], sigma**-2
+            if name in layout.names:  # one of several recordings may not show a constant
+                k = layout.names.index(name)
+                mean[k], weight[k] = value - origin[k], sigma**-2
         fixed = np.array([name in self._constraints.fixed for name in layout.names])
         for k in np.flatnonzero(fixed).tolist():
             exact = self._constraints.fixed[layout.names[k]]
@@ -251,18 +252,18 @@ class Fitter:
         """
         names = NINE
         needed = {names[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)}
-        needed |= {name for name, value in self._constraints.fixed.items() if value is None}
         missing = []
         if self.nominal.T_h_c is None and needed & set(NINE[:6]):
             missing.append("nominal.head_eye")
         if self.nominal.wheels is None and needed & set(NINE[6:]):
             missing.append("nominal.wheels")
         if missing:
+            fixable = sorted(needed - {*NINE[:3]})  # rotations are relative to the nominal one
+            other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
             raise SolveError(
-                f"no nominal value ({', '.join(missing)}) for unobservable or fixed parameters: "
+                f"no nominal value ({', '.join(missing)}) for unobservable parameters: "
                 f"{', '.join(n for n in names if n in needed)}",
-                f"set {' and '.join(missing)} in rig.yaml, use --fix {sorted(needed)[0]}=VALUE, or record the "
-                "missing motion",
+                f"set {' and '.join(missing)} in rig.yaml{other}, or record the missing motion",
             )
 
     # -- the recipe -------------------------------------------------------------------------------
@@ -286,8 +287,7 @@ class Fitter:
         user = self._user_weight()
         for _ in range(_OBSERVABILITY_ROUNDS):
             unobservable = start.observable_directions(user).unobservable
-            if len(unobservable) or self._constraints.fixed:
-                self._require_nominal(unobservable)
+            self._require_nominal(unobservable)
             priors = self.priors(start.state, unobservable)
             optimum = optimize(start.under(priors), near, self._on_step)
             shown = optimum.lin.observable_directions(user)

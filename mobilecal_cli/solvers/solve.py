@@ -98,6 +98,7 @@ def solve(
         on_step: called before each optimization step, for "ml" only.
 
     Raises:
+        ConfigError: a constraint that this robot or recording cannot have.
         SolveError: fewer than three legs, did not converge, an encoder has the wrong sign, the wheels are swapped,
             or an unobservable parameter has no nominal value.
     """
@@ -113,6 +114,7 @@ def solve(
     try:
         if method == "ml":
             solver = Solver(extraction, constraints, on_step, data)
+            constraints.check_shown(solver.data.layout.names)
             solution = _by_likelihood(extraction, solver, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)

@@ -24,7 +24,7 @@ from mobilecal_cli.export.improved import without_correction
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.model import Camera, HeadChain, LensCorrection
+from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.pipeline.exporting import export
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
@@ -46,6 +46,7 @@ def calibrated(request, tmp_path_factory):
     route = plan_route(described, "standard", 10, seed=5)
     imperfection = Imperfection(draw(described, np.random.default_rng(3)), STATION_NOISE)
     extraction = imperfect_extraction(described, route, imperfection, seed=4)
+    extraction = replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))
     solution = solve(extraction)
     directory = tmp_path_factory.mktemp(request.param)
     text = params_yaml(solution, extraction, make_provenance(extraction), "PASS")
@@ -172,9 +173,10 @@ def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
     assert made.notes == ("The stereo pair is as stated in the recording.",)
     intrinsics = yaml.safe_load(made.content)["cam0"]["intrinsics"]
     assert intrinsics[:2] == pytest.approx(np.diag(extraction.rig.cameras.left.K)[:2])
-    for target, options in ((Target.camera_info_left, {}), (Target.urdf, {"with_chain": True})):
+    urdf = {"urdf": params.with_name("robot.urdf"), "with_chain": True}
+    for target, options in ((Target.camera_info_left, {}), (Target.urdf, urdf)):
         with pytest.raises(ConfigError, match="not estimated"):
-            export(tmp_path / "params.yaml", target, urdf=params.with_name("robot.urdf"), **options)
+            export(tmp_path / "params.yaml", target, **options)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from mobilecal_cli.export import extraction_to_npz, odometry, odometry_covarianc
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
-from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, WheelGeometry
+from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
 from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
@@ -172,7 +172,9 @@ def test_a_note_on_short_legs(extraction, tmp_path, monkeypatch, distance_m, not
     """Legs of a few centimeters, as between images in motion, do not represent a robot's drives."""
     monkeypatch.setattr(exporting, "read_params", lambda _: robot_with())
     monkeypatch.setattr(exporting, "_LEAST_LEG_M", 1.0)
-    (tmp_path / "extraction.npz").write_bytes(extraction_to_npz(extraction))
+    (tmp_path / "extraction.npz").write_bytes(
+        extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),)))
+    )
     made = exporting.export(tmp_path / "params.yaml", Target.odometry_covariance, distance_m=distance_m)
     assert any("--distance" in note for note in made.notes) == noted
     assert yaml.safe_load(made.content)["diff_drive_controller"]

@@ -89,7 +89,7 @@ def test_the_contract_of_keys(extraction, solution):
     }
     assert list(data["provenance"]) == ["tool", "version", "created", "method", "logs", "config"]
     assert data["provenance"]["logs"] == [{"path": "robot_0.mcap", "sha256": "0" * 64}]
-    assert data["provenance"]["config"]["board"]["columns"] == {"value": 9, "source": "log"}
+    assert data["provenance"]["config"]["board"]["columns"] == 9
 
 
 def test_every_number_is_a_float_for_pyyaml_too(extraction, solution):

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import doctest
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.pipeline import steps
 from mobilecal_cli.pipeline.calibrating import calibrate
+from mobilecal_cli.pipeline.steps import Data
 from mobilecal_cli.solvers import constraints_of
+from tests.command import run
 from tests.conftest import REPOSITORY
+from tests.report.example import make_extraction
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +61,98 @@ def test_a_group_stands_for_its_kinds_of_constants():
     with pytest.raises(ConfigError, match="--estimate streo: no such") as caught:
         constraints_of([], [], ["streo"])
     assert caught.value.hint == "did you mean stereo?"
+
+
+@pytest.fixture(scope="module")
+def data():
+    return Data(make_extraction(), (), {})
+
+
+@pytest.fixture(scope="module")
+def report(data):
+    return mc.Report(data, mc.solve(data))
+
+
+@pytest.mark.parametrize(
+    "number", [np.float64(0.34), np.float32(0.34), np.array(0.34), Fraction(17, 50), Decimal("0.34")]
+)
+def test_numbers_of_any_kind(data, monkeypatch, number):
+    monkeypatch.setattr(steps, "fitted", lambda _, method, constraints, *rest: constraints)
+    asked = mc.solve(
+        data,
+        fix={"separation": number},
+        prior={"t_x": (number, np.float32(0.5)), "t_y": np.array([float(number), 0.01])},
+    )
+    assert asked.fixed == {"separation": pytest.approx(0.34, abs=1e-7)}
+    assert asked.priors == {"t_x": (pytest.approx(0.34, abs=1e-7), 0.5), "t_y": (float(number), 0.01)}
+    assert {
+        type(value) for value in (asked.fixed["separation"], *asked.priors["t_x"], *asked.priors["t_y"])
+    } == {float}
+
+
+def test_a_numpy_number_fixes(data):
+    fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
+    assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
+
+
+def test_one_name_needs_no_list(data):
+    with pytest.raises(ConfigError, match="--fix separation: relative to nominal"):
+        mc.solve(data, fix="separation")
+    wide = mc.solve(data, estimate="pan_zero").solution.constants["pan_zero"]
+    assert wide.prior > mc.solve(data).solution.constants["pan_zero"].prior
+
+
+def test_a_settings_number_may_be_numpys(data, tmp_path):
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
+    found = mc.extract(tmp_path / "e.npz", settings={"noise.pixel_px": np.float64(0.2)}, jobs=np.int64(1))
+    assert found.extraction.rig.noise.pixel_px == 0.2
+
+
+def test_values_are_shown_in_a_line(data, report):
+    stations = "Extraction(12 stations, 1 recording: robot_0.mcap)"
+    assert repr(data) == f"Data({stations})"
+    assert repr(data.extraction) == stations
+    for value in (report.fit, report.fit.solution, report):
+        assert "point error 11.7 mm" in repr(value)
+        assert "\n" not in repr(value)
+        assert len(repr(value)) < 150
+    assert repr(report).startswith("Report(PASS, Fit('ml', ")
+
+
+def test_a_report_is_printed_as_the_command_prints_it(data, report, tmp_path, capsys):
+    print(report)
+    lines = capsys.readouterr().out.splitlines()
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
+    printed = run("calibrate", "e.npz", cwd=tmp_path).out.splitlines()
+    assert lines == printed[:-1]  # without the names of the files
+    assert lines[-1] == "Next: Use params.yaml on the robot."
+
+
+def test_the_public_names_are_completed():
+    assert set(mc.__all__) <= set(dir(mc))
+    assert not {"Any", "TYPE_CHECKING", "import_module"} & set(dir(mc))
+    assert mc.MobilecalError.__subclasses__()
+    from rlcompleter import Completer
+
+    completer = Completer({"mc": mc})
+    assert {completer.complete("mc.sol", n) for n in range(2)} == {"mc.solve(", None}
+    assert completer.complete("mc.ext", 0) == "mc.extract("
+
+
+@pytest.mark.parametrize("target", ["xacro", "camchain", "odometry_covariance", "foxglove", "json"])
+def test_a_report_is_exported_as_its_file(report, tmp_path, target):
+    report.save(tmp_path / "result")
+    from_file = mc.export_to(tmp_path / "result" / "params.yaml", target)
+    assert mc.export_to(report, target).notes == from_file.notes
+    assert mc.export_to(report, target).content == from_file.content
+
+
+def test_the_report_is_named_where_its_export_is_refused(report):
+    with pytest.raises(ConfigError, match="--to urdf changes"):
+        mc.export_to(report, "urdf")
+    linear = mc.Report(report.data, mc.solve(report.data, method="linear"))
+    with pytest.raises(ConfigError, match=r"^the report: the stereo pair was not estimated"):
+        mc.export_to(linear, "camera_info_left")
 
 
 def test_an_unknown_format_is_refused():

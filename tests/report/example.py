@@ -78,10 +78,10 @@ def make_provenance(extraction: Extraction) -> Provenance:
         logs=extraction.logs,
         config={
             "board": {
-                "columns": {"value": 9, "source": "log"},
-                "rows": {"value": 6, "source": "log"},
+                "columns": 9,
+                "rows": 6,
             },
-            "cameras": {"left.image": {"value": "/stereo/left/image_raw", "source": "log"}},
+            "cameras": {"left": {"image": "/stereo/left/image_raw"}},
         },
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mobilecal_cli.report import drawn, tables, verdict, wording
+from mobilecal_cli.report import drawn, metrics, tables, verdict, wording
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.svg import Canvas
 from mobilecal_cli.report.values import json_text
@@ -50,15 +50,16 @@ def test_a_table_is_one_function(case, monkeypatch):
 
 def test_a_check_is_its_numbers_and_its_sentences(case, monkeypatch):
     usual = verdict.all_checks
-    check = Check("color", 3.0, 2.0, "shades", "fail")
+    monkeypatch.setitem(metrics.METRICS, "color", metrics.Metric("color", "shades"))
+    check = Check("color", 3.0, 2.0, "fail")
     monkeypatch.setattr(verdict, "all_checks", lambda *given: [*usual(*given), check])
     said = Words("color of the robot", "3 shades", "under 2 shades", "The robot is too gray.", "Paint it.")
     monkeypatch.setitem(wording._WORDS, "color", lambda check: said)
 
     report = made(*case)
-    assert (report.verdict.level, report.verdict.reason, report.metrics["color"]) == (
+    assert (report.verdict.level, report.verdict.reason, report.verdict.checks[-1].unit) == (
         "FAIL",
         "The robot is too gray.",
-        3.0,
+        "shades",
     )
     assert "The robot is too gray." in page_of(*case)

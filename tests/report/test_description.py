@@ -86,7 +86,7 @@ def test_the_limits_are_those_of_the_page():
     text = (Path(__file__).parents[2] / "docs" / "how-to" / "read-the-report.md").read_text()
     for figure in FIGURES:
         if figure.limit is not None:
-            assert f"| `{figure.gate}` | {figure.limit:g} {figure.unit} |" in text
+            assert f"| `{figure.name}` | {figure.limit:g} {figure.unit} |" in text
 
 
 def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_it():
@@ -104,7 +104,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     gates = gates_of([f"predicted.camera_mm={limit}"], {})
     verdict = judge(solution, extraction, gates)
     assert verdict.level == level
-    check = verdict.checks["use.camera_m"]
+    check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
     assert check.value == verdict.metrics["predicted.camera_mm"]
     assert words(check).limit == f"at most {limit:g} mm"
@@ -321,7 +321,7 @@ def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
     verdict = judge(fixed, extraction)
     assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
-    assert words(verdict.checks["use.camera_m"]).measured == "fixed by the user"
+    assert words(verdict.checks["predicted.camera_mm"]).measured == "fixed by the user"
 
 
 def test_a_camera_info_that_changes_is_no_silent_pass():

@@ -39,7 +39,7 @@ def test_many_slips_are_named_by_their_legs():
 
 def test_noise_is_named_by_its_kind():
     def said(*kinds):
-        return words(Check("outliers_as_noise", len(kinds), 0, "", "warning", facts={"kinds": kinds})).why
+        return words(Check("outliers_as_noise", len(kinds), 0, "warning", facts={"kinds": kinds})).why
 
     assert "joint readings differ" in said("readings")
     assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")

@@ -10,7 +10,7 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Track, WheelTrack
+from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -245,7 +245,7 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
 def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
     rows = nuisance.table(ROBOT.rig_cameras, ROBOT.chain)
     with pytest.raises(ConfigError) as caught:
-        constraints_of(fix, prior, estimate).check([row.name for row in rows])
+        constraints_of(fix, prior, estimate).check([row.name for row in rows], Nominal())
     assert said in f"{caught.value.message} {caught.value.hint}"
 
 

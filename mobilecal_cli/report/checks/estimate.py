@@ -54,9 +54,7 @@ def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
         "observable",
         9 - len(fixed),
         9,
-        "",
         "warning" if enough else "not_enough",
-        at_least=True,
         facts={"unobservable": fixed, "cures": cures},
     )
 
@@ -70,11 +68,9 @@ def outlier_checks(solution: Solution, extraction: Extraction) -> Iterator[Check
     share = 100 * len(gross) / max(1, stations)
     outcome: Outcome = "fail" if share > OUTLIERS_BAD_PERCENT else "warning" if gross else "pass"
     facts = {"count": len(gross), "stations": stations, "first": gross[0].text if gross else ""}
-    yield Check("outliers", share, OUTLIERS_BAD_PERCENT, "%", outcome, facts=facts)
+    yield Check("outliers", share, OUTLIERS_BAD_PERCENT, outcome, facts)
     if solution.noisy:
-        yield Check(
-            "outliers_as_noise", len(solution.noisy), 0, "", "warning", facts={"kinds": solution.noisy}
-        )
+        yield Check("outliers_as_noise", len(solution.noisy), 0, "warning", {"kinds": solution.noisy})
 
 
 def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -84,20 +80,20 @@ def noise_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     noise, chain = solution.uncertainty.noise, extraction.rig.chain
     slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
     joint = (
-        (1e3 * chain.joint_units[0] * noise.joint_rad, "mm", JOINT_MM)
+        ("sliding_joint", 1e3 * chain.joint_units[0] * noise.joint_rad, JOINT_MM)
         if slides
-        else (float(np.degrees(noise.joint_rad)), "degrees", JOINT_DEG)
+        else ("joint", float(np.degrees(noise.joint_rad)), JOINT_DEG)
     )
     moving = not all(o.at_rest for o in extraction.observations)
-    for name, (level, unit, (look, bad)) in {
-        "joint": joint,
-        "wheel": (noise.wheel_rad_per_sqrt_rad, "rad per sqrt(rad)", WHEEL),
-        "wheel_share": (100 * noise.wheel_share, "%", WHEEL_SHARE_PERCENT),
-        "floor": (float(np.degrees(noise.floor_rad)), "degrees", FLOOR_DEG),
-        "stamp": (1e3 * noise.stamp_s if moving else 0.0, "ms", STAMP_MS),
-    }.items():
+    for name, level, (look, bad) in (
+        joint,
+        ("wheel", noise.wheel_rad_per_sqrt_rad, WHEEL),
+        ("wheel_share", 100 * noise.wheel_share, WHEEL_SHARE_PERCENT),
+        ("floor", float(np.degrees(noise.floor_rad)), FLOOR_DEG),
+        ("stamp", 1e3 * noise.stamp_s if moving else 0.0, STAMP_MS),
+    ):
         if level:
-            yield Check(f"noise.{name}", level, bad, unit, graded(level, look, bad), facts={"usual": look})
+            yield Check(f"noise.{name}", level, bad, graded(level, look, bad), {"usual": look})
 
 
 def jump_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -107,14 +103,14 @@ def jump_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         begin = int(extraction.wheels[jump.log].time_ns[0])
         facts = {"jump": jump, "station": names[jump.station], "at_s": (jump.time_ns - begin) / 1e9}
         value = jump.shift_sigmas if math.isfinite(jump.shift_sigmas) else None
-        yield Check("jump", value, JUMP_SHIFT_SIGMAS, "sigma", "fail", facts=facts)
+        yield Check("jump", value, JUMP_SHIFT_SIGMAS, "fail", facts)
 
 
 def height_checks(solution: Solution) -> Iterator[Check]:
     """Noise of the floor's height."""
     if solution.uncertainty is not None and solution.uncertainty.noise.floor_m:
         level, (look, bad) = 1e3 * solution.uncertainty.noise.floor_m, HEIGHT_MM
-        yield Check("noise.height", level, bad, "mm", graded(level, look, bad), facts={"usual": look})
+        yield Check("noise.height", level, bad, graded(level, look, bad), {"usual": look})
 
 
 def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -125,4 +121,4 @@ def square_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]
         off = 100 * (seen / stated - 1)
         outcome = graded(abs(off), SQUARE_LOOK_PERCENT, SQUARE_BAD_PERCENT)
         facts = {"seen_mm": seen * 1e3, "stated_mm": stated * 1e3}
-        yield Check("square_size", off, SQUARE_BAD_PERCENT, "%", outcome, facts=facts)
+        yield Check("square_size", off, SQUARE_BAD_PERCENT, outcome, facts)

@@ -60,10 +60,8 @@ def second_solution(solution: Solution, extraction: Extraction) -> Check:
         "second_solution",
         ratio if math.isfinite(ratio) else None,
         RIVAL_BAD,
-        "",
         "pass" if ratio >= RIVAL_BAD or not fits else "fail",
-        at_least=True,
-        facts={"kept_mm": kept * 1e3, "rival_mm": None if single else rival * 1e3, "fits": fits},
+        {"kept_mm": kept * 1e3, "rival_mm": None if single else rival * 1e3, "fits": fits},
     )
 
 
@@ -73,7 +71,7 @@ def wheel_difference(solution: Solution) -> Check:
     apart = 100 * (max(right, left) / min(right, left) - 1)
     outcome = graded(apart, WHEELS_LOOK_PERCENT, WHEELS_BAD_PERCENT)
     facts = {"right_mm": right * 1e3, "left_mm": left * 1e3}
-    return Check("wheel_difference", apart, WHEELS_BAD_PERCENT, "%", outcome, facts=facts)
+    return Check("wheel_difference", apart, WHEELS_BAD_PERCENT, outcome, facts)
 
 
 def nominal_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -88,9 +86,8 @@ def nominal_checks(solution: Solution, extraction: Extraction) -> Iterator[Check
             f"nominal.{name}",
             off,
             NOMINAL_BAD_PERCENT,
-            "%",
             graded(abs(off), NOMINAL_LOOK_PERCENT, NOMINAL_BAD_PERCENT),
-            facts={"mm": size * 1e3, "nominal_mm": prior * 1e3},
+            {"mm": size * 1e3, "nominal_mm": prior * 1e3},
         )
 
 
@@ -101,7 +98,7 @@ def stereo_error(solution: Solution, extraction: Extraction) -> Check:
     px = stated if found is None else found.noise.pixel_px
     facts = {"stated_px": stated, "cameras": "stated" if found is None else "estimated"}
     outcome = graded(px, STEREO_LOOK_PX, STEREO_BAD_PX)
-    return Check("stereo_error", px, STEREO_BAD_PX, "px", outcome, facts=facts)
+    return Check("stereo_error", px, STEREO_BAD_PX, outcome, facts)
 
 
 def methods(solution: Solution) -> Check:
@@ -120,9 +117,7 @@ def methods(solution: Solution) -> Check:
     limits = (METHODS_DEG, METHODS_MM, METHODS_WHEELS_PERCENT)
     largest = max(value / limit for value, limit in zip((angle_deg, shift_mm, wheels), limits, strict=True))
     facts = {"angle_deg": angle_deg, "shift_mm": shift_mm, "wheels_percent": wheels, "limits": limits}
-    return Check(
-        "methods", largest, 1.0, "", _at_most(solution, "fail") if largest > 1 else "pass", facts=facts
-    )
+    return Check("methods", largest, 1.0, _at_most(solution, "fail") if largest > 1 else "pass", facts)
 
 
 def _at_most(solution: Solution, outcome: Outcome) -> Outcome:
@@ -137,9 +132,9 @@ def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         return
     excused = ENCODER_STEPS_EXCUSED * encoder_heading_rad(solution, extraction)
     share_look, share_bad = max(LEG_SHARE_LOOK, excused), max(LEG_SHARE_BAD, excused)
-    for kind, errors, scale, unit in (
-        ("point", residuals.leg_point_rms_m * 1e3, board_distance_m(extraction) * 1e3, "mm"),
-        ("reprojection", residuals.leg_reprojection_px, float(solution.cameras.left.K[0, 0]), "px"),
+    for kind, errors, scale in (
+        ("point", residuals.leg_point_rms_m * 1e3, board_distance_m(extraction) * 1e3),
+        ("reprojection", residuals.leg_reprojection_px, float(solution.cameras.left.K[0, 0])),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = residuals.legs[worst]
@@ -147,7 +142,7 @@ def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         far = error > LEG_OUTLIER * median
         facts = {"from": names[first], "to": names[second], "median": median, "times_median": LEG_OUTLIER}
         outcome = _at_most(solution, graded(error / scale, share_look, share_bad)) if far else "pass"
-        yield Check(f"leg_outlier.{kind}", error, share_bad * scale, unit, outcome, facts=facts)
+        yield Check(f"leg_outlier.{kind}", error, share_bad * scale, outcome, facts)
 
 
 def error_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
@@ -163,11 +158,10 @@ def error_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         "point_error",
         unexplained,
         POINT_ERROR_BAD_PERCENT,
-        "%",
         graded(unexplained, POINT_ERROR_LOOK_PERCENT, POINT_ERROR_BAD_PERCENT),
-        facts={"error_mm": error * 1e3, "depth_noise_mm": predicted * 1e3, "distance_m": distance},
+        {"error_mm": error * 1e3, "depth_noise_mm": predicted * 1e3, "distance_m": distance},
     )
     limit_px = PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
     px = math.sqrt(max(solution.reprojection_rms_px**2 - floor.px**2, 0.0))
     facts = {"error_px": solution.reprojection_rms_px}
-    yield Check("reprojection_error", px, limit_px, "px", graded(px, math.inf, limit_px), facts=facts)
+    yield Check("reprojection_error", px, limit_px, graded(px, math.inf, limit_px), facts)

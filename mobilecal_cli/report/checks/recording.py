@@ -23,31 +23,31 @@ def mistakes(solution: Solution) -> Iterator[Check]:
         None if share is None else 100 * share for share in (found.error_share, found.corrected_share)
     )
     facts = {"cause": found.cause, "cure": found.cure, "corrected": after}
-    yield Check("mistake", before, None, "%", "fail", facts=facts)
+    yield Check("mistake", before, None, "fail", facts)
 
 
 def station_checks(extraction: Extraction) -> Iterator[Check]:
     """Stations, and legs between them in several recordings."""
     have, logs = len(extraction.observations), len({o.log for o in extraction.observations})
-    yield Check("stations", have, MIN_STATIONS, "", enough(have, MIN_STATIONS), at_least=True)
+    yield Check("stations", have, MIN_STATIONS, enough(have, MIN_STATIONS))
     if logs > 1:
         legs, least = have - logs, MIN_STATIONS - 1
-        yield Check("legs", legs, least, "", enough(legs, least), at_least=True, facts={"logs": logs})
+        yield Check("legs", legs, least, enough(legs, least), {"logs": logs})
 
 
 def motion_checks(solution: Solution) -> Iterator[Check]:
     """Motion of head and base, for methods without standard deviations."""
     for key, least in LEAST_MOTION.items():
         if key in solution.motion:
-            value, unit = solution.motion[key], "m" if key.endswith("_m") else "degrees"
-            yield Check(f"motion.{key}", value, least, unit, enough(value, least), at_least=True)
+            value = solution.motion[key]
+            yield Check(f"motion.{key}", value, least, enough(value, least))
 
 
 def camera_info(extraction: Extraction) -> Iterator[Check]:
     """One calibration of each camera for the whole recording; the estimate uses the first."""
     changes = [note for note in extraction.notes if CAMERA_INFO_CHANGES in note]
     if changes:
-        yield Check("camera_info", len(changes), 0, "", "warning", facts={"note": changes[0]})
+        yield Check("camera_info", len(changes), 0, "warning", {"note": changes[0]})
 
 
 def rejected(extraction: Extraction) -> Check:
@@ -57,4 +57,4 @@ def rejected(extraction: Extraction) -> Check:
     often = next(iter(counts))[1] if counts else ""
     facts = {"rejected": found - used, "found": found, "often": often}
     outcome = graded(share, REJECTED_LOOK_PERCENT, math.inf)
-    return Check("rejected", share, REJECTED_LOOK_PERCENT, "%", outcome, facts=facts)
+    return Check("rejected", share, REJECTED_LOOK_PERCENT, outcome, facts)

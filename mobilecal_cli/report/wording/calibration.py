@@ -15,6 +15,7 @@ from mobilecal_cli.report.wording.words import Words, part
 _SLIP = "Check for wheel slip, a moved board, and errors in the head joints or their URDF."
 _NOISE = {
     "joint": ("joint readings", "the head joints for play, and the head chain in the URDF"),
+    "sliding_joint": ("joint readings", "the head joints for play, and the head chain in the URDF"),
     "wheel": ("wheels", "the wheels for slip"),
     "wheel_share": ("wheels in proportion to their rotation", "the wheels for slip, the tires and the load"),
     "floor": ("floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock"),
@@ -353,7 +354,7 @@ WORDS: dict[str, Callable[[Check], Words]] = {
     "outliers_as_noise": _outliers_as_noise,
     "noise": _noise,
     "jump": _jump,
-    "use": use_words,
+    "predicted": use_words,
     "rejected": _rejected,
     "change": _change,
     "gate": _gate,

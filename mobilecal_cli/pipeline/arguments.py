@@ -1,0 +1,92 @@
+"""Checks of the arguments of the Python functions: a wrong one raises an error that names it, before any work."""
+
+from __future__ import annotations
+
+import os
+import reprlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli.errors import ConfigError
+
+AnyPath = str | os.PathLike[str]
+
+
+def require(name: str, value: object, kinds: type | tuple[type, ...], give: str) -> None:
+    """Check the type of an argument.
+
+    Args:
+        name: of the argument.
+        value: as given.
+        kinds: types that it may have.
+        give: what to give, for the message.
+
+    Raises:
+        TypeError: it has another type.
+    """
+    if not isinstance(value, kinds):
+        raise TypeError(f"{name} is {reprlib.repr(value)}, of type {type(value).__name__}: give {give}")
+
+
+def path_of(name: str, path: AnyPath) -> Path:
+    """A path.
+
+    Raises:
+        TypeError: it is neither a string nor a `pathlib.Path`.
+    """
+    require(name, path, (str, os.PathLike), "a path as a string or pathlib.Path")
+    return Path(path)
+
+
+def paths_of(name: str, paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
+    """One or several paths as a tuple.
+
+    Raises:
+        TypeError: something else than paths.
+    """
+    if isinstance(paths, str | os.PathLike):
+        return (Path(paths),)
+    require(name, paths, Iterable, "a path or a list of paths")
+    return tuple(path_of(name, path) for path in paths)
+
+
+def names_of(name: str, names: str | Iterable[str]) -> tuple[str, ...]:
+    """One or several names as a tuple.
+
+    Raises:
+        TypeError: something else than strings.
+    """
+    if isinstance(names, str):
+        return (names,)
+    require(name, names, Iterable, "a name or a list of names")
+    for each in (names := tuple(names)):
+        require(f"a name in {name}", each, str, "strings")
+    return names
+
+
+def by_name(name: str, given: Mapping[Any, Any]) -> Mapping[str, Any]:
+    """A mapping whose keys are strings.
+
+    Raises:
+        TypeError: something else.
+    """
+    require(name, given, Mapping, "a mapping from names, such as a dict")
+    names_of(name, given)
+    return given
+
+
+def pair_of(name: str, pair: Iterable[float]) -> tuple[float, float]:
+    """Two values.
+
+    Raises:
+        ConfigError: it does not have two values.
+    """
+    try:
+        first, second = pair
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{name}: {reprlib.repr(pair)} is not a pair of numbers",
+            "give the value and its standard deviation, for example (0.5, 0.002)",
+        ) from error
+    return first, second

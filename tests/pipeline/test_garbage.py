@@ -1,0 +1,196 @@
+"""Garbage as arguments of the Python surface: an error of the package, a TypeError or a ValueError, with a sentence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mobilecal_cli as mc
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.export import extraction_to_npz
+from tests.report.example import make_extraction
+
+NAN, INF = math.nan, math.inf
+NOTHING = [None, 5, NAN, True, "x", b"x", [], [None], {5: 5}, object(), np.zeros(3)]
+
+
+def but(values, *right):
+    """The values that are wrong."""
+    return [value for value in values if repr(value) not in {repr(each) for each in right}]
+
+
+@dataclass
+class Things:
+    """What the calls need that is right."""
+
+    npz: Path
+    data: Any
+    fit: Any
+    report: Any
+    folder: Path
+
+    @property
+    def params(self) -> Path:
+        return self.folder / "result" / "params.yaml"
+
+
+@pytest.fixture(scope="module")
+def right(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("garbage")
+    npz = folder / "extraction.npz"
+    npz.write_bytes(extraction_to_npz(make_extraction()))
+    data = mc.extract(npz)
+    fit = mc.solve(data)
+    report = mc.Report(data, fit)
+    report.save(folder / "result")
+    return Things(npz, data, fit, report, folder)
+
+
+def calls():
+    """(function, argument, value): everything else is right."""
+    yield from (("extract", "logs", value) for value in [*NOTHING, ["x", 3], "\0", [[]], "/", "."])
+    yield from (("extract", "config", value) for value in [*but(NOTHING, None), "\0", "/"])
+    settings = [
+        *but(NOTHING, None),
+        {"board.square_m": "wide"},
+        {"board.square_m": object()},
+        {"board.square_m": np.array([1, 2])},
+        {"board": 5},
+        {"board..x": 1},
+        {"": 1},
+        {"noise.pixel_px": NAN},
+        {"noise.pixel_px": -1},
+        {"head": []},
+    ]
+    yield from (("extract", "settings", value) for value in but(settings, {}, (), [], ""))
+    yield from (("extract", "progress", value) for value in NOTHING)
+    yield from (("extract", "jobs", value) for value in [None, -1, 0, 2.5, NAN, "2", [], {}, object()])
+    yield from (("solve", "data", value) for value in NOTHING)
+    yield from (("solve", "method", value) for value in [*NOTHING, "mll", "ML", ["ml"]])
+    fixes = [
+        *but(NOTHING, None, []),
+        [None],
+        [[]],
+        {5: 5},
+        object(),
+        np.zeros(3),
+        {"separation": "0.5"},
+        {"separation": NAN},
+        {"separation": INF},
+        {"separation": -1},
+        {"separation": True},
+        {"separation": [0.5]},
+        {"separation": np.zeros(2)},
+        {"separation": 1j},
+        {"separation": object()},
+        {"wheels": 0.5},
+        {None: 0.5},
+        {"": None},
+    ]
+    yield from (("solve", "fix", value) for value in but(fixes, ""))
+    priors = [
+        *but(NOTHING, None, []),
+        [None],
+        {5: 5},
+        "separation=0.5±0.1",
+        {"separation": 0.5},
+        {"separation": ()},
+        {"separation": (0.5,)},
+        {"separation": (0.5, -1)},
+        {"separation": (0.5, 0)},
+        {"separation": (0.5, NAN)},
+        {"separation": (NAN, 1)},
+        {"separation": ("0.5", "0.1")},
+        {"separation": "ab"},
+        {"separation": (1, 2, 3)},
+        {"separation": None},
+        {"separation": {}},
+        {"seperation": (0.5, 0.1)},
+    ]
+    yield from (("solve", "prior", value) for value in but(priors, ""))
+    yield from (
+        ("solve", "estimate", value) for value in [*but(NOTHING, []), [None], [5], [[]], [""], ",,,", "streo"]
+    )
+    yield from (
+        ("solve", "hold_out", value) for value in [NAN, INF, -1, 0, 1, 5, "0.3", [], [0.3], {}, True, 1j]
+    )
+    yield from (("solve", "progress", value) for value in NOTHING)
+    yield from (("Report", "data", value) for value in NOTHING)
+    yield from (("Report", "fit", value) for value in NOTHING)
+    gates = [
+        *but(NOTHING, []),
+        [None],
+        ["stations"],
+        "stations=5",
+        {5: 5},
+        {"stations": "5"},
+        {"stations": None},
+        {"stations": NAN},
+        {"stations": []},
+        {"nope": 1},
+        {"hold_out.stations": 1},
+        object(),
+    ]
+    yield from (("Report", "gates", value) for value in but(gates, ""))
+    yield from (("Report", "last", value) for value in [*but(NOTHING, None), "\0", "/"])
+    yield from (("save", "directory", value) for value in but([*NOTHING, "\0", "/"], "x"))
+    yield from (("compare", "first", value) for value in NOTHING)
+    yield from (("compare", "second", value) for value in [*NOTHING, "params.yaml"])
+    yield from (("load", "params", value) for value in [*NOTHING, "\0", "/"])
+    yield from (("export_to", "params", value) for value in [*NOTHING, "\0", "/"])
+    yield from (("export_to", "target", value) for value in [*NOTHING, "xarco"])
+    yield from (("export_to:urdf", "urdf", value) for value in [*NOTHING, "\0", "/"])
+    joints = [*but(NOTHING, None), {"middle": "x"}, {"left": 5}, {"left": ""}, {5: "x"}, ["left"]]
+    yield from (("export_to:ros2_control", "wheel_joints", v) for v in but(joints, {}, (), [], ""))
+    numbers = [*but(NOTHING, None), -1, 0, INF, "5"]
+    yield from (("export_to:odometry_covariance", "rate_hz", value) for value in but(numbers, 5, 2.5))
+    yield from (("export_to:odometry_covariance", "distance_m", v) for v in but(numbers, 5, 2.5))
+    yield from (("export_to:foxglove", "logs", v) for v in but([*NOTHING, "\0"], [], (), {}))
+
+
+CALLS = list(calls())
+
+
+def called(right, function, argument, value):
+    function, _, target = function.partition(":")
+    if function == "extract":
+        return mc.extract(**({"logs": right.npz} | {argument: value}))
+    if function == "solve":
+        return mc.solve(**({"data": right.data} | {argument: value}))
+    if function == "Report":
+        return mc.Report(**({"data": right.data, "fit": right.fit} | {argument: value}))
+    if function == "save":
+        return right.report.save(value)
+    if function == "compare":
+        both = {"first": right.report.robot, "second": right.report.robot} | {argument: value}
+        return mc.compare(*both.values())
+    if function == "load":
+        return mc.load(value)
+    return mc.export_to(**({"params": right.params, "target": target or "json"} | {argument: value}))
+
+
+@pytest.mark.parametrize(
+    ("function", "argument", "value"),
+    CALLS,
+    ids=[f"{n}-{function}-{argument}" for n, (function, argument, _) in enumerate(CALLS)],
+)
+def test_garbage(right, monkeypatch, function, argument, value):
+    monkeypatch.chdir(right.folder)
+    before = sorted(right.folder.iterdir())
+    with pytest.raises((MobilecalError, TypeError, ValueError)) as caught:
+        called(right, function, argument, value)
+    text = str(caught.value)
+    assert len(text.split()) >= 3, text
+    assert len(text) < 1000, text
+    if isinstance(caught.value, MobilecalError):
+        assert caught.value.hint
+    assert sorted(right.folder.iterdir()) == before
+
+
+def test_there_are_many():
+    assert len(CALLS) > 150
