@@ -63,7 +63,7 @@ def _has_display() -> bool:
     """Whether a browser can show a window: $BROWSER also stands for one that shows it elsewhere."""
     if os.environ.get("BROWSER"):
         return True
-    if sys.platform in ("darwin", "win32"):
+    if sys.platform == "darwin":
         return not os.environ.get("SSH_CONNECTION")
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
