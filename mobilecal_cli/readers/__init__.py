@@ -5,7 +5,7 @@ the robot, `read_signals` reads everything except image contents in one pass, an
 images.
 """
 
-from mobilecal_cli.readers.containers.hashing import sha256_of
+from mobilecal_cli.readers.containers.hashing import METADATA, sha256_of
 from mobilecal_cli.readers.containers.opening import join_splits, open_recording, recognised
 from mobilecal_cli.readers.containers.recording import Message, Recording
 from mobilecal_cli.readers.containers.storage import Extent
@@ -17,6 +17,7 @@ from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read
 from mobilecal_cli.readers.signals.reading import read_signals
 
 __all__ = [
+    "METADATA",
     "Extent",
     "Message",
     "Pictures",

@@ -9,6 +9,7 @@ from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
+from mobilecal_cli.readers.containers.hashing import METADATA
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
@@ -21,7 +22,6 @@ CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
     rosbag1.MAGIC: rosbag1.BagStorage,
     sqlite.MAGIC: sqlite.SqliteStorage,
 }
-METADATA = "metadata.yaml"
 KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
 
 
