@@ -36,6 +36,7 @@ KEYFRAMES = 80
 # One camera records nothing for so long, while the other has so many images.
 _SILENT_S, _MISSED_IMAGES = 3.0, 5
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
+_FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 _NS = 1_000_000_000
 
 
@@ -247,9 +248,10 @@ class _Pairs:
     Attributes:
         signals: of the log.
         channels: its joints and wheels.
-        pairs: the pairs with readings of all of them.
+        pairs: the pairs with readings of all of them, with images that no pair before has.
         rests: those in which nothing moves, by rest.
-        rejections: the other pairs.
+        rejections: pairs without readings.
+        frozen: the sides and the time of pairs with an image that has not changed since the robot moved.
     """
 
     signals: Signals
@@ -257,6 +259,7 @@ class _Pairs:
     pairs: list[StereoPair]
     rests: list[list[StereoPair]]
     rejections: list[Rejection]
+    frozen: list[tuple[str, int]]
 
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
@@ -284,8 +287,79 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
             f"none of {len(pairs)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
-    pairs = [pair for pair, ok in zip(pairs, covered, strict=True) if ok]
-    return _Pairs(signals, channels, pairs, _rests(pairs, channels), rejections)
+    shown = _Shown(signals.images, channels)
+    pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok])
+    if not pairs:
+        raise RecordingError(
+            f"the images of all {len(frozen)} stereo pairs were taken before the last motion of the robot: they do not "
+            "change",
+            "check the cameras and their drivers, and record again",
+        )
+    runs = _rests(pairs, channels)
+    resting = {pair for run in runs for pair in run}
+    rests = [own for run in runs if (own := shown.new(run))]
+    moving = shown.new([pair for pair in pairs if pair not in resting])
+    pairs = sorted([*moving, *(pair for run in rests for pair in run)], key=lambda pair: pair.time_ns)
+    return _Pairs(signals, channels, pairs, rests, rejections, frozen)
+
+
+class _Shown:
+    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps.
+
+    Args:
+        images: side → all images.
+        channels: joints and wheels.
+    """
+
+    def __init__(self, images: Mapping[Side, PictureIndex], channels: Sequence[_Channel]) -> None:
+        self._since = [
+            dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
+            for index in (images["left"], images["right"])
+        ]
+        self._channels = channels
+        self._used: tuple[set[int], set[int]] = (set(), set())
+        self._moved_since: set[tuple[str, int]] = set()
+
+    def _of(self, pair: StereoPair) -> tuple[int, int]:
+        """Times at which the left and the right image were shown first."""
+        return self._since[0][pair.left_ns], self._since[1][pair.right_ns]
+
+    def current(self, pairs: Sequence[StereoPair]) -> tuple[list[StereoPair], list[tuple[str, int]]]:
+        """Pairs whose images still show what the cameras see; sides and times of those that are frozen."""
+        kept, frozen = [], []
+        for pair in pairs:
+            times = (("left", pair.left_ns), ("right", pair.right_ns))
+            stale = [
+                (side, time_ns - since_ns)
+                for (side, time_ns), since_ns in zip(times, self._of(pair), strict=True)
+                if self._moved(side, since_ns, time_ns)
+            ]
+            if not stale:
+                kept.append(pair)
+            elif any(age_ns > _FROZEN_S * _NS for _, age_ns in stale):
+                frozen.append((" and ".join(side for side, _ in stale), pair.time_ns))
+        return kept, frozen
+
+    def _moved(self, side: str, since_ns: int, until_ns: int) -> bool:
+        """Whether the robot moved while a camera repeated an image."""
+        if since_ns == until_ns:
+            return False
+        if (side, since_ns) not in self._moved_since:
+            if all(c.wander(since_ns, until_ns) <= c.tolerance for c in self._channels):
+                return False
+            self._moved_since.add((side, since_ns))
+        return True
+
+    def new(self, pairs: Sequence[StereoPair]) -> list[StereoPair]:
+        """The pairs, in order of time, with images that no pair has that was passed before."""
+        kept = []
+        for pair in pairs:
+            left, right = self._of(pair)
+            if left not in self._used[0] and right not in self._used[1]:
+                kept.append(pair)
+                self._used[0].add(left)
+                self._used[1].add(right)
+        return kept
 
 
 def _without_readings(log: _Pairs) -> Iterator[str]:
@@ -299,6 +373,17 @@ def _without_readings(log: _Pairs) -> Iterator[str]:
         yield (
             f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: no "
             f"readings of {name} around them. Check its cable and its driver."
+        )
+
+
+def _frozen(log: _Pairs) -> Iterator[str]:
+    """A note where stereo pairs are not used because a camera repeated an image while the robot moved."""
+    first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
+    for sides in dict.fromkeys(sides for sides, _ in log.frozen):
+        times = [(time_ns - first_ns) / _NS for name, time_ns in log.frozen if name == sides]
+        yield (
+            f"{len(times)} stereo pairs between {min(times):.0f} and {max(times):.0f} s after the first image are not "
+            f"used: the {sides} images stay the same while the robot moves. Check the driver of the {sides} camera."
         )
 
 
@@ -353,6 +438,7 @@ def plan_stations(
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
     notes += (note for log, _ in found for note in _silences(log.signals.images))
     notes += (note for log, _ in found for note in _without_readings(log))
+    notes += (note for log, _ in found for note in _frozen(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
