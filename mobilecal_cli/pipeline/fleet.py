@@ -114,7 +114,8 @@ def fingerprint(job: FleetJob) -> str:
     """
     config = load_rig(job.config, job.flags)
     parts = [__version__, config.model_dump_json(), read_urdf(config) or "", *sorted(job.flags), *job.gates]
-    parts += [sha256_of(log) for log in job.logs]
+    journals = [log.with_name(f"{log.name}-wal") for log in job.logs]  # SQLite reads them with the database
+    parts += [sha256_of(path) for path in (*job.logs, *(path for path in journals if path.is_file()))]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import FleetJob, FleetRow
-from mobilecal_cli.readers import METADATA, recognised, sha256_of
+from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
@@ -20,7 +20,6 @@ RECORDS = ".mobilecal_batch"
 #: Files of all robots, in the output directory of a batch.
 SUMMARIES = ("summary.csv", "summary.html")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
-_SUFFIXES = frozenset({".mcap", ".bag", ".db3", ".zstd", ".zst"})
 #: Reasons for skipping, in the order of the summary.
 DONE, NO_RECORDING = "already done", "no recording"
 
@@ -134,22 +133,13 @@ def _check_config(source: Path, name: str, config: Path, flags: Mapping[str, Any
 def _of_directory(folder: Path) -> list[_Robot]:
     robots = []
     for path in sorted(folder.iterdir()):
-        if _is_recording(path) and not path.name.startswith("."):
+        if looks_recorded(path) and not path.name.startswith("."):
             name = path.name if path.is_dir() else path.stem
             own = folder / f"{name}.rig.yaml"
             robots.append(_Robot(name=name, logs=(path,), config=own if own.is_file() else None))
     if not robots:
         raise ConfigError(f"{folder}: no recording found", "give a directory of recordings, or a manifest")
     return robots
-
-
-def _is_recording(path: Path) -> bool:
-    """Whether an entry of a directory is a recording, by its contents or its name: it may be empty or damaged."""
-    if path.is_dir():
-        return any(
-            file.is_file() and (file.suffix in _SUFFIXES or file.name == METADATA) for file in path.iterdir()
-        )
-    return path.suffix in _SUFFIXES or recognised(path)
 
 
 def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
@@ -163,7 +153,7 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
             or path.name.endswith(".rig.yaml")
             or path.absolute() == output.absolute()
         )
-        if not known and not _is_recording(path):
+        if not known and not looks_recorded(path):
             why = f"{path.name} is not a recording"
             rows.append(FleetRow(path.name, "SKIPPED", 0, why, skipped=NO_RECORDING))
     return tuple(rows)

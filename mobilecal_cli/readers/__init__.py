@@ -5,8 +5,8 @@ the robot, `read_signals` reads everything except image contents in one pass, an
 images.
 """
 
-from mobilecal_cli.readers.containers.hashing import METADATA, sha256_of
-from mobilecal_cli.readers.containers.opening import join_splits, open_recording, recognised
+from mobilecal_cli.readers.containers.hashing import sha256_of
+from mobilecal_cli.readers.containers.opening import join_splits, looks_recorded, open_recording
 from mobilecal_cli.readers.containers.recording import Message, Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.pixels import decode_image
@@ -17,7 +17,6 @@ from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read
 from mobilecal_cli.readers.signals.reading import read_signals
 
 __all__ = [
-    "METADATA",
     "Extent",
     "Message",
     "Pictures",
@@ -25,6 +24,7 @@ __all__ = [
     "decode_image",
     "find_pictures",
     "join_splits",
+    "looks_recorded",
     "number_fields",
     "open_recording",
     "pictures_near",
@@ -32,6 +32,5 @@ __all__ = [
     "read_images",
     "read_signals",
     "read_stamps",
-    "recognised",
     "sha256_of",
 ]

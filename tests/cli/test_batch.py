@@ -397,9 +397,11 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert not again()
     (out / "a" / "extraction.npz").unlink()
     assert again()
+    (tmp_path / "a.mcap-wal").write_bytes(b"more")
+    assert again()
     assert again(force=True)
     assert not again()
-    assert len(counted) == 6
+    assert len(counted) == 7
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
 
 
