@@ -37,6 +37,12 @@ KEYFRAMES = 80
 _SILENT_S, _MISSED_IMAGES = 3.0, 5
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
+# Reasons for pairs that are not used, and what to do.
+_NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
+_NOT_USED = {
+    _NO_READINGS: "no readings of {0} around them. Check its cable and its driver.",
+    _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
+}
 _NS = 1_000_000_000
 
 
@@ -250,8 +256,7 @@ class _Pairs:
         channels: its joints and wheels.
         pairs: the pairs with readings of all of them, with images that no pair before has.
         rests: those in which nothing moves, by rest.
-        rejections: pairs without readings.
-        frozen: the sides and the time of pairs with an image that has not changed since the robot moved.
+        rejections: pairs without readings, or with an image that has not changed since the robot moved.
     """
 
     signals: Signals
@@ -259,7 +264,6 @@ class _Pairs:
     pairs: list[StereoPair]
     rests: list[list[StereoPair]]
     rejections: list[Rejection]
-    frozen: list[tuple[str, int]]
 
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
@@ -277,7 +281,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     for channel in channels:
         missing = ~channel.covers(times)
         rejections += [
-            Rejection("stations", "no readings around the image", channel.name, int(time_ns))
+            Rejection("stations", _NO_READINGS, channel.name, int(time_ns))
             for time_ns in times[missing & covered]
         ]
         covered &= ~missing
@@ -300,7 +304,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     rests = [own for run in runs if (own := shown.new(run))]
     moving = shown.new([pair for pair in pairs if pair not in resting])
     pairs = sorted([*moving, *(pair for run in rests for pair in run)], key=lambda pair: pair.time_ns)
-    return _Pairs(signals, channels, pairs, rests, rejections, frozen)
+    return _Pairs(signals, channels, pairs, rests, [*rejections, *frozen])
 
 
 class _Shown:
@@ -324,9 +328,10 @@ class _Shown:
         """Times at which the left and the right image were shown first."""
         return self._since[0][pair.left_ns], self._since[1][pair.right_ns]
 
-    def current(self, pairs: Sequence[StereoPair]) -> tuple[list[StereoPair], list[tuple[str, int]]]:
-        """Pairs whose images still show what the cameras see; sides and times of those that are frozen."""
-        kept, frozen = [], []
+    def current(self, pairs: Sequence[StereoPair]) -> tuple[list[StereoPair], list[Rejection]]:
+        """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
+        kept: list[StereoPair] = []
+        frozen: list[Rejection] = []
         for pair in pairs:
             times = (("left", pair.left_ns), ("right", pair.right_ns))
             stale = [
@@ -337,7 +342,8 @@ class _Shown:
             if not stale:
                 kept.append(pair)
             elif any(age_ns > _FROZEN_S * _NS for _, age_ns in stale):
-                frozen.append((" and ".join(side for side, _ in stale), pair.time_ns))
+                sides = " and ".join(side for side, _ in stale)
+                frozen.append(Rejection("stations", _FROZEN, sides, pair.time_ns))
         return kept, frozen
 
     def _moved(self, side: str, since_ns: int, until_ns: int) -> bool:
@@ -362,28 +368,17 @@ class _Shown:
         return kept
 
 
-def _without_readings(log: _Pairs) -> Iterator[str]:
-    """A note where stereo pairs are not used because a joint or a wheel has no readings around them."""
+def _not_used(log: _Pairs) -> Iterator[str]:
+    """A note on stereo pairs that are not used, for each reason and joint, wheel or camera."""
     first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
-    for name in dict.fromkeys(rejection.detail for rejection in log.rejections):
-        times = [r.time_ns for r in log.rejections if r.detail == name and r.time_ns is not None]
+    for reason, name in dict.fromkeys((r.reason, r.detail) for r in log.rejections):
+        times = [r.time_ns for r in log.rejections if (r.reason, r.detail) == (reason, name)]
         if len(times) < _MISSED_PAIRS:
             continue
         since, until = ((at - first_ns) / _NS for at in (min(times), max(times)))
         yield (
-            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: no "
-            f"readings of {name} around them. Check its cable and its driver."
-        )
-
-
-def _frozen(log: _Pairs) -> Iterator[str]:
-    """A note where stereo pairs are not used because a camera repeated an image while the robot moved."""
-    first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
-    for sides in dict.fromkeys(sides for sides, _ in log.frozen):
-        times = [(time_ns - first_ns) / _NS for name, time_ns in log.frozen if name == sides]
-        yield (
-            f"{len(times)} stereo pairs between {min(times):.0f} and {max(times):.0f} s after the first image are not "
-            f"used: the {sides} images stay the same while the robot moves. Check the driver of the {sides} camera."
+            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: "
+            f"{_NOT_USED[reason].format(name)}"
         )
 
 
@@ -437,8 +432,7 @@ def plan_stations(
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
     notes += (note for log, _ in found for note in _silences(log.signals.images))
-    notes += (note for log, _ in found for note in _without_readings(log))
-    notes += (note for log, _ in found for note in _frozen(log))
+    notes += (note for log, _ in found for note in _not_used(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

@@ -11,7 +11,7 @@ from mobilecal_cli.cli.app import app
 from mobilecal_cli.cli.calibrating import errors_to
 from mobilecal_cli.cli.options import AsJson, Config, Gates, JUnit, Quiet, Settings, flags_of
 from mobilecal_cli.cli.verdict import conclude
-from mobilecal_cli.errors import QualityError
+from mobilecal_cli.errors import OutputError, QualityError, ResourceError
 
 
 @app.command()
@@ -54,7 +54,7 @@ def batch(
 
     from mobilecal_cli.export import write_file
     from mobilecal_cli.pipeline import cluster, fleet
-    from mobilecal_cli.report.fleet import fleet_exit_code, fleet_json, fleet_text
+    from mobilecal_cli.report.fleet import fleet_json, fleet_text
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
     from mobilecal_cli.terminal import progress_bar
 
@@ -82,6 +82,14 @@ def batch(
         typer.echo(fleet_text(rows), nl=False)
     if failed and (as_json or quiet):
         typer.echo(fleet_text(failed), nl=False, err=True)
+    worst = max(robots, key=lambda row: row.exit_code)
+    if worst.exit_code in (OutputError.exit_code, ResourceError.exit_code):
+        stopped = sum(row.exit_code == worst.exit_code for row in robots)
+        kind = OutputError if worst.exit_code == OutputError.exit_code else ResourceError
+        raise kind(
+            f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
+            "see the reason, then run the same command again: it calibrates only what is missing",
+        )
     names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
     try:
         conclude(
@@ -94,4 +102,4 @@ def batch(
             quiet=as_json or quiet,
         )
     except QualityError:  # a robot without a result has an exit code of its own
-        raise typer.Exit(fleet_exit_code(rows)) from None
+        raise typer.Exit(worst.exit_code) from None

@@ -106,15 +106,10 @@ def _cell(value: str | float | None) -> str:
 
 
 def fleet_json(rows: Sequence[FleetRow]) -> str:
-    """The lines of the robots as JSON, with the exit code of the batch."""
+    """The lines of the robots as JSON, with the exit code of the batch: the largest."""
     robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
-    content = {"exit_code": fleet_exit_code(rows), "robots": robots}
+    content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def fleet_exit_code(rows: Sequence[FleetRow]) -> int:
-    """The largest exit code of the robots; 0 if all pass."""
-    return max(row.exit_code for row in rows)
 
 
 def _harmless(text: str) -> str:
