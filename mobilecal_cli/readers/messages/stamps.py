@@ -20,5 +20,7 @@ def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
 
 def content_of(message: Any) -> bytes:  # noqa: ANN401
     """Pixels of an image message, as encoded; b"" without any."""
-    data = getattr(message, "data", None)
-    return b"" if data is None or isinstance(data, str) else bytes(memoryview(data))
+    try:
+        return bytes(memoryview(message.data))
+    except (AttributeError, TypeError):  # no data, or not bytes
+        return b""
