@@ -7,17 +7,20 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from mobilecal_cli.errors import ResourceError
+from mobilecal_cli.errors import ConfigError, ResourceError
 from mobilecal_cli.interruption import Interrupted, uninterrupted
 
 try:
     import fcntl
-except ImportError:  # Windows: no directory counts as abandoned
-    fcntl = None  # type: ignore[assignment]
+except ImportError as error:  # every command and the Python API get here before they read or write anything
+    raise ConfigError(
+        "mobilecal runs on Linux and macOS; this system lacks their file locks",
+        "on Windows, use the Windows Subsystem for Linux (wsl --install), or a Linux container",
+    ) from error
 
 _PREFIX = "mobilecal-"
 #: Directories of this process that exist.
@@ -31,24 +34,29 @@ def scratch_directory() -> Iterator[Path]:
     Raises:
         ResourceError: it cannot be created.
     """
-    try:
-        for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-            with abandoned(path) as free:
-                if free:
-                    shutil.rmtree(path, ignore_errors=True)
-        path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        _existing.add(path)
-    except OSError as error:
-        raise _no_space(error) from error
-    try:
-        with in_use(path):
-            yield path
-    finally:
+    with ExitStack() as stack:
         try:
-            _remove(path)
-        except Interrupted:  # before the removal, or after it
-            _remove(path)
-            raise
+            for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+                with abandoned(path) as free:
+                    if free:
+                        shutil.rmtree(path, ignore_errors=True)
+            path = stack.enter_context(locked(_created))
+        except OSError as error:
+            raise _no_space(error) from error
+        try:
+            yield path
+        finally:
+            try:
+                _remove(path)
+            except Interrupted:  # before the removal, or after it
+                _remove(path)
+                raise
+
+
+def _created() -> Path:
+    path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    _existing.add(path)
+    return path
 
 
 def enter_scratch(stack: ExitStack) -> Path:
@@ -100,31 +108,38 @@ def _no_space(error: OSError) -> ResourceError:
 
 
 @contextmanager
-def in_use(path: Path) -> Iterator[None]:
-    """Lock a directory while the block runs, so that no other process takes it for abandoned.
+def locked(create: Callable[[], Path]) -> Iterator[Path]:
+    """A new directory, locked while the block runs, so that no other process takes it for abandoned.
+
+    Args:
+        create: creates the directory. It is called again if another process removes the directory before the lock.
 
     Raises:
-        OSError: the directory cannot be opened.
+        OSError: the directory cannot be created or opened.
     """
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # not every file system has locks
-            if fcntl is not None:
+    while True:
+        path = create()
+        with suppress(FileNotFoundError):
+            descriptor = os.open(path, os.O_RDONLY)
+            with suppress(OSError):  # not every file system has locks
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
+            if path.exists():
+                break
+            os.close(descriptor)
+    try:
+        yield path
     finally:
         os.close(descriptor)
 
 
 @contextmanager
 def abandoned(path: Path) -> Iterator[bool]:
-    """Whether the process that locked a directory with `in_use` has ended."""
+    """Whether the process that locked a directory with `locked` has ended; it stays so during the block."""
     descriptor = -1
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        if fcntl is not None:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        free = fcntl is not None
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        free = True
     except OSError:
         free = False
     try:

@@ -36,6 +36,13 @@ KEYFRAMES = 80
 # One camera records nothing for so long, while the other has so many images.
 _SILENT_S, _MISSED_IMAGES = 3.0, 5
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
+_FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
+# Reasons for pairs that are not used, and what to do.
+_NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
+_NOT_USED = {
+    _NO_READINGS: "no readings of {0} around them. Check its cable and its driver.",
+    _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
+}
 _NS = 1_000_000_000
 
 
@@ -247,9 +254,9 @@ class _Pairs:
     Attributes:
         signals: of the log.
         channels: its joints and wheels.
-        pairs: the pairs with readings of all of them.
+        pairs: the pairs with readings of all of them, with images that no pair before has.
         rests: those in which nothing moves, by rest.
-        rejections: the other pairs.
+        rejections: pairs without readings, or with an image that has not changed since the robot moved.
     """
 
     signals: Signals
@@ -274,7 +281,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     for channel in channels:
         missing = ~channel.covers(times)
         rejections += [
-            Rejection("stations", "no readings around the image", channel.name, int(time_ns))
+            Rejection("stations", _NO_READINGS, channel.name, int(time_ns))
             for time_ns in times[missing & covered]
         ]
         covered &= ~missing
@@ -284,21 +291,94 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
             f"none of {len(pairs)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
-    pairs = [pair for pair, ok in zip(pairs, covered, strict=True) if ok]
-    return _Pairs(signals, channels, pairs, _rests(pairs, channels), rejections)
+    shown = _Shown(signals.images, channels)
+    pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok])
+    if not pairs:
+        raise RecordingError(
+            f"the images of all {len(frozen)} stereo pairs were taken before the last motion of the robot: they do not "
+            "change",
+            "check the cameras and their drivers, and record again",
+        )
+    runs = _rests(pairs, channels)
+    resting = {pair for run in runs for pair in run}
+    rests = [own for run in runs if (own := shown.new(run))]
+    moving = shown.new([pair for pair in pairs if pair not in resting])
+    pairs = sorted([*moving, *(pair for run in rests for pair in run)], key=lambda pair: pair.time_ns)
+    return _Pairs(signals, channels, pairs, rests, [*rejections, *frozen])
 
 
-def _without_readings(log: _Pairs) -> Iterator[str]:
-    """A note where stereo pairs are not used because a joint or a wheel has no readings around them."""
+class _Shown:
+    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps.
+
+    Args:
+        images: side → all images.
+        channels: joints and wheels.
+    """
+
+    def __init__(self, images: Mapping[Side, PictureIndex], channels: Sequence[_Channel]) -> None:
+        self._since = [
+            dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
+            for index in (images["left"], images["right"])
+        ]
+        self._channels = channels
+        self._used: tuple[set[int], set[int]] = (set(), set())
+        self._moved_since: set[tuple[str, int]] = set()
+
+    def _of(self, pair: StereoPair) -> tuple[int, int]:
+        """Times at which the left and the right image were shown first."""
+        return self._since[0][pair.left_ns], self._since[1][pair.right_ns]
+
+    def current(self, pairs: Sequence[StereoPair]) -> tuple[list[StereoPair], list[Rejection]]:
+        """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
+        kept: list[StereoPair] = []
+        frozen: list[Rejection] = []
+        for pair in pairs:
+            times = (("left", pair.left_ns), ("right", pair.right_ns))
+            stale = [
+                (side, time_ns - since_ns)
+                for (side, time_ns), since_ns in zip(times, self._of(pair), strict=True)
+                if self._moved(side, since_ns, time_ns)
+            ]
+            if not stale:
+                kept.append(pair)
+            elif any(age_ns > _FROZEN_S * _NS for _, age_ns in stale):
+                sides = " and ".join(side for side, _ in stale)
+                frozen.append(Rejection("stations", _FROZEN, sides, pair.time_ns))
+        return kept, frozen
+
+    def _moved(self, side: str, since_ns: int, until_ns: int) -> bool:
+        """Whether the robot moved while a camera repeated an image."""
+        if since_ns == until_ns:
+            return False
+        if (side, since_ns) not in self._moved_since:
+            if all(c.wander(since_ns, until_ns) <= c.tolerance for c in self._channels):
+                return False
+            self._moved_since.add((side, since_ns))
+        return True
+
+    def new(self, pairs: Sequence[StereoPair]) -> list[StereoPair]:
+        """The pairs, in order of time, with images that no pair has that was passed before."""
+        kept = []
+        for pair in pairs:
+            left, right = self._of(pair)
+            if left not in self._used[0] and right not in self._used[1]:
+                kept.append(pair)
+                self._used[0].add(left)
+                self._used[1].add(right)
+        return kept
+
+
+def _not_used(log: _Pairs) -> Iterator[str]:
+    """A note on stereo pairs that are not used, for each reason and joint, wheel or camera."""
     first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
-    for name in dict.fromkeys(rejection.detail for rejection in log.rejections):
-        times = [r.time_ns for r in log.rejections if r.detail == name and r.time_ns is not None]
+    for reason, name in dict.fromkeys((r.reason, r.detail) for r in log.rejections):
+        times = [r.time_ns for r in log.rejections if (r.reason, r.detail) == (reason, name)]
         if len(times) < _MISSED_PAIRS:
             continue
         since, until = ((at - first_ns) / _NS for at in (min(times), max(times)))
         yield (
-            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: no "
-            f"readings of {name} around them. Check its cable and its driver."
+            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: "
+            f"{_NOT_USED[reason].format(name)}"
         )
 
 
@@ -352,7 +432,7 @@ def plan_stations(
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
     notes += (note for log, _ in found for note in _silences(log.signals.images))
-    notes += (note for log, _ in found for note in _without_readings(log))
+    notes += (note for log, _ in found for note in _not_used(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

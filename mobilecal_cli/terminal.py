@@ -15,6 +15,7 @@ from pathlib import Path
 from mobilecal_cli.model.text import verdict_lines, visible
 from mobilecal_cli.pipeline.progress import Progress, silent
 
+_BROWSER_S = 2.0  # a browser that cannot be started is known earlier
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
 _PLAIN = "\x1b[0m"
 
@@ -36,32 +37,39 @@ def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = Fals
 
 
 def open_page(page: Path) -> str:
-    """Open a page in the user's browser, without waiting for it; or do nothing, without a display.
+    """Open a page in the user's browser, without waiting for its end; or do nothing, without a display.
 
     Returns:
-        A sentence that says where the page is.
+        A sentence that says where the page is, and whether a browser was started.
     """
     uri = page.resolve().as_uri()
     if not _has_display():
         return f"No display to open the report on: {visible(str(page.resolve()))}"
-    command = [sys.executable, "-I", "-m", "webbrowser", "-t", uri]
+    # A program that is started in the background, such as xdg-open, may fail later.
+    code = f"import os, sys, webbrowser; failed = not webbrowser.open({uri!r}, new=2)\n"
+    code += "while True:\n try: failed |= os.wait()[1] != 0\n except ChildProcessError: sys.exit(failed)"
     # A browser in the terminal, or one that stays open, must not hold up this command.
     process = subprocess.Popen(
-        command,
+        [sys.executable, "-I", "-c", code],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    threading.Thread(target=process.wait, daemon=True).start()
-    return f"Opened in the browser: {visible(str(page.resolve()))}"
+    try:
+        failed = process.wait(_BROWSER_S) != 0
+        said = "No browser could be started; the report is at" if failed else "Opened in the browser"
+    except subprocess.TimeoutExpired:
+        said = "Opening in the browser"
+        threading.Thread(target=process.wait, daemon=True).start()
+    return f"{said}: {visible(str(page.resolve()))}"
 
 
 def _has_display() -> bool:
     """Whether a browser can show a window: $BROWSER also stands for one that shows it elsewhere."""
     if os.environ.get("BROWSER"):
         return True
-    if sys.platform in ("darwin", "win32"):
+    if sys.platform == "darwin":
         return not os.environ.get("SSH_CONNECTION")
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 

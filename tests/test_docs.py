@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from mobilecal_cli import errors
+from mobilecal_cli.export import extraction
 from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.command import run
 from tests.conftest import REPOSITORY
@@ -60,6 +61,15 @@ def test_every_error_says_what_to_do(catalogue):
 def test_the_options_are_up_to_date():
     options = generator_of("options")
     assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
+
+
+def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():
+    text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
+    written, oldest, newest_old = re.search(
+        r"its schema version\s\((\d+)\); versions (\d+) to (\d+) are still read", text
+    ).groups()
+    assert int(written) == extraction.SCHEMA_VERSION
+    assert [int(oldest), int(newest_old)] == [extraction._OLDEST_READ, extraction.SCHEMA_VERSION - 1]
 
 
 def test_the_table_of_priors_is_that_of_the_code():

@@ -253,3 +253,66 @@ def test_moving_pictures_have_to_be_together():
     assert np.all(found.stations[5].joints != plan.stations[5].joints)
     _, found = restamped(signals(moving, lambda t: 0.1 * t), right=lambda ns: ns + 6 * S // 1000)
     assert found.stations == ()
+
+
+def repeating(times, first):
+    """Images at some times, each identical to the one at the time of the same row of `first`."""
+    return PictureIndex(ns(times), ns(times), ns(times), since_ns=ns(first))
+
+
+PICTURES = np.arange(0.1, 23.9, 0.1)
+
+
+def with_images(left_first, right_first):
+    images = {"left": repeating(PICTURES, left_first), "right": repeating(PICTURES, right_first)}
+    return planned(signals(staircase, lambda t: 3 * staircase(t), images=images), ("pan",))
+
+
+def test_a_camera_without_noise_gives_one_picture_a_rest():
+    """The image at the stop is repeated to the end of the rest, from before the moment that counts as rest."""
+    start = np.floor(PICTURES / 3) * 3
+    first = np.where(PICTURES - start < 2, np.maximum(start, 0.1), PICTURES)
+    plan = with_images(first, first)
+    assert [len(station.pairs) for station in plan.stations] == [1] * 8
+    assert all(station.at_rest for station in plan.stations)
+    assert not plan.notes
+
+
+@pytest.mark.parametrize("shift", [0, 1, 2])
+def test_a_driver_that_repeats_images(shift):
+    """Each image is sent three times; the two cameras need not repeat together."""
+    left, right = (PICTURES[np.maximum((np.arange(len(PICTURES)) + k) // 3 * 3 - k, 0)] for k in (0, shift))
+    plan = with_images(left, right)
+    assert len(plan.stations) == 8
+    for side, first in (("left", left), ("right", right)):
+        shown = dict(zip(ns(PICTURES).tolist(), ns(first).tolist(), strict=True))
+        used = [shown[getattr(p, f"{side}_ns")] for station in plan.stations for p in station.pairs]
+        assert len(set(used)) == len(used) >= 8 * 4
+    assert not plan.notes
+
+
+def test_images_repeated_in_motion_are_not_used():
+    """New ones at 10 Hz, each sent again 20 and 40 ms later."""
+    times = (np.arange(0.1, 23.9, 0.1)[:, None] + [0, 0.02, 0.04]).ravel()
+    images = {side: repeating(times, np.repeat(times[::3], 3)) for side in ("left", "right")}
+    swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
+    plan = planned(swing, ("pan",), everything=True)
+    assert [pair.left_ns for station in plan.stations for pair in station.pairs] == ns(times[::3]).tolist()
+
+
+@pytest.mark.parametrize("frozen", ["right", "left and right"])
+def test_a_frozen_camera_is_named(frozen):
+    stop = np.minimum(PICTURES, 19.0)
+    plan = with_images(stop if "left" in frozen else PICTURES, stop)
+    assert len(plan.stations) == 7
+    (note,) = plan.notes
+    assert f"the {frozen} images stay the same while the robot moves" in note
+    assert "between 20 and 24 s after the first image" in note
+
+
+def test_cameras_that_are_frozen_from_the_start():
+    start = np.full_like(PICTURES, 0.1)
+    images = {side: repeating(PICTURES, start) for side in ("left", "right")}
+    swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
+    plan = planned(swing, ("pan",))
+    assert sum(len(station.pairs) for station in plan.stations) == 1

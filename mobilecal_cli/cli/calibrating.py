@@ -41,7 +41,7 @@ class MethodName(StrEnum):
 
 
 @contextmanager
-def _errors_to(
+def errors_to(
     junit: Path | None,
     logs: Sequence[Path],
     force: bool,
@@ -154,7 +154,7 @@ def calibrate(
     from mobilecal_cli.solvers import constraints_of
     from mobilecal_cli.terminal import open_page, progress_bar
 
-    with _errors_to(junit, logs, force, [config, last], output or calibrating.default_output(logs[0])):
+    with errors_to(junit, logs, force, [config, last], output or calibrating.default_output(logs[0])):
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
@@ -225,7 +225,7 @@ def evaluate(
     from mobilecal_cli.report.verdict import verdict_data
     from mobilecal_cli.terminal import progress_bar
 
-    with _errors_to(junit, logs, force, [params, before, config]):
+    with errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
             found = evaluating.evaluate(
                 logs,

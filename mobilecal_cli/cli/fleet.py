@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from mobilecal_cli.cli.app import app
-from mobilecal_cli.cli.options import Config, Gates, Quiet, Settings, flags_of
+from mobilecal_cli.cli.calibrating import errors_to
+from mobilecal_cli.cli.options import AsJson, Config, Gates, JUnit, Quiet, Settings, flags_of
 from mobilecal_cli.cli.verdict import conclude
-from mobilecal_cli.errors import OutputError, ResourceError
+from mobilecal_cli.errors import OutputError, QualityError, ResourceError
 
 
 @app.command()
@@ -30,14 +31,20 @@ def batch(
         str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace results that this batch did not write.")
+        bool,
+        typer.Option(
+            "--force",
+            help="Calibrate all robots again, and replace also results that this batch did not write.",
+        ),
     ] = False,
+    as_json: AsJson = False,
+    junit: JUnit = None,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate many robots and tabulate the results.
 
-    Writes one directory per robot, and one table of all robots. Robots that are already done are skipped; changed
-    settings replace the results of the same batch.
+    Writes one directory per robot, and one table of all robots. Robots with a result from the same inputs are
+    skipped; changed inputs replace the results of the same batch, and robots without a result are tried again.
 
     Example: mobilecal batch recordings/ --output fleet/
 
@@ -45,40 +52,54 @@ def batch(
     """
     import os
 
+    from mobilecal_cli.export import write_file
     from mobilecal_cli.pipeline import cluster, fleet
-    from mobilecal_cli.report.fleet import fleet_text
+    from mobilecal_cli.report.fleet import fleet_json, fleet_text
+    from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
     from mobilecal_cli.terminal import progress_bar
 
     run = cluster.run_on(scheduler) if scheduler else fleet.run_locally(jobs or os.cpu_count() or 1)
-    with progress_bar(quiet) as progress:
-        rows = fleet.batch(
-            source,
-            output,
-            config_path=config,
-            flags=flags_of(setting),
-            gates=gate or [],
-            force=force,
-            run=run,
-            progress=progress,
-        )
-    if not quiet:
-        typer.echo(fleet_text(rows), nl=False)
+    replace = force or (junit is not None and is_junit(junit))
+    with errors_to(junit, [source], replace, [config]):
+        with progress_bar(quiet) as progress:
+            rows = fleet.batch(
+                source,
+                output,
+                config_path=config,
+                flags=flags_of(setting),
+                gates=gate or [],
+                force=force,
+                run=run,
+                progress=progress,
+            )
+        if junit is not None:
+            write_file(junit, junit_fleet_xml(str(source), rows), replace)
     robots = [row for row in rows if row.verdict != "SKIPPED"]
-    stopped = [row for row in robots if row.verdict == "ERROR" and row.exit_code in fleet.OF_THE_MACHINE]
-    if stopped:
-        kind = OutputError if stopped[0].exit_code == OutputError.exit_code else ResourceError
+    failed = [row for row in robots if row.verdict != "PASS"]
+    if as_json:
+        typer.echo(fleet_json(rows), nl=False)
+    elif not quiet:
+        typer.echo(fleet_text(rows), nl=False)
+    if failed and (as_json or quiet):
+        typer.echo(fleet_text(failed), nl=False, err=True)
+    worst = max(robots, key=lambda row: row.exit_code)
+    if worst.exit_code in (OutputError.exit_code, ResourceError.exit_code):
+        stopped = sum(row.exit_code == worst.exit_code for row in robots)
+        kind = OutputError if worst.exit_code == OutputError.exit_code else ResourceError
         raise kind(
-            f"{len(stopped)} of {len(robots)} robots were not calibrated: {stopped[0].name}: {stopped[0].reason}",
+            f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
             "see the reason, then run the same command again: it calibrates only what is missing",
         )
-    failed = [row.name for row in robots if row.verdict != "PASS"]
-    names = ", ".join(failed[:10]) + (", ..." if len(failed) > 10 else "")
-    conclude(
-        "FAIL" if failed else "PASS",
-        f"{len(failed)} of {len(robots)} robots did not pass: {names}."
-        if failed
-        else f"{len(robots)} of {len(robots)} robots passed.",
-        f"See {output / 'summary.html'}.",
-        written=(output / "summary.csv", output / "summary.html"),
-        quiet=quiet,
-    )
+    names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
+    try:
+        conclude(
+            "FAIL" if failed else "PASS",
+            f"{len(failed)} of {len(robots)} robots did not pass: {names}."
+            if failed
+            else f"{len(robots)} of {len(robots)} robots passed.",
+            f"See {output / 'summary.html'}.",
+            written=(output / "summary.csv", output / "summary.html"),
+            quiet=as_json or quiet,
+        )
+    except QualityError:  # a robot without a result has an exit code of its own
+        raise typer.Exit(worst.exit_code) from None

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.interruption import note_placed, uninterrupted
-from mobilecal_cli.scratch import abandoned, in_use
+from mobilecal_cli.scratch import abandoned, locked
 
 #: Names of the files inside an output directory, () for a file; raises OutputError for anything else.
 Recognize = Callable[[Path], tuple[str, ...]]
@@ -36,20 +36,24 @@ def partial_of(target: Path, recognize: Recognize) -> Iterator[Path]:
         OutputError: the output is in place, but the one that it replaced cannot be removed.
     """
     clean_up(target, recognize)
-    folder = target.with_name(f"{_prefix(target)}{secrets.token_hex(4)}.partial")
-    folder.mkdir()
-    try:
-        with in_use(folder):
+    with locked(lambda: _created(target)) as folder:
+        try:
             yield folder / target.name
-    finally:
-        with uninterrupted():
-            _remove_unfinished(folder)
-            _remove_replaced(folder.with_suffix(".old"), recognize)
+        finally:
+            with uninterrupted():
+                _remove_unfinished(folder)
+                _remove_replaced(folder.with_suffix(".old"), recognize)
     if folder.with_suffix(".old").exists():
         raise OutputError(
             f"{target}: written, but the replaced output contains other files or cannot be removed",
             f"move away what you need from {folder.with_suffix('.old')}, and remove it",
         )
+
+
+def _created(target: Path) -> Path:
+    folder = target.with_name(f"{_prefix(target)}{secrets.token_hex(4)}.partial")
+    folder.mkdir()
+    return folder
 
 
 def place(partial: Path, target: Path, recognize: Recognize, force: bool) -> None:

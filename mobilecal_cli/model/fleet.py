@@ -19,7 +19,7 @@ class FleetJob:
         output: parent directory of the output directories.
         flags: dotted key → value; these override the file.
         gates: `NAME=LIMIT`.
-        force: replace a result that the batch did not write.
+        force: calibrate the robot again, and replace also a result that the batch did not write.
     """
 
     name: str
@@ -45,6 +45,7 @@ class FleetRow:
         lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
         std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
         skipped: why the robot was not calibrated in this run; empty if it was.
+        hint: what to do next, if it did not pass.
     """
 
     name: str
@@ -56,3 +57,4 @@ class FleetRow:
     lengths_m: tuple[float, ...] = ()
     std: tuple[float | None, ...] = ()
     skipped: str = ""
+    hint: str = ""

@@ -50,19 +50,25 @@ class PictureIndex:
         time_ns: (n,) their times, strictly increasing; the stamps, unless the camera's clock stepped.
         stamp_ns, log_ns: (n,) their stamps and log times, which together identify a message.
         sequential: video: an image needs those before it.
+        since_ns: (n,) time of the first of the identical consecutive images that each belongs to; its own time if it
+            differs from the image before it, which is the default for all.
     """
 
     time_ns: IntArray
     stamp_ns: IntArray
     log_ns: IntArray
     sequential: bool = False
+    since_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
-        freeze(self, np.int64, time_ns=("n",), stamp_ns=("n",), log_ns=("n",))
+        if not len(self.since_ns):
+            object.__setattr__(self, "since_ns", self.time_ns)
+        freeze(self, np.int64, time_ns=("n",), stamp_ns=("n",), log_ns=("n",), since_ns=("n",))
 
     def rows(self, rows: IntArray | BoolArray) -> PictureIndex:
         """Some of the images: indices, or True for each."""
-        return PictureIndex(self.time_ns[rows], self.stamp_ns[rows], self.log_ns[rows], self.sequential)
+        arrays = (self.time_ns[rows], self.stamp_ns[rows], self.log_ns[rows])
+        return PictureIndex(*arrays, self.sequential, self.since_ns[rows])
 
     def at(self, times_ns: Collection[int]) -> PictureIndex:
         """The images with some times."""

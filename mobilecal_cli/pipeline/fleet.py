@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from mobilecal_cli import __version__, se3
-from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, ResourceError
+from mobilecal_cli.config import load_rig, read_urdf
+from mobilecal_cli.errors import MobilecalError, OutputError, QualityError
 from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
+from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.placing import already_exists
 from mobilecal_cli.model import FleetJob, FleetRow
 from mobilecal_cli.pipeline.calibrating import calibrate
@@ -26,13 +28,13 @@ from mobilecal_cli.pipeline.steps import Report
 from mobilecal_cli.readers import sha256_of
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
-from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text, reason_of
+from mobilecal_cli.yaml_input import LARGEST_BYTES, read_text
 
 #: Number of attempts at a job whose process dies.
 _ATTEMPTS = 3
-#: Exit codes of robots that could not be written or lacked memory or space: they are calibrated again.
-OF_THE_MACHINE = (OutputError.exit_code, ResourceError.exit_code)
 _CRASHED = "the worker process died (out of memory, or killed)"
+#: Hint for a robot whose process died.
+AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
 
 Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
 
@@ -41,7 +43,7 @@ def run_job(job: FleetJob) -> FleetRow:
     """Calibrate one robot, or return the earlier result for the same recordings and settings.
 
     The record of a job is completed last, so that any process or machine repeats an interrupted job and skips a
-    finished one.
+    finished one. A robot without a result is tried again.
 
     Raises:
         OutputError: the record cannot be written.
@@ -49,7 +51,7 @@ def run_job(job: FleetJob) -> FleetRow:
     key = ""  # without a fingerprint the job is repeated
     try:
         key = fingerprint(job)
-        done = _finished(job, key)
+        done = None if job.force else _finished(job, key)
         if done is not None:
             return done
         force = job.force or owns_result(job)
@@ -64,11 +66,11 @@ def run_job(job: FleetJob) -> FleetRow:
         )
         row = _row(job, report)
     except MobilecalError as error:
-        row = FleetRow(job.name, "ERROR", error.exit_code, error.message)
-        if error.exit_code in OF_THE_MACHINE:
-            key = ""
+        row = FleetRow(job.name, "ERROR", error.exit_code, error.message, hint=error.hint)
     except Exception as error:  # a bug must not stop the other robots
-        key, row = "", FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
+        row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
+    if row.verdict == "ERROR" and (job.output / job.name).is_dir():
+        row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
     _write_record(job, {"key": key, "row": to_plain(row), "params": _params_digest(job)})
     return row
 
@@ -104,34 +106,29 @@ def _params_digest(job: FleetJob) -> str:
 
 
 def fingerprint(job: FleetJob) -> str:
-    """SHA-256 of everything that the result of a job depends on.
+    """SHA-256 of everything that the result of a job depends on, also of the files that its configuration names.
 
     Raises:
         RecordingError: a recording cannot be read.
-        ConfigError: the configuration cannot be read.
+        ConfigError: the configuration or a file that it names cannot be read.
     """
-    settings = "" if job.config is None else _text(job.config)
-    parts = [__version__, settings, json.dumps(dict(job.flags), sort_keys=True, default=str), *job.gates]
-    parts += [sha256_of(log) for log in job.logs]
+    config = load_rig(job.config, job.flags)
+    parts = [__version__, config.model_dump_json(), read_urdf(config) or "", *sorted(job.flags), *job.gates]
+    journals = [log.with_name(f"{log.name}-wal") for log in job.logs]  # SQLite reads them with the database
+    parts += [sha256_of(path) for path in (*job.logs, *(path for path in journals if path.is_file()))]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
-def _text(path: Path) -> str:
-    try:
-        return read_text(path, LARGEST_BYTES)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read: {reason_of(error)}", "check the path") from error
-
-
 def _finished(job: FleetJob, key: str) -> FleetRow | None:
-    """The row of an earlier run of the same job, if its outputs still exist."""
+    """The row of an earlier run of the same job with a result, if its outputs still exist."""
     record = _record(job) or {}
     try:
         row, same = from_plain(FleetRow, record["row"]), record["key"] == key
     except (ValueError, KeyError, TypeError):
         return None
-    there = row.verdict == "ERROR" or (job.output / job.name / "report.json").is_file()
-    return replace(row, skipped=DONE) if same and there and owns_result(job) else None
+    there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
+    answered = row.verdict != "ERROR" and there and owns_result(job)
+    return replace(row, skipped=DONE) if same and answered else None
 
 
 def _row(job: FleetJob, done: Report) -> FleetRow:
@@ -147,6 +144,7 @@ def _row(job: FleetJob, done: Report) -> FleetRow:
         tuple(se3.log_so3(T[:3, :3]).tolist()),
         lengths,
         reference_std(solution),
+        hint="" if done.verdict.level == "PASS" else done.verdict.next_step,
     )
 
 
@@ -159,7 +157,7 @@ def run_locally(count: int) -> Run:
             del waiting[row.name]
             done(row)
         for name, job in waiting.items():  # a process died: each remaining job gets its own process
-            row = FleetRow(name, "ERROR", 1, _CRASHED)
+            row = FleetRow(name, "ERROR", 1, _CRASHED, hint=AGAIN)
             for _ in range(_ATTEMPTS - 1):
                 rows = list(_in_a_pool([job], 1))
                 if rows:
@@ -192,7 +190,7 @@ def batch(
 ) -> tuple[FleetRow, ...]:
     """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
 
-    Robots that an earlier run finished are skipped; `FleetRow.skipped` has the reason.
+    Robots with a result of an earlier run from the same inputs are skipped; `FleetRow.skipped` has the reason.
 
     Args:
         source: a directory of recordings, or a manifest.
@@ -200,7 +198,7 @@ def batch(
         config_path: rig.yaml of the robots without their own.
         flags: dotted key → value, over the files.
         gates: `NAME=LIMIT` for each robot.
-        force: replace results of other runs; those of the same batch are replaced without it.
+        force: calibrate all robots again, and replace also results that this batch did not write.
         run: runs the jobs; by default one process per core.
         progress: receives the number of finished robots.
 
@@ -211,20 +209,27 @@ def batch(
     jobs = fleet_jobs(source, output, config_path, flags or {}, gates)
     jobs = tuple(replace(job, force=force) for job in jobs)
     _check_outputs(output, jobs, force)
+    rows: dict[str, FleetRow] = {}
+    new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:
         (output / RECORDS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(
             f"{output}: cannot be created: {error.strerror}", "choose another --output"
         ) from error
-    rows: dict[str, FleetRow] = {}
 
     def done(row: FleetRow) -> None:
         rows[row.name] = row
         progress("robots", len(rows), len(jobs))
 
     progress("robots", 0, len(jobs))
-    (run or run_locally(os.cpu_count() or 1))(jobs, done)
+    try:
+        (run or run_locally(os.cpu_count() or 1))(jobs, done)
+    except BaseException:
+        for path in new:
+            with suppress(OSError):  # it contains results
+                path.rmdir()
+        raise
     ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
     _write_summaries(output, ordered)
     return ordered

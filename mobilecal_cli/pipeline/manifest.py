@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import FleetJob, FleetRow
-from mobilecal_cli.readers import recognised, sha256_of
+from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
@@ -20,9 +20,8 @@ RECORDS = ".mobilecal_batch"
 #: Files of all robots, in the output directory of a batch.
 SUMMARIES = ("summary.csv", "summary.html")
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
-_CONTAINERS = frozenset({".mcap", ".bag", ".db3", ".npz"})
 #: Reasons for skipping, in the order of the summary.
-DONE, NO_RECORDING, UNREADABLE = "already done", "no recording", "unreadable"
+DONE, NO_RECORDING = "already done", "no recording"
 
 
 class _Robot(BaseModel):
@@ -43,7 +42,8 @@ def fleet_jobs(
 ) -> tuple[FleetJob, ...]:
     """The robots in a directory or a manifest, in order of name.
 
-    Each recording in a directory is one robot; `NAME.rig.yaml` next to it is its configuration.
+    Each recording in a directory is one robot, also one that cannot be read; `NAME.rig.yaml` next to it is its
+    configuration.
 
     Raises:
         ConfigError: no recording, an invalid manifest or configuration, a name that is invalid or not unique, or a
@@ -101,9 +101,9 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
             elif log.is_dir():
                 size = sum(path.stat().st_size for path in log.rglob("*") if path.is_file())
                 of_size.setdefault(size, []).append((robot.name, log))
-    for alike in of_size.values():
+    for size, alike in of_size.items():
         user: dict[str, str] = {}
-        for name, log in alike if len(alike) > 1 else ():
+        for name, log in alike if size and len(alike) > 1 else ():
             try:
                 other = user.setdefault(sha256_of(log), name)
             except RecordingError:  # the other robots can still be calibrated
@@ -133,8 +133,7 @@ def _check_config(source: Path, name: str, config: Path, flags: Mapping[str, Any
 def _of_directory(folder: Path) -> list[_Robot]:
     robots = []
     for path in sorted(folder.iterdir()):
-        holds = (path / "metadata.yaml").is_file() if path.is_dir() else recognised(path)
-        if holds and not path.name.startswith("."):
+        if looks_recorded(path) and not path.name.startswith("."):
             name = path.name if path.is_dir() else path.stem
             own = folder / f"{name}.rig.yaml"
             robots.append(_Robot(name=name, logs=(path,), config=own if own.is_file() else None))
@@ -144,7 +143,7 @@ def _of_directory(folder: Path) -> list[_Robot]:
 
 
 def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
-    """The entries of a directory that are not calibrated, with the reason; none for a manifest."""
+    """The entries of a directory that are no recordings; none for a manifest."""
     if not source.is_dir():
         return ()
     rows = []
@@ -154,12 +153,9 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
             or path.name.endswith(".rig.yaml")
             or path.absolute() == output.absolute()
         )
-        holds = (path / "metadata.yaml").is_file() if path.is_dir() else recognised(path)
-        if not known and not holds:
-            readable = path.is_dir() or path.suffix not in _CONTAINERS
-            text = "is not a recording" if readable else "is damaged, or has the wrong file name extension"
-            reason = NO_RECORDING if readable else UNREADABLE
-            rows.append(FleetRow(path.name, "SKIPPED", 0, f"{path.name} {text}", skipped=reason))
+        if not known and not looks_recorded(path):
+            why = f"{path.name} is not a recording"
+            rows.append(FleetRow(path.name, "SKIPPED", 0, why, skipped=NO_RECORDING))
     return tuple(rows)
 
 

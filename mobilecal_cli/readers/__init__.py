@@ -6,7 +6,7 @@ images.
 """
 
 from mobilecal_cli.readers.containers.hashing import sha256_of
-from mobilecal_cli.readers.containers.opening import join_splits, open_recording, recognised
+from mobilecal_cli.readers.containers.opening import join_splits, looks_recorded, open_recording
 from mobilecal_cli.readers.containers.recording import Message, Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.pixels import decode_image
@@ -24,6 +24,7 @@ __all__ = [
     "decode_image",
     "find_pictures",
     "join_splits",
+    "looks_recorded",
     "number_fields",
     "open_recording",
     "pictures_near",
@@ -31,6 +32,5 @@ __all__ = [
     "read_images",
     "read_signals",
     "read_stamps",
-    "recognised",
     "sha256_of",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import io
+import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -64,19 +65,51 @@ def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
     }
 
 
-def fleet_csv(rows: Sequence[FleetRow]) -> str:
-    """One line per robot as CSV; rotations are relative to the first robot that passes."""
+def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
+    """Column → value of each robot; rotations are relative to the first robot that passes, None where unknown."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
+    names = (*_FIELDS, *(f"std_{name}" for name in _FIELDS))
+    lines = []
+    for row, *values in zip(rows, numbers, std, strict=True):
+        known = [value if np.isfinite(value) else None for value in np.concatenate(values).tolist()]
+        lines.append(
+            {
+                "robot": row.name,
+                "verdict": row.verdict,
+                "exit_code": row.exit_code,
+                "stations": row.stations,
+                **dict(zip(names, known, strict=True)),
+                "stands_out": " ".join(out.get(row.name, ())),
+                "skipped": row.skipped,
+                "reason": row.reason,
+                "hint": row.hint,
+            }
+        )
+    return lines
+
+
+def fleet_csv(rows: Sequence[FleetRow]) -> str:
+    """One line per robot as CSV; rotations are relative to the first robot that passes."""
     stream = io.StringIO()
+    lines = _columns(rows)
     table = csv.writer(stream, lineterminator="\n")
-    columns = (*_FIELDS, *(f"std_{name}" for name in _FIELDS))
-    table.writerow(["robot", "verdict", "exit_code", "stations", *columns, "stands_out", "skipped", "reason"])
-    for row, values, sigmas in zip(rows, numbers, std, strict=True):
-        cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in (*values, *sigmas)]
-        words = (" ".join(out.get(row.name, ())), _harmless(row.skipped), _harmless(row.reason))
-        table.writerow([_harmless(row.name), row.verdict, row.exit_code, row.stations, *cells, *words])
+    table.writerow(lines[0])
+    table.writerows([_cell(value) for value in line.values()] for line in lines)
     return stream.getvalue()
+
+
+def _cell(value: str | float | None) -> str:
+    if isinstance(value, float):
+        return f"{value:.6f}"
+    return "" if value is None else _harmless(str(value))
+
+
+def fleet_json(rows: Sequence[FleetRow]) -> str:
+    """The lines of the robots as JSON, with the exit code of the batch: the largest."""
+    robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
+    content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def _harmless(text: str) -> str:
@@ -124,7 +157,7 @@ def _template() -> Template:
 
 
 def fleet_text(rows: Sequence[FleetRow]) -> str:
-    """One line per robot, for the terminal."""
+    """One line per robot, for the terminal; errors have a hint below."""
     out = standing_out(rows)
     width = max(len(visible(row.name)) for row in rows)
     lines = []
@@ -133,6 +166,8 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
             continue
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
+        if row.verdict == "ERROR" and row.hint:
+            lines.append(f"  {'':<{width}}  {'':<10}  hint: {visible(row.hint)}")
     skipped = skipped_text(rows)
     return "\n".join([*lines, *([skipped] if skipped else [])]) + "\n"
 

@@ -85,11 +85,32 @@ def test_the_report_is_opened_without_waiting(tmp_path, monkeypatch):
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     began = time.monotonic()
-    assert open_page(page) == f"Opened in the browser: {page}"
+    assert open_page(page) == f"Opening in the browser: {page}"
     assert time.monotonic() - began < 4
     while not seen.exists() and time.monotonic() - began < 60:
         time.sleep(0.05)
     assert seen.read_text().strip() == page.as_uri()
+
+
+@pytest.mark.parametrize(
+    ("browser", "says"),
+    [
+        ("true", "Opened in the browser"),
+        ("false", "No browser could be started; the report is at"),
+        ("absent", "No browser"),
+    ],
+)
+def test_whether_a_browser_was_started_is_said(tmp_path, monkeypatch, browser, says):
+    page = tmp_path / "report.html"
+    page.write_text("<p>", encoding="utf-8")
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    for ending in (" %s", " %s &"):  # in the foreground, or in the background
+        monkeypatch.setenv("BROWSER", f"{browser}{ending}")
+        said = open_page(page)
+        assert said.startswith(says), ending
+        assert said.endswith(f" {page}")
 
 
 def test_without_a_display_the_report_is_named(sample_logs, tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from mobilecal_cli.export import (
     write_outputs,
 )
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.scratch import in_use
+from mobilecal_cli.scratch import locked
 
 OURS = FIRST_LINE.encode()
 FILES = {
@@ -305,7 +305,23 @@ def test_leftovers_of_a_killed_run_are_removed(tmp_path):
         left.mkdir(parents=True)
         (left / "params.yaml").write_bytes(OURS)
     used = tmp_path / ".out.00000002.partial"
-    used.mkdir()
-    with in_use(used):
+    with locked(lambda: used.mkdir() or used):
         check_output(tmp_path / "out", force=False)
     assert [path.name for path in tmp_path.iterdir()] == [used.name]
+
+
+def test_a_temporary_directory_that_another_command_removes_before_the_lock(tmp_path, monkeypatch):
+    """Two commands with the same output: one makes its directory while the other looks for leftovers."""
+    mkdir, made = Path.mkdir, []
+
+    def observed(path, *given, **named):
+        mkdir(path, *given, **named)
+        if path.suffix == ".partial":
+            made.append(path)
+            if len(made) == 1:
+                check_output(tmp_path / "out", force=False)
+
+    monkeypatch.setattr(Path, "mkdir", observed)
+    write_outputs(tmp_path / "out", FILES, force=False)
+    assert len(made) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
 import zstandard
 
-from mobilecal_cli.scratch import scratch_directory
+from mobilecal_cli.scratch import abandoned, scratch_directory
 
 SEMAPHORES = Path("/dev/shm")
 KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
@@ -204,6 +206,28 @@ def test_temporary_files_of_a_killed_run_are_removed_by_the_next(tmp_path, monke
     with scratch_directory() as one, scratch_directory() as two:
         assert sorted(tmp_path.iterdir()) == sorted([one, two, tmp_path / "other"])
     assert list(tmp_path.iterdir()) == [tmp_path / "other"]
+
+
+def test_a_temporary_directory_that_another_command_removes_before_the_lock(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    real, made = tempfile.mkdtemp, []
+
+    def mkdtemp(**named):
+        made.append(Path(real(**named)))
+        if len(made) < 3:  # another command looks for abandoned directories at this moment
+            with abandoned(made[-1]) as free:
+                assert free
+                shutil.rmtree(made[-1])
+        return str(made[-1])
+
+    monkeypatch.setattr("tempfile.mkdtemp", mkdtemp)
+    with scratch_directory() as path:
+        assert path == made[-1]
+        with abandoned(path) as free:
+            assert not free
+        (path / "file").write_bytes(b"")
+    assert len(made) == 3
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("step", ["tempfile.mkdtemp", "os.open", "shutil.rmtree"])

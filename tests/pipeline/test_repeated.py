@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mobilecal_cli.config import load_rig
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
+from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from tests.cli.edited import edited
 
 ROBOT = paper_robot()
 
@@ -80,3 +84,49 @@ def test_equal_files():
     refuse_equal_files([LogSource("a", "1"), LogSource("b", "2")])
     with pytest.raises(ConfigError, match=r"^a and c have the same content$"):
         refuse_equal_files([LogSource("a", "1"), LogSource("b", "2"), LogSource("c", "1")])
+
+
+def repeated(after):
+    """An edit that lets each camera repeat the image before, where `after(side, number)`."""
+    last, count = {}, Counter()
+
+    def edit(topic, message):
+        side = next((side for side in ("left", "right") if topic.startswith(f"/stereo/{side}/image")), "")
+        if side:
+            count[side] += 1
+            if after(side, count[side]):
+                message.data = last[side]
+            last[side] = message.data
+        return message
+
+    return edit
+
+
+SETTINGS = load_rig(None, {"board.columns": 9, "board.rows": 6})
+
+
+def test_an_image_that_is_sent_twice_counts_once(sample_logs, tmp_path):
+    """The sample has two stereo pairs a stop."""
+    log = edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", repeated(lambda _, n: n % 2 == 0))
+    found, _ = extract([log], SETTINGS)
+    assert len(found.observations) == 12
+    assert (
+        {o.left.pictures for o in found.observations} == {o.right.pictures for o in found.observations} == {1}
+    )
+    assert found.counts["pictures"] == 24
+    assert found.notes == tuple(
+        f"/stereo/{side}/image_raw/compressed: 12 of 24 images are identical to the image before them; each picture "
+        "is used once, and only until the robot moves"
+        for side in ("left", "right")
+    )
+
+
+def test_a_camera_that_freezes(sample_logs, tmp_path):
+    freeze = repeated(lambda side, number: side == "right" and number > 14)
+    found, _ = extract([edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", freeze)], SETTINGS)
+    assert [o.station for o in found.observations] == list(range(7))
+    assert {r.reason for r in found.rejections} == {"images do not change while the robot moves"}
+    assert (
+        "10 stereo pairs between 26 and 42 s after the first image are not used: the right images stay"
+        in (found.notes[-1])
+    )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from rosbags.highlevel import AnyReader
 
 from mobilecal_cli.errors import RecordingError
@@ -117,6 +118,40 @@ def test_two_recorders_side_by_side_are_one_recording(tmp_path):
     )
     assert [set(group) for group in join_splits([cameras, rest])] == [{cameras, rest}]
     with open_recording([cameras, rest]) as recording:
+        check_contents(recording)
+
+
+def refused_directory(folder) -> str:
+    with pytest.raises(RecordingError) as caught:
+        open_recording([folder]).close()
+    assert "all recordings of one robot" in caught.value.hint
+    return caught.value.message.removeprefix(f"{folder}: ")
+
+
+def test_a_directory_with_several_recordings_lists_them(tmp_path):
+    """Also next to one that metadata.yaml lists, and in directories of their own: none of them is read as the only one."""
+    bag = r.write_bag2(tmp_path / "bag", ITEMS)
+    (own,) = (path.name for path in bag.glob("*.db3"))
+    r.write_mcap(bag / "other.mcap", ITEMS)
+    assert refused_directory(bag) == f"contains 2 recordings: {own}; other.mcap"
+    (bag / "other.mcap").unlink()
+    both = tmp_path / "both"
+    both.mkdir()
+    bag.rename(both / "bag")
+    assert refused_directory(both) == "contains a directory with a recording: bag/"
+    r.write_mcap(both / "other.mcap", ITEMS)
+    assert refused_directory(both) == "contains 2 recordings: other.mcap; bag/"
+
+
+def test_an_unpacked_copy_is_no_other_recording(tmp_path):
+    """The player of rosbag2 unpacks a compressed file next to it."""
+    bag = r.write_bag2(tmp_path / "bag", ITEMS, "SQLITE3", "FILE")
+    (packed,) = bag.glob("*.zstd")
+    packed.with_suffix("").write_bytes(
+        zstandard.ZstdDecompressor().decompressobj().decompress(packed.read_bytes())
+    )
+    (bag / "notes.txt").write_text("monday")
+    with open_recording([bag]) as recording:
         check_contents(recording)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
@@ -288,13 +288,17 @@ def turned(readings, source):
     start=st.integers(0, 2**64 - 1),
     steps=st.lists(st.integers(-100, 100), min_size=1, max_size=50),
     sign=st.sampled_from([1, -1]),
+    floats=st.booleans(),
 )
+@example(bits=16, signed=False, start=59_500, steps=[7_000], sign=1, floats=True)
 @settings(deadline=None)
-def test_counters_of_any_width_wrap_round(bits, signed, start, steps, sign):
+def test_counters_of_any_width_wrap_round(bits, signed, start, steps, sign, floats):
     counts = start + np.concatenate([[0], np.cumsum(steps)]).astype(object)
     readings = [int(c) % 2**bits for c in counts]
     if signed:
         readings = [c - 2**bits if c >= 2 ** (bits - 1) else c for c in readings]
+    if floats and bits < 64:  # a message may have them as float64
+        readings = [float(c) for c in readings]
     angle = turned(readings, WheelSource("/t", field="data", ticks_per_revolution=360, bits=bits, sign=sign))
     expected = sign * np.radians((counts - start).astype(np.float64))
     np.testing.assert_allclose(angle, expected, atol=1e-12)

@@ -7,14 +7,21 @@ from pathlib import Path
 
 from mobilecal_cli.errors import RecordingError
 
+#: File of a rosbag2 directory that lists its other files.
+METADATA = "metadata.yaml"
+
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file; of a directory: of the bytes of its files, concatenated in order of name.
+
+    The metadata.yaml of a rosbag2 stands for its directory.
 
     Raises:
         RecordingError: a file does not exist, is a device or a pipe, or cannot be read.
     """
     digest = hashlib.sha256()
+    if path.name == METADATA:
+        path = path.parent
     if not path.exists():
         raise RecordingError(f"{path}: no such file or directory", "check the path")
     if not path.is_dir() and not path.is_file():  # reading a pipe would wait forever

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
+from mobilecal_cli.readers.containers.hashing import METADATA
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
@@ -21,7 +22,8 @@ CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
     rosbag1.MAGIC: rosbag1.BagStorage,
     sqlite.MAGIC: sqlite.SqliteStorage,
 }
-METADATA = "metadata.yaml"
+#: Suffixes of recorded files.
+SUFFIXES = frozenset({".mcap", ".bag", ".db3", ".zstd", ".zst"})
 KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
 
 
@@ -96,27 +98,41 @@ class _Opened:
         return storage
 
     def _directory(self, folder: Path) -> None:
-        files = self._listed(folder) if (folder / METADATA).is_file() else None
-        if files:
-            for path in files:
+        listed = self._listed(folder) if (folder / METADATA).is_file() else []
+        names = {_unpacked(path.name) for path in listed}
+        entries = sorted(folder.iterdir())
+        inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
+        # The player unpacks a compressed file next to it.
+        files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
+        if listed:
+            if files or inside:
+                self._refuse(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
+            for path in listed:
                 try:
                     with boundary(path):
                         self.parts.append(self._file(path))
                 except RecordingError as error:  # the other parts may suffice
                     self.notes.append(f"{error.message}; this part is skipped")
             return
-        files = [path for path in sorted(folder.iterdir()) if path.is_file() and recognised(path)]
-        if not files:
+        if not files and not inside:
             raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
         storages = [self._file(path) for path in files]
-        groups = group_splits(storages)
-        if len(groups) > 1:
-            names = "; ".join(", ".join(storages[i].path.name for i in group) for group in groups)
-            raise RecordingError(
-                f"{folder}: contains {len(groups)} recordings and no {METADATA} that combines them: {names}",
-                "give the files of one recording",
-            )
+        groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
+        if len(groups) > 1 or inside:
+            self._refuse(folder, [*groups, *inside])
         self.parts.extend(storages)
+
+    def _refuse(self, folder: Path, recordings: Sequence[str]) -> None:
+        """Refuse a directory with several recordings, or with one in a directory of its own.
+
+        Raises:
+            RecordingError: always.
+        """
+        count = f"{len(recordings)} recordings" if len(recordings) > 1 else "a directory with a recording"
+        raise RecordingError(
+            f"{folder}: contains {count}: {'; '.join(recordings)}",
+            "give the recording to use, or give all recordings of one robot to calibrate them together",
+        )
 
     def _listed(self, folder: Path) -> list[Path]:
         """Files listed in metadata.yaml, and its message counts; empty if it cannot be used."""
@@ -163,6 +179,20 @@ def _magic(path: Path, name: Path | None = None) -> bytes:
         )
     known = (*CONTAINERS, compression.ZSTD_MAGIC)
     return next((magic for magic in known if head.startswith(magic)), b"")
+
+
+def _unpacked(name: str) -> str:
+    """Name of a recorded file without the suffix of its compression."""
+    return name.removesuffix(".zstd").removesuffix(".zst")
+
+
+def looks_recorded(path: Path) -> bool:
+    """Whether a file or directory is a recording by its contents or its name: it may be empty or damaged."""
+    if not path.is_dir():
+        return path.suffix in SUFFIXES or recognised(path)
+    with suppress(OSError):
+        return any(p.is_file() and (p.suffix in SUFFIXES or p.name == METADATA) for p in path.iterdir())
+    return False
 
 
 def recognised(path: Path) -> bool:

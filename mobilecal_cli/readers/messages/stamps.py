@@ -1,4 +1,4 @@
-"""Time of a message: its header stamp, or the log time."""
+"""Time of a message: its header stamp, or the log time; and what an image message contains beside it."""
 
 from __future__ import annotations
 
@@ -16,3 +16,11 @@ def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is t
 def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
     """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
     return header_stamp_ns(message) or log_ns
+
+
+def content_of(message: Any) -> bytes:  # noqa: ANN401
+    """Pixels of an image message, as encoded; b"" without any."""
+    try:
+        return bytes(memoryview(message.data))
+    except (AttributeError, TypeError):  # no data, or not bytes
+        return b""

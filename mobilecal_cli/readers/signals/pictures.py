@@ -13,10 +13,10 @@ from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.video import codec_of
 from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE
-from mobilecal_cli.readers.messages.stamps import header_stamp_ns, stamp_of
+from mobilecal_cli.readers.messages.stamps import content_of, header_stamp_ns, stamp_of
 from mobilecal_cli.readers.signals.clocks import Clock
 
-#: Images per topic, spread over it, that are read to measure the lag between stamp and log time.
+#: Places of a topic, spread over it, where two images are read to measure the lag between stamp and log time.
 _LOOKS = 9
 
 
@@ -51,8 +51,8 @@ def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pic
         image_topics: image topic of each side.
 
     Returns:
-        None if they cannot be determined: no index, no such topic, missing stamps, undecodable images, or video, which
-        needs every frame.
+        None if they cannot be determined: no index, no such topic, missing stamps, undecodable images, identical
+        consecutive images, or video, which needs every frame.
     """
     types = {info.name: info.type for info in recording.topics}
     topics = sorted(set(image_topics.values()))
@@ -66,12 +66,18 @@ def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pic
     clocks = []
     for topic, logged_ns in logged.items():
         clock = Clock(topic)
-        moments = logged_ns[np.linspace(0, len(logged_ns) - 1, _LOOKS).astype(int)]
+        some = np.linspace(0, len(logged_ns) - 1, _LOOKS).astype(int)
+        moments = logged_ns[np.union1d(some, np.minimum(some + 1, len(logged_ns) - 1))]
+        before, content = 0, b""
         try:
-            for message in recording.near([topic], np.unique(moments).tolist()):
+            for message in recording.near([topic], moments.tolist()):
                 decoded = message.decode()
                 if codec_of(decoded) is not None:
                     return None
+                last, content = content, content_of(decoded)
+                if message.log_time_ns > before and content == last != b"":
+                    return None
+                before = message.log_time_ns
                 stamp_ns = clock.count(header_stamp_ns(decoded), message.log_time_ns)
                 lags.setdefault(topic, []).append(message.log_time_ns - stamp_ns)
         except (RecordingError, *NOT_ITS_TYPE):
@@ -95,11 +101,12 @@ def read_stamps(
 
     Returns:
         Topic → log time → stamp, ns, and notes on undecodable images, which have no stamp. None if the index is wrong,
-        and images are not where it says.
+        and images are not where it says, or if a selected image is identical to the one selected before it.
     """
     wanted = {topic: set(times.tolist()) for topic, times in logged_ns.items()}
     found: dict[str, dict[int, int]] = {topic: {} for topic in logged_ns}
     broken = dict.fromkeys(logged_ns, 0)
+    before = dict.fromkeys(logged_ns, b"")
     extent = Extent(at_ns=np.unique(np.concatenate(list(logged_ns.values()))))
     for message in recording.messages(wanted, extent):
         topic, log_ns = message.topic, message.log_time_ns
@@ -107,10 +114,14 @@ def read_stamps(
             continue
         wanted[topic].remove(log_ns)
         try:
-            stamp_ns = stamp_of(message.decode(), log_ns)
+            decoded = message.decode()
+            stamp_ns = stamp_of(decoded, log_ns)
+            last, before[topic] = before[topic], content_of(decoded)
         except (RecordingError, *NOT_ITS_TYPE):
             broken[topic] += 1
             continue
+        if before[topic] == last != b"":
+            return None
         found[topic][log_ns] = stamp_ns
         if not any(wanted.values()):
             break

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Side, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
@@ -108,7 +110,15 @@ def _track(quantity: Quantity, samples: Mapping[Series, Samples], notes: list[st
 def _index(samples: Samples, sequential: bool, notes: list[str]) -> PictureIndex:
     keep, found = order_notes(samples.label, samples.stamp_ns)
     notes += found
-    return PictureIndex(samples.time_ns[keep], samples.stamp_ns[keep], samples.log_ns[keep], sequential)
+    new = samples.value[:, 0] == 0
+    since = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+    if repeated := int(np.sum(keep & ~new)):
+        notes.append(
+            f"{samples.label}: {repeated} of {len(new)} images are identical to the image before them; each picture "
+            "is used once, and only until the robot moves"
+        )
+    arrays = (samples.time_ns[keep], samples.stamp_ns[keep], samples.log_ns[keep])
+    return PictureIndex(*arrays, sequential, samples.time_ns[since][keep])
 
 
 def _usable(

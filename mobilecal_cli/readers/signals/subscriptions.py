@@ -23,7 +23,7 @@ from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.images.video import codec_of
 from mobilecal_cli.readers.messages.channels import NOT_ITS_TYPE, Channel, Payload
 from mobilecal_cli.readers.messages.joint_state import JointStateDecoder
-from mobilecal_cli.readers.messages.stamps import header_stamp_ns
+from mobilecal_cli.readers.messages.stamps import content_of, header_stamp_ns
 from mobilecal_cli.readers.signals.clocks import Clock
 from mobilecal_cli.readers.signals.fields import FieldSeries
 from mobilecal_cli.readers.signals.info_changes import InfoChanges
@@ -89,14 +89,20 @@ class Subscriptions:
             )
 
     def images(self, side: Side, topic: str) -> Series:
-        """Collect the stamps of a side's images."""
+        """Collect the stamps of a side's images; the value is 1 for an image that is identical to the one before it."""
         self._of_type(topic, IMAGES, f"correct cameras.{side}.image in rig.yaml")
-        stamps = Series(topic, topic, width=0)
+        stamps = Series(topic, topic)
+        before = b""
 
         def take(message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
-            stamps.add(time_ns, log_ns)
+            nonlocal before
             if codec_of(message) is not None:
                 self.video.add(topic)
+                stamps.add(time_ns, log_ns, 0.0)
+                return
+            content = content_of(message)
+            stamps.add(time_ns, log_ns, float(content == before != b""))
+            before = content
 
         self._subscribe(topic, take)
         return stamps

@@ -66,14 +66,14 @@ class Counter:
         self._range: tuple[float, float] = (0, 0)
 
     def since_first(self, ticks: float) -> float:
-        """Ticks since the first reading; of integers, at most half the counter's range to either side."""
+        """Ticks since the first reading; of a counter that wraps, at most half its range to either side."""
         if not math.isfinite(ticks):
             return ticks
         if self._first is None:
             self._first = ticks
         self._range = min(self._range[0], ticks), max(self._range[1], ticks)
         since = ticks - self._first
-        if self._bits is None or not isinstance(since, int):
+        if self._bits is None:
             return since
         half = 1 << (self._bits - 1)
         return (since + half) % (2 * half) - half
