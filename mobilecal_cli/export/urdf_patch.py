@@ -367,7 +367,7 @@ def _places(content: bytes) -> _Places:
     """Byte ranges of the tags that may change, in a file that is known to be well-formed and without a DTD."""
     places = _Places()
     stack: list[tuple[str, str]] = []
-    parser = ParserCreate()
+    parser = ParserCreate("utf-8")  # whatever the declaration says: the text was decoded so
 
     def start(name: str, attributes: dict[str, str]) -> None:
         at = parser.CurrentByteIndex

@@ -230,3 +230,13 @@ def test_robots_of_others(shared_data, tmp_path, pattern, head, camera, joints):
     for T in two_readers(tmp_path, made.content, camera, head):
         assert pytest.approx(calibrated.T_parent_child, abs=1e-9) == T
     assert len(changed_lines(content, made.content)) <= 3 + 4
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "base64", "undefined", "nope", "latin-1", "UTF-8"])
+def test_the_text_is_utf8_whatever_its_declaration_says(encoding):
+    """The encoding of the declaration was used to find the tags: ValueError, LookupError and others."""
+    declared = URDF.replace(b"version='1.0'", f"version='1.0' encoding='{encoding}'".encode())
+    made = patched_urdf(declared, robot(), JOINTS).content
+    assert (
+        made.replace(f" encoding='{encoding}'".encode(), b"") == patched_urdf(URDF, robot(), JOINTS).content
+    )
