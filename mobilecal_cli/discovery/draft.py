@@ -35,6 +35,7 @@ from mobilecal_cli.model import (
     Side,
     Todo,
 )
+from mobilecal_cli.model.text import visible
 
 _WIDTH = 100
 #: Whole boards that must be seen before their size is filled in.
@@ -47,8 +48,8 @@ T = TypeVar("T")
 
 
 def _quoted(text: str) -> str:
-    """YAML string that any loader reads back unchanged."""
-    return json.dumps(text)
+    """YAML string that any loader reads back unchanged, without characters that control a terminal."""
+    return visible(json.dumps(text, ensure_ascii=False))  # YAML reads the escapes of both
 
 
 def _one_line(error: MobilecalError) -> str:
@@ -144,7 +145,10 @@ def draft_rig(
         *_priors(),
     )
     notes = () if survey.head is None else survey.head.notes
-    return Draft("\n".join(page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes)
+    # Names from the recording are also in the comments, where YAML allows no control characters.
+    return Draft(
+        "\n".join(visible(line) for line in page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes
+    )
 
 
 def _board(page: _Page, board: BoardView | None) -> None:
@@ -342,7 +346,7 @@ def _joints(
             f"{'' if keys else '  '}{line}"
             for line in (
                 "fields:",
-                *(f"  {name}: {{topic: /head, field: data, unit: rad}}" for name in missing),
+                *(f"  {_quoted(name)}: {{topic: /head, field: data, unit: rad}}" for name in missing),
             )
         ),
         indent="  " if keys else "",
