@@ -35,9 +35,11 @@ from mobilecal_cli.model import (
     Side,
     Todo,
 )
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import listed, visible
 
 _WIDTH = 100
+#: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
+_MOST_NAMES = 100
 #: Whole boards that must be seen before their size is filled in.
 _ENOUGH_BOARDS = 3
 #: Stereo pairs, and their largest relative spread, for a suggestion of the size of the squares.
@@ -65,7 +67,7 @@ def _tried(step: Callable[[], T]) -> T | None:
 
 
 def _listing(title: str, names: Iterable[str]) -> str:
-    return f"# {title}: {', '.join(_quoted(name) for name in sorted(names)) or 'none'}"
+    return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
 
 
 class _Page:

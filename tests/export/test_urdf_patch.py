@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -240,3 +241,19 @@ def test_the_text_is_utf8_whatever_its_declaration_says(encoding):
     assert (
         made.replace(f" encoding='{encoding}'".encode(), b"") == patched_urdf(URDF, robot(), JOINTS).content
     )
+
+
+LINK = '<link name="l{0}"/><joint name="j{0}" type="fixed"><parent link="{1}"/><child link="l{0}"/></joint>'
+CHAIN = "".join(LINK.format(k, f"l{k - 1}" if k else "base_link") for k in range(3000)).encode()
+ROUND = URDF.replace(b'<mesh filename="w.stl"/>', b'<cylinder radius="0.1" length="0.1"/>')
+
+
+@pytest.mark.parametrize("more", [b"<x>" * 50_000 + b"</x>" * 50_000, CHAIN], ids=["nested", "chained"])
+def test_large_files_take_linear_time(more):
+    """Each element was compared with all around it, and each link with all above it: minutes."""
+    large = ROUND.replace(b"</robot>\n", more + b"</robot>\n")
+    begin = time.process_time()
+    made, usual = patched_urdf(large, robot(), JOINTS), patched_urdf(ROUND, robot(), JOINTS)
+    assert time.process_time() - begin < 4
+    assert made.changes == usual.changes
+    assert made.content.replace(more, b"") == usual.content
