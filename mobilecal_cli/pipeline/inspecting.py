@@ -390,7 +390,9 @@ def _rests(
             np.stack([signals.joints[name].at(at) for name in rig.chain.joints], axis=1)
             for signals, at in zip(logs, moments, strict=True)
         ]
-        return None, _gaps(rig, np.concatenate(readings), tracks, moments, missing)
+        unread: list[Lack] = []  # the rest of the recording may contain this motion
+        limits = _gaps(rig, np.concatenate(readings), tracks, moments, unread if share < 1 else missing)
+        return None, (*unread, *limits)
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:

@@ -258,6 +258,7 @@ def test_wheels_with_identical_readings(sample_logs, rig, tmp_path, whole, monke
     log = changed_states(sample_logs / "paper_robot.mcap", tmp_path / "same.mcap", same)
     found = inspecting.check(rig, [log])
     assert (found.motion.rests is not None) == whole
+    assert found.exit_code == 0
     (line,) = [line for line in checklist(found) if line.about == "motion"]
     assert line.state == "limit"
     assert "left and the right wheel have identical readings between all stations" in line.what
@@ -279,3 +280,13 @@ def test_images_at_the_ends_are_counted(sample_logs, rig, late_s, counted):
     times = {robot.sources.image["left"]: left, **dict.fromkeys(others, left + round(late_s * 1e9))}
     covered, _ = inspecting._covered(robot, times, [])
     assert covered == (counted, 40)
+
+
+def test_motion_that_only_the_part_that_is_read_lacks_is_a_limit(sample_logs, rig, monkeypatch):
+    """Nothing was said about the motion of a recording of which a part is read."""
+    whole = inspecting.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert (states(whole)["motion"], whole.exit_code) == ("problem", 5)
+    monkeypatch.setattr(inspecting, "MOTION_BYTES", 2**17)
+    part = inspecting.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert part.motion.share_read < 1
+    assert (states(part)["motion"], part.exit_code) == ("limit", 0)
