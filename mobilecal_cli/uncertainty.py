@@ -98,15 +98,15 @@ def gaps_between(
             )
         )
     elif not seen.turns:
-        gaps.append(
-            Gap(
-                ("separation", "ratio of the radii"),
-                f"the base only drives straight: the rotations of the two wheels differ by at most "
-                f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)",
-                "turn the base by 20 degrees or more between some stations",
-                (("separation",),),
-            )
+        because, cure = (
+            f"the base only drives straight: the rotations of the two wheels differ by at most "
+            f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)",
+            "turn the base by 20 degrees or more between some stations",
         )
+        if not turned:
+            because = "the left and the right wheel have identical readings between all stations"
+            cure = f"check that the driver publishes both wheels, or {cure}"
+        gaps.append(Gap(("separation", "ratio of the radii"), because, cure, (("separation",),)))
     else:
         gaps.append(
             Gap(

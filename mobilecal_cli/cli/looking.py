@@ -52,8 +52,12 @@ def check(
 ) -> None:
     """Check a configuration against a recording, without calibrating.
 
-    One line for each criterion: topics and their types, camera infos, wheels, head chain and joints, times, motion,
-    board and size of its squares. The exit code is that of a calibration. Writes nothing.
+    One line for each criterion: topics and their types, camera infos, wheels, head chain and joints, priors, times,
+    motion, board and size of its squares. Exit code 0: no problem; with a limit, the result may not pass. Exit code 2
+    to 5: a problem, at which a calibration would stop with this code. Writes nothing.
+
+    Only `calibrate` finds wrong signs, ticks_per_revolution and delays of wheels, wrong signs and axes of head joints,
+    and outliers: exit code 0 does not mean that the result passes.
 
     Example: mobilecal check rig.yaml log.mcap
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +11,9 @@ import typer
 
 from mobilecal_cli.cli.completion import gate_names, setting_keys
 from mobilecal_cli.errors import ConfigError
+
+_COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
+_LONGEST_SHOWN = 40  # characters of a text that is refused
 
 Logs = Annotated[
     list[Path],
@@ -93,10 +97,11 @@ def counts_of(option: str, text: str) -> tuple[int, int]:
     Raises:
         ConfigError: another text.
     """
-    columns, x, rows = text.lower().partition("x")
-    if not (x and columns.isdigit() and rows.isdigit()):
+    found = _COUNTS.fullmatch(text)
+    if found is None:
+        given = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
         raise ConfigError(
-            f"{option} {text}: not of the form COLUMNSxROWS",
+            f"{option} {given}: not of the form COLUMNSxROWS",
             f"count the inner corners, for example {option} 9x6",
         )
-    return int(columns), int(rows)
+    return int(found[1]), int(found[2])

@@ -127,14 +127,15 @@ def export(
     from mobilecal_cli.pipeline import exporting
 
     given = {"left": left_joint, "right": right_joint}
+    inputs = [params, urdf, *(log or [])]
+    if output is not None:
+        check_file(output, force, inputs)
     layout = None
     if to == Target.foxglove:
         if output is None:
             raise ConfigError("--to foxglove writes two files", "name the first with --output scene.mcap")
         layout = output.with_suffix(".layout.json")
-    for path in (output, layout):
-        if path is not None:
-            check_file(path, force, [params, urdf, *(log or [])])
+        check_file(layout, force, inputs)
     joints = {side: name for side, name in given.items() if name is not None}
     made = exporting.export(
         params,

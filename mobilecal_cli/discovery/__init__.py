@@ -3,6 +3,7 @@
 from mobilecal_cli.discovery.chain import nominal_of
 from mobilecal_cli.discovery.counters import may_be_a_reading
 from mobilecal_cli.discovery.draft import draft_rig
+from mobilecal_cli.discovery.joints import outside_chain
 from mobilecal_cli.discovery.priors import prior_sigmas, shown_priors
 from mobilecal_cli.discovery.resolve import (
     Part,
@@ -22,6 +23,7 @@ __all__ = [
     "draft_rig",
     "may_be_a_reading",
     "nominal_of",
+    "outside_chain",
     "prior_sigmas",
     "resolve_rig",
     "shown_priors",

@@ -35,8 +35,11 @@ from mobilecal_cli.model import (
     Side,
     Todo,
 )
+from mobilecal_cli.model.text import listed, visible
 
 _WIDTH = 100
+#: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
+_MOST_NAMES = 100
 #: Whole boards that must be seen before their size is filled in.
 _ENOUGH_BOARDS = 3
 #: Stereo pairs, and their largest relative spread, for a suggestion of the size of the squares.
@@ -47,8 +50,8 @@ T = TypeVar("T")
 
 
 def _quoted(text: str) -> str:
-    """YAML string that any loader reads back unchanged."""
-    return json.dumps(text)
+    """YAML string that any loader reads back unchanged, without characters that control a terminal."""
+    return visible(json.dumps(text, ensure_ascii=False))  # YAML reads the escapes of both
 
 
 def _one_line(error: MobilecalError) -> str:
@@ -64,7 +67,7 @@ def _tried(step: Callable[[], T]) -> T | None:
 
 
 def _listing(title: str, names: Iterable[str]) -> str:
-    return f"# {title}: {', '.join(_quoted(name) for name in sorted(names)) or 'none'}"
+    return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
 
 
 class _Page:
@@ -144,7 +147,10 @@ def draft_rig(
         *_priors(),
     )
     notes = () if survey.head is None else survey.head.notes
-    return Draft("\n".join(page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes)
+    # Names from the recording are also in the comments, where YAML allows no control characters.
+    return Draft(
+        "\n".join(visible(line) for line in page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes
+    )
 
 
 def _board(page: _Page, board: BoardView | None) -> None:
@@ -342,7 +348,7 @@ def _joints(
             f"{'' if keys else '  '}{line}"
             for line in (
                 "fields:",
-                *(f"  {name}: {{topic: /head, field: data, unit: rad}}" for name in missing),
+                *(f"  {_quoted(name)}: {{topic: /head, field: data, unit: rad}}" for name in missing),
             )
         ),
         indent="  " if keys else "",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Container, Iterable
 
 from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery.names import words
+from mobilecal_cli.discovery.names import joint_state_names, words
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
 from mobilecal_cli.model import (
@@ -51,6 +51,17 @@ def pan_and_tilt(
     if pan and pan == tilt:
         raise ConfigError(f"joints.pan and joints.tilt are both {pan!r}", "set them to different joints")
     return pan, tilt
+
+
+def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
+    """Joints in the joint states that are named pan or tilt, where the chain has no joint of this name."""
+    return [
+        name
+        for word in ("pan", "tilt")
+        if not any(word in words(joint) for joint in chain.joints)
+        for name in joint_state_names(description)
+        if word in words(name)
+    ]
 
 
 def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadChain) -> dict[str, JointField]:

@@ -54,6 +54,16 @@ _CORNER_ARRAYS: dict[str, type] = {
     "seen": np.bool_,
     "relative_cov": np.float64,
 }
+#: Last part of an array's name → its element type.
+_DTYPES: dict[str, type] = {
+    **_OBSERVATION_ARRAYS,
+    **_CORNER_ARRAYS,
+    "header": np.uint8,
+    "rad": np.float64,
+    "right_rad": np.float64,
+    "left_rad": np.float64,
+    "value": np.float64,
+}
 _EPOCH = (
     1980,
     1,
@@ -168,7 +178,8 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
         stated = sum(member.file_size for member in archive.infolist())
         if stated > LARGEST_BYTES:
             raise ValueError(f"{len(data)} bytes unpack to {stated} bytes (limit {LARGEST_BYTES})")
-        return {name.removesuffix(".npy"): _array(name, archive.read(name)) for name in archive.namelist()}
+        members = {name: name.removesuffix(".npy") for name in archive.namelist()}
+        return {name: _array(name, archive.read(member)) for member, name in members.items()}
 
 
 def _array(name: str, data: bytes) -> NDArray[Any]:
@@ -180,7 +191,10 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
     if math.prod(shape) * dtype.itemsize != len(data) - stream.tell():
         raise ValueError(f"{name}: {len(data)} bytes do not match shape {shape} of {dtype}")
     stream.seek(0)
-    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    expected = np.dtype(_DTYPES.get(name.rpartition(".")[2], dtype))
+    if not np.can_cast(dtype, expected, "safe"):
+        raise ValueError(f"{name}: elements are {dtype}, expected {expected}")
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False).astype(expected)
     # No valid value in meters, radians or pixels is so large, and its square would overflow.
     if array.dtype.kind == "f" and not np.all(np.abs(array) < _LARGEST):
         raise ValueError(f"{name}: values that are not finite, or above {_LARGEST:g}")

@@ -28,6 +28,8 @@ _WHEELS = [
     for kind in ("visual", "collision")
     for shape in ("cylinder", "sphere")
 ]
+#: Elements around the innermost that may change, and one more: deeper ones are all alike.
+_DEEPEST = len(_WHEELS[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,10 +347,10 @@ def _height(
     if max(abs(height - old_m) for height in own) <= _GROUND_M:
         return new_m, (f"joints {names}: height {new_m:.6g} m, the mean wheel radius",)
     notes = []
-    for link in urdf.links:
-        height = _height_over(urdf, link, joints[0].child)
-        above = height is not None and link != joints[0].parent and abs(height - old_m) <= _GROUND_M
-        if above and abs(old_m - new_m) > 1e-9:
+    heights = _heights(urdf, joints[0])
+    for link in (link for link in urdf.links if link in heights and link != joints[0].parent):
+        height = heights[link]
+        if abs(height - old_m) <= _GROUND_M and abs(old_m - new_m) > 1e-9:
             notes.append(
                 f"link {link!r}: the axle is {height:.6g} m above it, and the mean wheel radius is now {new_m:.6g} m; "
                 f"its joint {_joint_of(urdf, link)!r} is unchanged"
@@ -369,17 +371,20 @@ def _radius(content: bytes, tag: _Tag) -> float | None:
         return None
 
 
-def _height_over(urdf: Urdf, link: str, wheel: str) -> float | None:
-    """Height of a wheel center over a link that is fixed to the wheel's parent, m; None for other links."""
-    T = {}
-    for name in (link, wheel):
-        path = urdf.path(urdf.root, name)
-        if any(joint.kind != "fixed" for joint in path if joint.child != wheel):
-            return None
-        T[name] = np.eye(4)
-        for joint in path:
-            T[name] = T[name] @ joint.T_parent_child
-    return float((se3.inverse(T[link]) @ T[wheel])[2, 3])
+def _heights(urdf: Urdf, wheel: UrdfJoint) -> dict[str, float]:
+    """Height of a wheel's center over each link that is fixed to the parent of its joint, m."""
+    beside: dict[str, list[tuple[str, FloatArray]]] = {}
+    for joint in urdf.joints.values():
+        if joint.kind == "fixed":
+            beside.setdefault(joint.parent, []).append((joint.child, se3.inverse(joint.T_parent_child)))
+            beside.setdefault(joint.child, []).append((joint.parent, joint.T_parent_child))
+    T_link_wheel, reached = {wheel.parent: wheel.T_parent_child}, [wheel.parent]
+    for link in reached:
+        for other, T_other_link in beside.get(link, ()):
+            if other not in T_link_wheel:
+                T_link_wheel[other] = T_other_link @ T_link_wheel[link]
+                reached.append(other)
+    return {link: float(T[2, 3]) for link, T in T_link_wheel.items()}
 
 
 def _joint_of(urdf: Urdf, link: str) -> str:
@@ -440,12 +445,12 @@ def _places(content: bytes) -> _Places:
     """Byte ranges of the tags that may change, in a file that is known to be well-formed and without a DTD."""
     places = _Places()
     stack: list[tuple[str, str]] = []
-    parser = ParserCreate()
+    parser = ParserCreate("utf-8")  # whatever the declaration says: the text was decoded so
 
     def start(name: str, attributes: dict[str, str]) -> None:
         at = parser.CurrentByteIndex
         tag = _Tag(at, _end_of_tag(content, at))
-        inside = [element for element, _ in stack]
+        inside = [element for element, _ in stack[:_DEEPEST]]
         own = attributes.get("name", "")
         if inside == ["robot"] and name == "joint":
             places.joints[own] = (tag, None)

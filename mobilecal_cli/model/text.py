@@ -6,7 +6,8 @@ import textwrap
 import unicodedata
 from collections.abc import Iterable
 
-_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn"})  # control, format, surrogate, private, unassigned
+#: Control, format, surrogate, private, unassigned; separators of lines and paragraphs.
+_HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
 def visible(text: str) -> str:
@@ -21,15 +22,16 @@ def visible(text: str) -> str:
     )
 
 
-#: Names in a message; more would be unreadable.
-MOST_LISTED = 10
+#: Names in a message, and characters of a name; more would be unreadable.
+MOST_LISTED, LONGEST_LISTED = 10, 200
 
 
 def listed(names: Iterable[str], most: int = MOST_LISTED) -> str:
-    """The first names, separated by commas, and how many more there are; "none" without any."""
+    """The first names, cut if they are very long, separated by commas, and how many more there are; "none" without."""
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
-    return f"{', '.join(every[:most])}{more}" if every else "none"
+    shown = [name if len(name) <= LONGEST_LISTED else f"{name[:LONGEST_LISTED]}..." for name in every[:most]]
+    return f"{', '.join(shown)}{more}" if every else "none"
 
 
 def wrapped(text: str, start: str = "  ", indent: str = "", width: int = 96) -> list[str]:

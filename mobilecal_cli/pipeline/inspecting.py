@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,13 +12,23 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.config import RigConfig, load_rig, read_urdf
-from mobilecal_cli.discovery import Survey, complete_rig, stereo_layout, survey_rig
-from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
+from mobilecal_cli.discovery import Survey, complete_rig, outside_chain, stereo_layout, survey_rig
+from mobilecal_cli.errors import (
+    ConfigError,
+    MobilecalError,
+    ObservationError,
+    QualityError,
+    RecordingError,
+    SolveError,
+)
 from mobilecal_cli.kinematics import cut_at, integrate
+from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    NINE,
     SIDES,
     BoardView,
+    FloatArray,
     Inspection,
     IntArray,
     JointRange,
@@ -26,6 +38,7 @@ from mobilecal_cli.model import (
     Parts,
     PictureIndex,
     Rig,
+    RobotDescription,
     Signals,
     TopicInfo,
     TopicView,
@@ -44,15 +57,21 @@ from mobilecal_cli.readers import (
     read_signals,
     sha256_of,
 )
+from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.gates import gates_of
-from mobilecal_cli.stations import plan_stations, wheel_track
+from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
+from mobilecal_cli.vision import square_cure
 
 #: At most so much of a recording is decompressed for the motion.
 MOTION_BYTES = 2**28
 #: A smaller share of images during which joints and wheels were recorded limits a calibration.
 _LEAST_COVERED = 0.9
+#: Unit of a joint's range → a larger range is one in degrees or millimeters that was taken for radians or meters.
+_LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
+#: Stereo pairs that measure the squares, for a limit on their stated size.
+_FEWEST_SQUARES = 2
 
 
 def inspect(
@@ -82,7 +101,7 @@ def inspect(
         progress("topics", 0, None)
         times = recording.log_times()
         missing = _unknown_gates(config)
-        survey = _survey(recording, config, missing)
+        description, survey = _survey(recording, config, missing)
         rig: Rig | None = None
         notes: tuple[str, ...] = ()
         if survey is not None and not survey.lacks:
@@ -91,12 +110,14 @@ def inspect(
         board: BoardView | None = None
         motion: MotionView | None = None
         covered: tuple[int, int] | None = None
-        weak: tuple[Lack, ...] = ()
-        if rig is not None:
+        weak: list[Lack] = []
+        if rig is not None and description is not None:
             progress("motion", 0, None)
-            covered, weak = _covered(rig, times, missing)
+            weak += _wrong_chain(config, rig, description)
+            weak += _without_priors(rig, config, missing)
+            covered, uncovered = _covered(rig, times, missing)
             motion, unobservable, seen = _motion(recording, rig, times, missing)
-            notes, weak = (*notes, *seen), (*weak, *unobservable)
+            notes, weak = (*notes, *seen), [*weak, *uncovered, *unobservable]
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
             board, lacks = sample_board(
@@ -108,6 +129,8 @@ def inspect(
                 config.board.square_m,
             )
             missing += lacks
+            if not any(lack.about == "square size" for lack in missing):
+                weak += _wrong_squares(board)
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -121,7 +144,7 @@ def inspect(
             motion=motion,
             covered=covered,
             missing=tuple(missing),
-            weak=weak,
+            weak=tuple(weak),
             notes=(*notes, *recording.damage),
         )
 
@@ -189,28 +212,88 @@ def _unknown_gates(config: RigConfig) -> list[Lack]:
     return []
 
 
-def _survey(recording: Recording, config: RigConfig, missing: list[Lack]) -> Survey | None:
-    """The parts of the rig that `calibrate` would use; what is missing for it goes to `missing`."""
+def _survey(
+    recording: Recording, config: RigConfig, missing: list[Lack]
+) -> tuple[RobotDescription | None, Survey | None]:
+    """What the recording states, and the parts of the rig that `calibrate` would use; what it lacks, to `missing`."""
     try:
         description = read_description(recording)
     except RecordingError as error:
         missing.append(_lack("recording", error))
-        return None
+        return None, None
     survey = survey_rig(config, description, read_urdf(config))
     missing += [_lack(part, error) for part, error in survey.lacks]
-    return survey
+    return description, survey
+
+
+def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
+    """Joints that the head chain probably has twice, or not at all."""
+    links = Counter(link.joint for link in config.head.chain or () if link.joint)
+    for name in (name for name, count in links.items() if count > 1):
+        yield Lack(
+            "head chain",
+            f"joint {name!r} is in head.chain {links[name]} times",
+            "delete the repeated link, unless the mechanism moves both by the same reading",
+            SolveError.exit_code,
+        )
+    for name in outside_chain(rig.chain, description):
+        yield Lack(
+            "head chain",
+            f"{name!r} was recorded, but is not a joint between {rig.chain.base_frame} and {rig.chain.head_frame}",
+            "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
+            SolveError.exit_code,
+        )
+
+
+def _without_priors(rig: Rig, config: RigConfig, missing: list[Lack]) -> list[Lack]:
+    """Parameters that are unobservable in any recording, because too many constants are free."""
+    rows = table(rig.cameras, rig.chain)
+    known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
+    every = {row.kind for row in rows} - known
+    if config.board.square_m is None:
+        every.add("square_size")
+    gaps = []
+    if {"baseline_length", "square_size", "joint_position"} <= every:
+        because = (
+            "the stereo baseline, the squares of the board and the positions of the head joints are all free"
+        )
+        gaps.append(Gap(NINE[6:], because, "state how well one of these lengths is known", ()))
+    if {"joint_axis", "joint_zero"} <= every:
+        because = "the axes and zero positions of the head joints are all free"
+        gaps.append(Gap(NINE[:3], because, "state how well one of the two is known", ()))
+    return _unobservable("priors", rig, gaps, missing)
+
+
+def _wrong_squares(board: BoardView | None) -> Iterator[Lack]:
+    """A stated size of the squares that several stereo pairs do not confirm."""
+    if board is None or board.stated_m is None or len(board.squares_m) < _FEWEST_SQUARES:
+        return
+    mean, stated = float(np.mean(board.squares_m)), board.stated_m
+    noise = float(np.std(board.squares_m, ddof=1)) / math.sqrt(len(board.squares_m))
+    if abs(mean - stated) > max(SQUARE_LOOK_PERCENT / 100 * stated, 3 * noise):
+        yield Lack(
+            "square size",
+            f"the squares measure {mean * 1e3:.2f} mm in {len(board.squares_m)} stereo pairs, {stated * 1e3:.2f} mm "
+            f"are stated (limit {SQUARE_LOOK_PERCENT:g} %)",
+            square_cure(stated, mean),
+            QualityError.exit_code,
+        )
 
 
 def _covered(
     rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
 ) -> tuple[tuple[int, int] | None, tuple[Lack, ...]]:
-    """Left images within the time of all other topics, and of all left images; and a lack if that are few."""
+    """Left images within the time of all other topics, and of all left images; and a lack if that are few.
+
+    Log times of one moment differ by what the messages take to arrive.
+    """
     images = times.get(rig.sources.image["left"])
     motion = [times.get(t) for t in (rig.sources.image["right"], *rig.sources.motion)]
     spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
     if images is None or not len(images) or len(spans) < len(motion):
         return None, ()
-    first, last = max(span[0] for span in spans), min(span[1] for span in spans)
+    late_ns = round(PAIR_AT_REST_S * 1e9)
+    first, last = max(span[0] for span in spans) - late_ns, min(span[1] for span in spans) + late_ns
     count, total = int(np.sum((images >= first) & (images <= last))), len(images)
     lack = Lack(
         "time",
@@ -253,6 +336,7 @@ def _motion(
         readings = np.concatenate([signals.joints[name].value for signals in logs])
         scale, unit = (1e3, "mm") if name in rig.chain.prismatic else (180 / np.pi, "deg")
         joints[name] = JointRange(float(readings.min()) * scale, float(readings.max()) * scale, unit)
+    wrong = [_wrong_unit(name, span) for name, span in joints.items() if not _possible(span)]
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
         for side in SIDES
@@ -268,7 +352,22 @@ def _motion(
     rests, weak = _rests(rig, logs, times, share, missing)
     # Gaps between the parts that are read would be noted as irregularities.
     notes = tuple(note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note)
-    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), weak, notes
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), (*wrong, *weak), notes
+
+
+def _possible(span: JointRange) -> bool:
+    return span.high - span.low <= _LARGEST_RANGE[span.unit]
+
+
+def _wrong_unit(name: str, span: JointRange) -> Lack:
+    units = ("degrees", "radians") if span.unit == "deg" else ("millimeters", "meters")
+    return Lack(
+        "joints",
+        f"{name}: range {span.low:.0f} to {span.high:.0f} {span.unit} (limit {_LARGEST_RANGE[span.unit]:g}); "
+        f"the readings look like {units[0]}, and {units[1]} are expected",
+        "set its unit in joints.fields, or correct the driver",
+        SolveError.exit_code,
+    )
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
@@ -285,7 +384,15 @@ def _rests(
     images = {side: times.get(rig.sources.image[side]) for side in SIDES}
     # Where a clock steps, log times do not tell which readings belong to an image.
     if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
-        return None, ()
+        tracks = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
+        moments = [_seconds(track) for track in tracks]
+        readings = [
+            np.stack([signals.joints[name].at(at) for name in rig.chain.joints], axis=1)
+            for signals, at in zip(logs, moments, strict=True)
+        ]
+        unread: list[Lack] = []  # the rest of the recording may contain this motion
+        limits = _gaps(rig, np.concatenate(readings), tracks, moments, unread if share < 1 else missing)
+        return None, (*unread, *limits)
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:
@@ -305,12 +412,30 @@ def _rests(
         (missing if len(plan.stations) < FEWEST_STATIONS else weak).append(lack)
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
-        readings = np.stack([station.joints for station in plan.stations])
-        for gap in gaps_between(rig.chain, readings, [plan.wheels], [at]):
-            what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-            lack = Lack("motion", what, gap.cure, SolveError.exit_code)
-            (weak if _has_nominal(rig, gap) else missing).append(lack)
+        stops = np.stack([station.joints for station in plan.stations])
+        weak += _gaps(rig, stops, [plan.wheels], [at], missing)
     return sum(station.at_rest for station in plan.stations), tuple(weak)
+
+
+def _gaps(
+    rig: Rig,
+    joints: FloatArray,
+    wheels: Sequence[WheelTrack],
+    times_ns: Sequence[IntArray],
+    missing: list[Lack],
+) -> tuple[Lack, ...]:
+    """What the motion between some moments leaves unobservable, see `gaps_between` and `_unobservable`."""
+    return tuple(_unobservable("motion", rig, gaps_between(rig.chain, joints, wheels, times_ns), missing))
+
+
+def _unobservable(about: str, rig: Rig, gaps: Sequence[Gap], missing: list[Lack]) -> list[Lack]:
+    """Limits of a calibration with nominal values; gaps without them go to `missing`."""
+    weak: list[Lack] = []
+    for gap in gaps:
+        what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
+        lack = Lack(about, what, gap.cure, SolveError.exit_code)
+        (weak if _has_nominal(rig, gap) else missing).append(lack)
+    return weak
 
 
 def _has_nominal(rig: Rig, gap: Gap) -> bool:

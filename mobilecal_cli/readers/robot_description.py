@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import islice
 from typing import Any, TypeVar
 
 from mobilecal_cli.errors import RecordingError
@@ -25,6 +26,8 @@ T = TypeVar("T")
 
 #: Messages read per joint-state topic, because several drivers may share it.
 JOINT_MESSAGES = 50
+#: Names of joints that are kept of a topic.
+MOST_JOINTS = 2**15
 #: Messages tried on other topics until one can be decoded.
 TRIES = 5
 #: Topics of one type that are read separately, each only as far as needed; more are read in one pass.
@@ -123,7 +126,7 @@ def _joint_names(recording: Recording, topics: Sequence[str]) -> dict[str, tuple
         lambda message: [str(name) for name in message.name],
     )
     return {
-        topic: tuple(dict.fromkeys(name for names in messages for name in names))
+        topic: tuple(islice(dict.fromkeys(name for names in messages for name in names), MOST_JOINTS))
         for topic, messages in found.items()
     }
 

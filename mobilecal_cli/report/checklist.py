@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.model import SIDES, Inspection, Lack, Parts, StereoRig, WheelSource, listed
+from mobilecal_cli.model import SIDES, Inspection, Lack, MotionView, Parts, StereoRig, WheelSource, listed
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.values import json_text
 
@@ -105,12 +106,13 @@ def _measured(found: Inspection) -> dict[str, str]:
             *found.covered
         )
     if found.motion is not None:
-        rests = found.motion.rests
-        said["motion"] = (
-            "joints and wheels can be read; only a part of them was, so the stops were not counted"
-            if rests is None
-            else f"{rests} stops with images; the motion determines all nine parameters"
+        motion = found.motion
+        stops = (
+            "stops not counted, as only a part of the recording was read"
+            if motion.rests is None
+            else f"{motion.rests} stops with images; the motion determines all nine parameters"
         )
+        said["motion"] = f"{stops}; {', '.join(_ranges(motion))}"
     board = found.board
     if board is not None and board.size is not None:
         said["board"] = (
@@ -120,6 +122,15 @@ def _measured(found: Inspection) -> dict[str, str]:
             stated = "not stated" if board.stated_m is None else f"{board.stated_m * 1e3:.2f} mm stated"
             said["square size"] = f"{board.square_m * 1e3:.2f} mm measured with the stereo pair, {stated}"
     return said
+
+
+def _ranges(motion: MotionView) -> Iterator[str]:
+    """What joints and wheels do over the recording."""
+    for name, span in motion.joints.items():
+        yield f"{name} {span.low:.0f} to {span.high:.0f} {span.unit}"
+    yield from (f"{side} wheel {motion.wheels_deg[side]:.0f} deg" for side in SIDES)
+    if motion.driven_m is not None:
+        yield f"driven {motion.driven_m:.1f} m with the nominal wheels"
 
 
 def checklist_text(found: Inspection) -> str:

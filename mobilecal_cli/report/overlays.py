@@ -104,7 +104,8 @@ def _overlay(side: Side, jpeg: bytes, corners: Corners, predicted: FloatArray) -
     detected, predicted = corners.pixels[corners.seen], predicted[corners.seen]
     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) if jpeg else None
     marks = np.concatenate([detected, predicted], axis=1) + 0.5  # SVG coordinates start at a pixel's edge
-    low, high = detected.min(axis=0), detected.max(axis=0)
+    shown = detected if len(detected) else corners.pixels  # where the board is, as the other camera sees it
+    low, high = shown.min(axis=0), shown.max(axis=0)
     margin = _MARGIN * float(np.max(high - low)) + 8
     bounds = np.array([[0, 0], [1 << 20, 1 << 20]] if picture is None else [[0, 0], picture.shape[::-1]])
     (x, y), (right, bottom) = np.clip([low - margin, high + margin], *bounds).astype(int).tolist()

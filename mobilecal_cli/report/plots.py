@@ -225,6 +225,8 @@ def picture_coverage(_: Solution, extraction: Extraction, side: Side) -> str:
     for i in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int)).tolist():
         corners = getattr(seen[i], side)
         measured = corners.pixels[corners.seen]
+        if not len(measured):
+            continue
         hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
         axes.line(measured[hull.ravel()], "blue thin outline", [i], f"station {names[i]}", closed=True)
     return canvas.svg

@@ -159,9 +159,12 @@ def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
 
     The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
     """
-    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
     found = [_board_residuals(extraction, side, i) for i in range(len(extraction.observations))]
-    longest = float(np.percentile(np.concatenate([np.linalg.norm(r, axis=1) for _, r in found]), 95))
+    lengths = np.concatenate([np.linalg.norm(r, axis=1) for _, r in found])
+    if not len(lengths):
+        return ""
+    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
+    longest = float(np.percentile(lengths, 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
     every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
     names = station_names(extraction)

@@ -20,7 +20,13 @@ _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
 def truth_path(out: Path) -> Path:
-    """Path of a recording's ground truth: `<name>.truth.yaml` in the same directory."""
+    """Path of a recording's ground truth: `<name>.truth.yaml` in the same directory.
+
+    Raises:
+        OutputError: the recording has no name, as "." and "/".
+    """
+    if not out.name:
+        raise OutputError(f"{out}: not the name of a recording", "choose another output path")
     return out.with_name(f"{out.stem if out.suffix in ('.mcap', '.bag') else out.name}.truth.yaml")
 
 

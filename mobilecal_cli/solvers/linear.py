@@ -23,6 +23,7 @@ _HEADINGS = 720
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
 _NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
+_NO_SIZE_M = 1e-12
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 
 
@@ -202,8 +203,11 @@ class Rounds:
     def run(self, ratios: FloatArray) -> Iterator[Parameters]:
         """The parameters after each round, without end unless the iteration breaks down."""
         while (found := self.once(ratios)) is not None:
-            R_h_c, ratios = found
-            yield self.translation(R_h_c, ratios)
+            ratios = found[1]
+            parameters = self.translation(*found)
+            if _without_size(parameters.wheels):
+                return
+            yield parameters
 
     def after(self, ratios: FloatArray, rounds: int) -> Parameters:
         """The parameters after some rounds.
@@ -211,15 +215,24 @@ class Rounds:
         Raises:
             SolveError: the iteration breaks down.
         """
+        found: tuple[FloatArray, FloatArray] | None = None
         for _ in range(rounds):
             found = self.once(ratios)
             if found is None:
-                raise SolveError(
-                    f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",
-                    "record stations between which the base turns and drives and the head pans and tilts",
-                )
-            R_h_c, ratios = found
-        return self.translation(R_h_c, ratios)
+                break
+            ratios = found[1]
+        parameters = None if found is None else self.translation(*found)
+        if parameters is None or _without_size(parameters.wheels):
+            raise SolveError(
+                f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",
+                "record stations between which the base turns and drives and the head pans and tilts",
+            )
+        return parameters
+
+
+def _without_size(wheels: WheelGeometry) -> bool:
+    """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
+    return bool(np.abs(wheels.vector).min() < _NO_SIZE_M)
 
 
 def few_rounds(pairs: MotionPairs, ratios: FloatArray, rounds: int) -> Parameters:

@@ -118,14 +118,17 @@ def wheel_mistakes() -> Iterator[Mistake]:
 def delays(extraction: Extraction) -> Iterator[Mistake]:
     """Stamps of the wheels that are late or early by so much that the wheels turn while the images show a stop.
 
-    A delay is tried if the wheels stand still at nearly all stations without it.
+    A delay is tried if the wheels stand still at nearly all stations without it, and both still have readings of at
+    least half the recording.
     """
+    shortest_s = min((float(np.ptp(track.time_ns)) * 1e-9 for track in extraction.wheels), default=0.0)
+    most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
+    shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
     for causes, sides in (
         ("readings of both wheels are", (0, 1)),
         ("readings of the right wheel are", (0,)),
         ("readings of the left wheel are", (1,)),
     ):
-        shifts_s = np.arange(-_LONGEST_DELAY_S, _LONGEST_DELAY_S + _DELAY_STEP_S / 2, _DELAY_STEP_S)
         moving = np.array([_moving_share(extraction, sides, shift_s) for shift_s in shifts_s])
         if moving[len(moving) // 2] < _MOSTLY_STILL:
             continue  # they stand still as stamped

@@ -99,7 +99,7 @@ class OutlierSearch:
         agree = out & (near | (as_read < limit(self._data.stations, 6, redundancy)))
         if agree.any():
             return replace(inliers, views=inliers.views | agree)
-        least = np.where(out, freed.min(axis=1), np.inf)
+        least = np.where(out, freed.min(axis=1, initial=np.inf), np.inf)  # a fixed camera has no joint
         best = int(np.argmin(least))
         if least[best] < limit(self._data.stations, 5, redundancy):
             views, readings = inliers.views.copy(), inliers.readings.copy()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.command import run
 
 
@@ -25,6 +27,16 @@ def test_warnings(tmp_path):
         "board", "--corners", "8x6", "--square", "0.02", "--charuco", "--output", tmp_path / "other.pdf"
     )
     assert "upside down" not in marked.err
+
+
+@pytest.mark.parametrize("corners", ["9" * 5000 + "x6", "²x6", "٩x6", "9x", "x", "9x6x5"])
+def test_a_size_that_no_integer_can_have(tmp_path, corners):
+    """int() raised ValueError for digits that it does not know, and for more than 4300 of them."""
+    for command in (("board", "--square", "0.08", "--corners"), ("calibrate", "log.mcap", "--board")):
+        done = run(*command, corners, cwd=tmp_path)
+        assert (done.code, done.left) == (2, [])
+        assert "not of the form COLUMNSxROWS" in done.err
+        assert len(done.err) < 200
 
 
 def test_a_size_that_is_no_size(tmp_path):

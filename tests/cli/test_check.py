@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mobilecal_cli.pipeline import inspecting
@@ -157,3 +158,135 @@ def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
     (line,) = [line for line in checklist(inspecting.check(rig, [log])) if line.about == "time"]
     assert line.state == "limit"
     assert "of 24 left images were recorded while right images, joints and wheels were" in line.what
+
+
+CHAIN = {
+    "head.base_frame": "base_link",
+    "head.head_frame": "head_link",
+    "head.chain": [
+        {"joint": "head_pan_joint", "axis": [0, 0, 1]},
+        {"joint": "head_pan_joint", "axis": [0, 0, 1]},
+        {"joint": "torso_pitch_joint", "axis": [0, 1, 0]},
+    ],
+}
+LENGTHS = {"baseline_length": "free", "joint_position": "free"}
+TURNS = {"joint_axis": "free", "joint_zero": "free"}
+FOUND = {
+    "a joint twice": (CHAIN, "head chain", "limit", "joint 'head_pan_joint' is in head.chain 2 times"),
+    "a missing tilt": (
+        CHAIN,
+        "head chain",
+        "limit",
+        "'head_tilt_joint' was recorded, but is not a joint between",
+    ),
+    "free priors": ({"priors": {"all": "free"}}, "priors", "problem", "r_x, r_y, r_z: unobservable"),
+    "free axes": (
+        {"priors": TURNS},
+        "priors",
+        "problem",
+        "axes and zero positions of the head joints are all free",
+    ),
+    "free lengths": (
+        {"priors": LENGTHS},
+        "priors",
+        "limit",
+        "radius_right, radius_left, separation: unobservable",
+    ),
+    "square size": (
+        {"board.square_m": 0.082},
+        "square size",
+        "limit",
+        "80.00 mm in 6 stereo pairs, 82.00 mm",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_what_needs_no_solution_is_found(sample_logs, rig, name):
+    """These passed, and ended the calibration with exit code 5 or 6."""
+    flags, about, state, words = FOUND[name]
+    found = inspecting.check(rig, [sample_logs / "paper_robot.mcap"], flags)
+    lines = [line for line in checklist(found) if line.about == about and words in line.what]
+    assert [(line.state, bool(line.cure)) for line in lines] == [(state, True)]
+    assert found.exit_code == (5 if state == "problem" else 0)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        {"priors": {**LENGTHS, "pan_position_x": 1.0}},
+        {"priors": LENGTHS, "board.square_m": 0.08},
+        {"priors": {**TURNS, "joint_zero": 1.0}},
+        {"board.square_m": 0.0802},
+    ],
+)
+def test_some_free_priors_and_noise_are_no_limits(sample_logs, rig, flags):
+    found = inspecting.check(rig, [sample_logs / "paper_robot.mcap"], flags)
+    assert (found.missing, found.weak) == ((), ())
+
+
+def changed_states(source, target, change):
+    def edit(topic, message):
+        if topic != "/joint_states":
+            return message
+        names, values = list(message.name), np.array(message.position)
+        change(names, values)
+        return replace(message, position=values)
+
+    return edited(source, target, edit)
+
+
+def test_readings_in_degrees_have_impossible_ranges(sample_logs, rig, tmp_path):
+    def in_degrees(names, values):
+        values[names.index("head_tilt_joint")] *= 180 / np.pi
+
+    log = changed_states(sample_logs / "paper_robot.mcap", tmp_path / "degrees.mcap", in_degrees)
+    lines = [line for line in checklist(inspecting.check(rig, [log])) if line.about == "joints"]
+    assert [line.state for line in lines] == ["limit"]
+    assert "(limit 360); the readings look like degrees, and radians are expected" in lines[0].what
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_wheels_with_identical_readings(sample_logs, rig, tmp_path, whole, monkeypatch):
+    """Also where only a part of the recording is read, and the stops are not known."""
+
+    def same(names, values):
+        values[names.index("wheel_left_joint")] = values[names.index("wheel_right_joint")]
+
+    if not whole:
+        monkeypatch.setattr(inspecting, "MOTION_BYTES", 2**17)
+    log = changed_states(sample_logs / "paper_robot.mcap", tmp_path / "same.mcap", same)
+    found = inspecting.check(rig, [log])
+    assert (found.motion.rests is not None) == whole
+    assert found.exit_code == 0
+    (line,) = [line for line in checklist(found) if line.about == "motion"]
+    assert line.state == "limit"
+    assert "left and the right wheel have identical readings between all stations" in line.what
+
+
+def test_ranges_of_joints_and_wheels_are_told(sample_logs, rig):
+    found = inspecting.check(rig, [sample_logs / "paper_robot.mcap"])
+    (line,) = [line for line in checklist(found) if line.about == "motion"]
+    assert "head_pan_joint -31 to 31 deg, head_tilt_joint -8 to 15 deg" in line.what
+    assert "left wheel 1682 deg, right wheel 1729 deg, driven 4.1 m with the nominal wheels" in line.what
+
+
+@pytest.mark.parametrize(("late_s", "counted"), [(0.002, 40), (-0.002, 40), (0.09, 40), (1.15, 38)])
+def test_images_at_the_ends_are_counted(sample_logs, rig, late_s, counted):
+    """A left image logged just before the first right image or the first reading made it N - 1 of N."""
+    robot = inspecting.inspect([sample_logs / "straight.mcap"], rig).rig
+    left = np.arange(40) * 10**9
+    others = {robot.sources.image["right"], *robot.sources.motion}
+    times = {robot.sources.image["left"]: left, **dict.fromkeys(others, left + round(late_s * 1e9))}
+    covered, _ = inspecting._covered(robot, times, [])
+    assert covered == (counted, 40)
+
+
+def test_motion_that_only_the_part_that_is_read_lacks_is_a_limit(sample_logs, rig, monkeypatch):
+    """Nothing was said about the motion of a recording of which a part is read."""
+    whole = inspecting.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert (states(whole)["motion"], whole.exit_code) == ("problem", 5)
+    monkeypatch.setattr(inspecting, "MOTION_BYTES", 2**17)
+    part = inspecting.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert part.motion.share_read < 1
+    assert (states(part)["motion"], part.exit_code) == ("limit", 0)

@@ -16,6 +16,7 @@ from mobilecal_cli.discovery import draft_rig, may_be_a_reading, resolve_rig
 from mobilecal_cli.discovery.draft import likely_square_m
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import BoardView, NumberField, TopicInfo
+from mobilecal_cli.yaml_input import load_yaml
 from tests.discovery.test_resolve import AT_BASE, CAMERA, URDF, description
 
 HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
@@ -231,3 +232,31 @@ def test_a_chain_of_transforms_is_drafted():
     again, first = (resolve_rig(config, log).rig for config in (loaded(draft), RigConfig()))
     assert again.chain.joints == first.chain.joints == ("neck",)
     assert math.isclose(again.nominal.T_h_reference[1, 3], 0.06)
+
+
+@pytest.mark.parametrize(
+    "odd", ["\x1b[31m", "\u202e\u200f", "\x85\u2028", "\x9b", "\U0001f600", "\U000e0001", '"\\']
+)
+def test_names_with_control_characters(odd):
+    """Some stood in comments, where YAML refuses them; characters beyond 16 bits came back as two."""
+    names = ("wheel_left_joint", "wheel_right_joint", f"head_pan_joint{odd}", f"head{odd}")
+    draft = draft_rig(description(joint_names={"/joint_states": names}), f"log{odd}")
+    assert "joints.fields" in todo(draft)
+    assert all(line.isprintable() for line in draft.text.splitlines())
+    assert "\n".join(draft.text.splitlines()) + "\n" == draft.text
+    loaded(draft)
+
+    wheels = (f"wheel_left_joint{odd}", f"wheel_right_joint{odd}", "head_pan_joint", "head_tilt_joint")
+    draft = draft_rig(description(urdf=None, joint_names={"/joint_states": wheels}), "log")
+    assert loaded(draft).wheels.left.joint == wheels[0]
+    assert load_yaml(draft.text)["wheels"]["right"]["joint"] == wheels[1]
+
+
+def test_a_draft_of_very_many_and_very_long_names_can_be_read_again():
+    """It listed them all, and was larger than a rig.yaml may be."""
+    names = [*HEAD_ONLY["/joint_states"], "wheel_left_joint", "wheel_right_joint"]
+    for more in ([f"finger_{k}_joint" for k in range(10_000)], ["x" * 10**6]):
+        for kept in (names, names[1:]):
+            draft = draft_rig(description(joint_names={"/joint_states": (*kept, *more)}), "log")
+            assert len(draft.text) < 20_000
+            load_yaml(draft.text)

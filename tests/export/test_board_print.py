@@ -79,6 +79,35 @@ def test_corners_are_at_true_scale(name):
 
 
 @pytest.mark.parametrize("name", PRINTS)
+def test_the_first_square_at_the_top_left_is_dark(name):
+    """Every square has its color, at the place that the detected corners give it, on white paper."""
+    board, paper = PRINTS[name]
+    image, _ = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
+    corners = find_board(image, board).pixels
+    if (
+        board.markers is not None or (board.columns + board.rows) % 2
+    ):  # otherwise it looks the same upside down
+        assert corners[0].tolist() == pytest.approx(corners.min(axis=0).tolist(), abs=1)
+    H, _ = cv2.findHomography(board.grid()[:, :2], corners[np.lexsort(np.round(corners / 10).T)])
+    rows, columns = np.meshgrid(
+        np.arange(-2, board.rows + 1), np.arange(-2, board.columns + 1), indexing="ij"
+    )
+    inside = (rows >= -1) & (rows < board.rows) & (columns >= -1) & (columns < board.columns)
+    for x, y in (
+        (0.06, 0.06),
+        (0.94, 0.06),
+        (0.06, 0.94),
+        (0.94, 0.94),
+    ):  # beside the markers of light squares
+        places = np.stack([columns + x, rows + y], axis=-1).reshape(1, -1, 2)
+        u, v = np.round(cv2.perspectiveTransform(places, H)[0]).astype(int).T
+        within = (u >= 0) & (u < image.shape[1]) & (v >= 0) & (v < image.shape[0])
+        dark = image[v[within], u[within]] < 128
+        expected = inside & ((rows + columns) % 2 == 0)
+        assert dark.tolist() == expected.ravel()[within].tolist()
+
+
+@pytest.mark.parametrize("name", PRINTS)
 def test_the_bar_and_the_board_have_the_stated_length(name):
     board, paper = PRINTS[name]
     made, square_mm = board_pdf(board, paper), board.square_m * 1e3

@@ -311,3 +311,40 @@ def test_cut_and_flipped_files_only_raise_recording_errors():
         except RecordingError:
             refused += 1
     assert refused > 250  # what is left are bytes of the zip's own bookkeeping that nothing reads
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    [
+        ("observations.joints", complex),
+        ("observations.log", complex),
+        ("observations.log", float),
+        ("observations.square_m", complex),
+        ("observations.left.pixels", "U20"),
+        ("observations.at_rest", float),
+        ("wheels.0.left.rad", complex),
+        ("wheels.0.left.time_ns", float),
+        ("header", complex),
+    ],
+)
+def test_elements_of_another_type_are_refused(name, dtype):
+    """Some warned that imaginary parts are discarded, others raised a TypeError after the calibration."""
+    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
+        content = dict(stored)
+    content[name] = content[name].astype(dtype)
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    with pytest.raises(RecordingError, match=rf"damaged: {name}: elements are "):
+        extraction_from_npz(stream.getvalue())
+
+
+def test_smaller_elements_are_read():
+    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
+        content = dict(stored)
+    content["observations.log"] = content["observations.log"].astype(np.int8)
+    content["observations.joints"] = content["observations.joints"].astype(np.float32)
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    (first, _) = extraction_from_npz(stream.getvalue()).observations
+    assert type(first.log) is int
+    assert first.joints.dtype == np.float64

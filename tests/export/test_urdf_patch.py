@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -230,3 +231,29 @@ def test_robots_of_others(shared_data, tmp_path, pattern, head, camera, joints):
     for T in two_readers(tmp_path, made.content, camera, head):
         assert pytest.approx(calibrated.T_parent_child, abs=1e-9) == T
     assert len(changed_lines(content, made.content)) <= 3 + 4
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "utf-16", "base64", "undefined", "nope", "latin-1", "UTF-8"])
+def test_the_text_is_utf8_whatever_its_declaration_says(encoding):
+    """The encoding of the declaration was used to find the tags: ValueError, LookupError and others."""
+    declared = URDF.replace(b"version='1.0'", f"version='1.0' encoding='{encoding}'".encode())
+    made = patched_urdf(declared, robot(), JOINTS).content
+    assert (
+        made.replace(f" encoding='{encoding}'".encode(), b"") == patched_urdf(URDF, robot(), JOINTS).content
+    )
+
+
+LINK = '<link name="l{0}"/><joint name="j{0}" type="fixed"><parent link="{1}"/><child link="l{0}"/></joint>'
+CHAIN = "".join(LINK.format(k, f"l{k - 1}" if k else "base_link") for k in range(3000)).encode()
+ROUND = URDF.replace(b'<mesh filename="w.stl"/>', b'<cylinder radius="0.1" length="0.1"/>')
+
+
+@pytest.mark.parametrize("more", [b"<x>" * 50_000 + b"</x>" * 50_000, CHAIN], ids=["nested", "chained"])
+def test_large_files_take_linear_time(more):
+    """Each element was compared with all around it, and each link with all above it: minutes."""
+    large = ROUND.replace(b"</robot>\n", more + b"</robot>\n")
+    begin = time.process_time()
+    made, usual = patched_urdf(large, robot(), JOINTS), patched_urdf(ROUND, robot(), JOINTS)
+    assert time.process_time() - begin < 4
+    assert made.changes == usual.changes
+    assert made.content.replace(more, b"") == usual.content

@@ -126,6 +126,15 @@ def test_no_input_is_replaced(sample_logs, tmp_path, arguments, name):
     assert result.left == []
 
 
+@pytest.mark.parametrize("name", [".", "..", "/", ""])
+def test_a_directory_is_no_output_of_two_files(tmp_path, name):
+    """The name of the second file was made first: a ValueError for a path without a name."""
+    shutil.copy(REPOSITORY / "tests/export/golden/params.yaml", tmp_path / PARAMS)
+    result = run("export", PARAMS, "--to", "foxglove", "--output", name, cwd=tmp_path)
+    assert (result.code, result.left) == (7, [])
+    assert "exists and is not a regular file" in result.err
+
+
 def test_a_pipe_as_the_urdf_to_patch(tmp_path):
     shutil.copy(REPOSITORY / "tests/export/golden/params.yaml", tmp_path / PARAMS)
     os.mkfifo(tmp_path / URDF)

@@ -18,8 +18,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_signals
-from mobilecal_cli.readers.messages.channels import Channel
+from mobilecal_cli.readers.messages.channels import LARGEST_JOINT_STATE, Channel
 from mobilecal_cli.readers.messages.joint_state import JointStateDecoder
+from mobilecal_cli.readers.robot_description import read_description
+from mobilecal_cli.readers.signals.joints import JointStates
 
 from . import recordings as r
 
@@ -239,3 +241,31 @@ def test_measured_states_of_trajectory_controllers(tmp_path, fields):
             )
         writer.finish()
     check_control(path)
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_a_joint_state_that_no_robot_has_is_dropped(tmp_path, ros1):
+    """A name of 100 MB was split into words, and written to every message that lists the joints."""
+    usual = [payload(ros1, NAMES, [k, 2 * k, 0, 3 * k], stamp_ns=r.START_NS + k * 10**7) for k in range(1, 9)]
+    long = payload(ros1, [*NAMES, "x" * LARGEST_JOINT_STATE], [0, 0, 0, 0, 0], stamp_ns=r.START_NS)
+    with open_recording([write(tmp_path / "log.mcap", ros1, [long, *usual])]) as recording:
+        assert read_description(recording).joint_names == {"/joint_states": tuple(NAMES)}
+        (signals,) = read_signals(recording, SOURCES, ("pan",))
+    assert len(signals.joints["pan"].value) == len(usual)
+    assert any("1 of 9 messages do not match their type" in note for note in signals.notes)
+    with pytest.raises(RecordingError, match=r"a joint state of 10\d{5} bytes \(limit 1048576\)"):
+        channel(ros1).decode(long)
+
+
+def test_names_that_change_with_every_message_are_not_all_kept():
+    """Ten thousand new names in each of two thousand messages took 3 GB."""
+    group, decoder = JointStates("/joint_states"), JointStateDecoder(channel(False))
+    group.want("pan")
+    for k in range(200):
+        names = [*(f"{k}_{i}{'x' * k}" for i in range(100)), "pan"]
+        group.take(decoder(payload(False, names, [k] * 101)), k, k)
+    assert len(group.position["pan"]) == 200
+    assert len(group.present) <= 1001
+    assert "pan" in group.present
+    assert len(decoder._known) <= 64
+    assert not decoder._repeats

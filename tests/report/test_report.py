@@ -518,3 +518,17 @@ def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
     (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
     assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
     assert "\x1b" not in fleet_text(rows)
+
+
+@pytest.mark.parametrize("blind", [[3], range(12)])
+def test_a_camera_without_corners(extraction, blind):
+    """The plots of its corners raised AttributeError and IndexError, and so did its images."""
+    seen, none = list(extraction.observations), np.zeros(extraction.board.corners, dtype=bool)
+    for i in blind:
+        seen[i] = dataclasses.replace(seen[i], right=dataclasses.replace(seen[i].right, seen=none))
+    half = dataclasses.replace(extraction, observations=tuple(seen))
+    solution, pictures = make_solution(half), make_snapshots(extraction)
+    assert "corner residuals across the image of the left camera" in page_of(solution, half, pictures)
+    for view in leg_views(solution, half, pictures):
+        marks = [len(overlay.marks) for overlay in view.pictures]
+        assert marks == [54, 0 if view.observation in blind else 54]

@@ -298,6 +298,9 @@ def test_what_is_there_is_refused_before_any_work(tmp_path):
     with pytest.raises(OutputError, match="is not a directory"):
         simulate(SMALL, tmp_path / "absent" / "log.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["log.truth.yaml"]
+    for name in (".", "/"):
+        with pytest.raises(OutputError, match="not the name of a recording"):
+            simulate(SMALL, Path(name))
 
 
 def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):

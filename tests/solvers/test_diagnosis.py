@@ -1,5 +1,6 @@
 """A mistake in the description is named: every sign, exchanges, units, frozen joints."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.diagnosis import diagnose
+from mobilecal_cli.solvers.mistakes import delays
 from tests.solvers.test_several_logs import joined
 
 ROBOT = tick_robot()
@@ -298,3 +300,15 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     spoilt = with_wheels(second, -1, 1)
     found = diagnose(joined(recorded, spoilt))
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
+
+
+@pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 0.0), (3.0, 3.0)])
+def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left_s):
+    """A delay longer than the recording left no time that both wheels cover, and an IndexError."""
+    short = ideal_extraction(ROBOT, plan_route(ROBOT, stations=5, seed=0), Noise(0.2, 0.003, 0.0, 1e-3))
+    wrong = late(short, right_s, left_s)
+    (track,) = wrong.wheels
+    tried = [mistake.corrected(wrong).wheels[0] for mistake in delays(wrong)]
+    assert all(np.ptp(each.time_ns) >= 0.4 * np.ptp(track.time_ns) for each in tried)
+    with suppress(SolveError):
+        solve(wrong)

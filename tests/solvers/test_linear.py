@@ -12,6 +12,7 @@ from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.solvers.initial import linear_estimate
+from mobilecal_cli.solvers.linear import few_rounds
 from mobilecal_cli.solvers.signs import check_signs
 from tests.solvers.world import WHEELS, make_pairs, relative_errors
 
@@ -138,3 +139,15 @@ def test_history_tells_the_paper_rounds_and_the_fixed_point():
     after = estimate.history[estimate.rounds_to_tolerance - 1].wheels
     assert abs(before.separation_m / after.separation_m - 1) < 1e-3
     assert estimate.rival_point_rms_m > 20 * estimate.point_rms_m
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("nominal", [None, WHEELS])
+def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
+    """The iteration ended at wheels without size, and divided by them with a warning of NumPy."""
+    pairs = make_pairs(seed)
+    same = replace(pairs, steps=replace(pairs.steps, left_rad=pairs.steps.right_rad))
+    with pytest.raises(SolveError, match=r"found no answer on 11 legs"):
+        linear_estimate(same, nominal)
+    with pytest.raises(SolveError, match="breaks down"):
+        few_rounds(same, np.array([0.4, -0.4]), 12)

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import NINE, JointLink, Nominal, Parameters, WheelTrack
+from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters, WheelTrack
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import judge
@@ -272,3 +273,17 @@ def test_corners_are_triangulated_again_in_cameras_far_from_the_stated():
     run = imperfect.run_of(off.extraction(26), imperfect.ROBOTS["pan-tilt"]())
     assert run.named == ("principal_point",)
     assert run.nees[3] < 2
+
+
+def test_a_camera_fixed_to_the_base_with_a_bad_station():
+    """Without joints no reading can be rejected instead of the images: the minimum of nothing raised ValueError."""
+    robot = tick_robot()
+    drive = ideal_extraction(robot, plan_route(robot, "head_fixed", stations=14), Noise(0.1, 0.003))
+    T_v_h = head_pose(drive.rig.chain, drive.observations[0].joints[None])[0]
+    fixed = replace(drive.rig.chain, links=(FixedLink(T_v_h),), pan="", tilt="")
+    seen = [replace(o, joints=np.zeros(0), joints_std=np.zeros(0)) for o in drive.observations]
+    left, right = (replace(c, pixels=c.pixels + 25) for c in (seen[5].left, seen[5].right))
+    seen[5] = replace(seen[5], left=left, right=right)
+    rig = replace(drive.rig, chain=fixed)
+    solution = solve(replace(drive, rig=rig, observations=tuple(seen), joint_tracks=((),)))
+    assert [outlier.observations for outlier in solution.outliers] == [(5,)]

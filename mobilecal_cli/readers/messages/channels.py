@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import JOINT_STATE
 from mobilecal_cli.readers.messages.definitions import DefinitionFormat, ros_decoder
 from mobilecal_cli.readers.messages.equivalents import (
     Decoder,
@@ -21,6 +22,8 @@ Payload = bytes | memoryview
 
 #: Exceptions raised by a message without the fields of its type: JSON may contain anything.
 NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
+#: Bytes of a joint state; ten thousand joints need a third. Longer names would fill the memory, and every message.
+LARGEST_JOINT_STATE = 2**20
 _ENCODINGS = ("cdr", "ros1", "protobuf", "json")
 
 
@@ -70,8 +73,13 @@ class Channel:
         """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
-            RecordingError: the payload does not match the definition.
+            RecordingError: the payload does not match the definition, or is a joint state that no robot has.
         """
+        if self.type == JOINT_STATE and len(payload) > LARGEST_JOINT_STATE:
+            raise RecordingError(
+                f"{self.topic}: a joint state of {len(payload)} bytes (limit {LARGEST_JOINT_STATE})",
+                "check the driver that publishes it",
+            )
         decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
         try:
             return decoder(payload)

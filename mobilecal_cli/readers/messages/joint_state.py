@@ -17,7 +17,7 @@ from mobilecal_cli.readers.messages.stamps import header_stamp_ns
 _STAMP, _STAMP_END = struct.Struct("<iI"), 12
 _COUNT = struct.Struct("<I")
 _LITTLE_ENDIAN = b"\x00\x01"
-#: Publishers that share a topic have messages of different lengths; a text of changing length is no publisher.
+#: Publishers that share a topic have messages of different lengths; where more lengths occur, the names change.
 _MOST_KNOWN = 64
 
 
@@ -82,8 +82,7 @@ class JointStateDecoder:
                 reading.stamp_ns,
                 *map(_bytes, (reading.position, reading.velocity)),
             ):
-                if len(self._known) == _MOST_KNOWN:
-                    self._known.clear()
+                self._repeats = len(self._known) < _MOST_KNOWN
                 self._known[len(payload)] = bytes(payload[_STAMP_END:at]), reading.names
 
     def _numbers(self, payload: Payload, at: int, names: Sequence[str]) -> JointReading:

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from mobilecal_cli.readers.messages.joint_state import JointReading
 from mobilecal_cli.readers.signals.series import Series
 
+#: Names that are kept for messages; where each message has others, all of them would fill the memory.
+_MOST_PRESENT = 1000
+
 
 class JointStates:
     """Positions and velocities of named joints on one topic.
@@ -14,7 +17,7 @@ class JointStates:
     Attributes:
         position: name → readings, of the subscribed joints.
         velocity: the same, of joints whose velocities are used.
-        present: all names found, in order.
+        present: names found, in order: those of the subscribed joints, and a thousand others.
     """
 
     def __init__(self, topic: str) -> None:
@@ -36,7 +39,8 @@ class JointStates:
         if reading.names is not self._names:
             self._names = reading.names
             names = list(reading.names)
-            self.present.update(dict.fromkeys(names))
+            self.present.update(dict.fromkeys(names[: max(_MOST_PRESENT - len(self.present), 0)]))
+            self.present.update(dict.fromkeys(name for name in self.position if name in names))
             wanted = [(self.position, "position"), (self.velocity, "velocity")]
             self._places = [
                 (names.index(name), series, field == "position")
