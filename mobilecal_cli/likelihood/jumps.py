@@ -105,43 +105,60 @@ class _Test:
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared(lin.data.layout)
 
-    def of(self, part: _Part, first: int) -> tuple[float, int, FloatArray]:
-        """Chi-squared, degrees of freedom and step of a part that changes before a station."""
-        gradient, information, _, known = self.terms(part, first)
-        return _score(gradient, information, known)
+    def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, ...]]:
+        """For a jump before each of some stations: gradient, information, across, and known.
 
-    def terms(self, part: _Part, first: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Gradient (m,), information (m, m), that with the shared parameters (P, m), and (m,) for known others."""
-        lin, data = self._lin, self._lin.data
-        after = _after(lin, first)
-        P, B = data.layout.size, data.base_width
-        columns = part.views if part.views is not None else part.legs
-        assert columns is not None
-        m = columns.shape[2]
-        base, shared = np.zeros((data.stations, B, m)), np.zeros((P, m))
-        if part.views is not None:
-            V, views = part.views[after], lin.views
-            GV = self._G[after] @ V
-            own = np.einsum("nqa,nqb->ab", V, GV)
-            base[after] = np.swapaxes(views.by_base[after], 1, 2) @ GV[:, :6]
-            shared = np.einsum("nqp,nqa->pa", views.by_shared[after], GV[:, :6])
-            shared[views.direct] += GV[:, 6:].sum(axis=0)
-            gradient = np.einsum("nqa,nq->a", V, views.gradient[after])
-        else:
-            on = after[data.legs[:, 1]]
-            i, j = data.legs[on].T
-            D, W = columns[on], lin.leg_weight[on]
-            WD = W @ D
-            own = np.einsum("laq,lab->qb", D, WD)
-            base[i] += np.swapaxes(lin.legs.by_start[on], 1, 2) @ WD
-            base[j] += np.swapaxes(lin.legs.by_end[on], 1, 2) @ WD
-            shared = np.einsum("lap,lab->pb", self._leg_shared[on], WD)
-            gradient = np.einsum("laq,la->q", WD, lin.legs.residual[on])
-        flat = base.reshape(-1, m)
+        Gradient (m,) by the jump, its information (m, m), that with the shared parameters (P, m), and (m,) its diagonal
+        for known others.
+        """
+        lin, count = self._lin, self._lin.data.stations
+        P, B = lin.data.layout.size, lin.data.base_width
+        gradient, own, base, start, shared = self._by_station(part)
+        m = gradient.shape[1]
+        after = np.stack([_after(lin, first) for first in moments.tolist()]).astype(np.float64)
+        gradients, owns, shares = (np.tensordot(after, each, 1) for each in (gradient, own, shared))
+        i, j = lin.data.legs.T
+        of_leg = np.zeros_like(after)
+        of_leg[:, i] = after[:, j]
+        coupled = after[:, :, None, None] * base + of_leg[:, :, None, None] * start
+        flat = np.moveaxis(coupled, 0, 2).reshape(count * B, -1)
         solved = cho_solve_banded((self._factor, True), flat, check_finite=False)
-        across = shared + self._followed.reshape(-1, P).T @ flat
-        information = own - flat.T @ solved - across.T @ self._C @ across
-        return gradient, information, across, np.diag(own)
+        followed = (self._followed.reshape(-1, P).T @ flat).reshape(P, -1, m)
+        for k in range(len(moments)):
+            columns = slice(k * m, (k + 1) * m)
+            across = shares[k] + followed[:, k]
+            information = owns[k] - flat[:, columns].T @ solved[:, columns] - across.T @ self._C @ across
+            yield gradients[k], information, across, np.diag(owns[k])
+
+    def _by_station(self, part: _Part) -> tuple[FloatArray, ...]:
+        """What each station, and the leg that ends there, says of a part.
+
+        (N, m) gradient, (N, m, m) information, that with the station's base block, (N, B, m), with that of the start of
+        the leg, at the start's row, (N, B, m), and with the shared parameters (N, P, m).
+        """
+        lin, data = self._lin, self._lin.data
+        count, P, B = data.stations, data.layout.size, data.base_width
+        if part.views is not None:
+            V, views = part.views, lin.views
+            GV = self._G @ V
+            Vt = np.swapaxes(V, 1, 2)
+            base = np.swapaxes(views.by_base, 1, 2) @ GV[:, :6]
+            shared = np.swapaxes(views.by_shared, 1, 2) @ GV[:, :6]
+            shared[:, views.direct] += GV[:, 6:]
+            return (Vt @ views.gradient[..., None])[..., 0], Vt @ GV, base, np.zeros_like(base), shared
+        assert part.legs is not None
+        i, j = data.legs.T
+        D, legs = part.legs, lin.legs
+        WD = lin.leg_weight @ D
+        m = D.shape[2]
+        gradient, own = np.zeros((count, m)), np.zeros((count, m, m))
+        base, start, shared = np.zeros((count, B, m)), np.zeros((count, B, m)), np.zeros((count, P, m))
+        gradient[j] = np.einsum("laq,la->lq", WD, legs.residual)
+        own[j] = np.swapaxes(D, 1, 2) @ WD
+        base[j] = np.swapaxes(legs.by_end, 1, 2) @ WD
+        start[i] = np.swapaxes(legs.by_start, 1, 2) @ WD
+        shared[j] = np.swapaxes(self._leg_shared, 1, 2) @ WD
+        return gradient, own, base, start, shared
 
 
 def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[float, int, FloatArray]:
@@ -173,7 +190,7 @@ def without(lin: Linearization, jump: Jump) -> Linearization:
 def again(lin: Linearization, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels."""
     value = jump.value
-    _, information, across, _ = _Test(lin).terms(dict(_parts(lin))[jump.part], jump.station)
+    ((_, information, across, _),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
     chi2 = float(value @ information @ value)
     shift = -(lin.covariance[:9] @ across) @ value
     own = np.zeros(9)
@@ -202,7 +219,8 @@ def cause(lin: Linearization, first: int) -> str:
     for name, part in parts.items():
         if part.views is None:
             continue
-        chi2, dof, value = test.of(part, first)
+        ((gradient, information, _, known),) = test.terms(part, np.array([first]))
+        chi2, dof, value = _score(gradient, information, known)
         left = without(lin, Jump(name, first, chi2, dof, 1, 0.0, 0.0, value)).views.cost[after].sum()
         if left < least:
             best, least = name, float(left)
@@ -247,9 +265,11 @@ def likeliest(lin: Linearization) -> Jump | None:
 
 def _best(test: _Test, parts: Mapping[str, _Part], moments: IntArray) -> Jump | None:
     best: tuple[float, Jump] | None = None
-    for first in moments.tolist():
-        for name, part in parts.items():
-            chi2, dof, value = test.of(part, first)
+    for name, part in parts.items():
+        for first, (gradient, information, _, known) in zip(
+            moments.tolist(), test.terms(part, moments), strict=True
+        ):
+            chi2, dof, value = _score(gradient, information, known)
             if not dof:
                 continue
             # Minus twice the logarithm of the chance, far out in the tail.
