@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
-from mobilecal_cli.likelihood.effects import ImageClock
-from mobilecal_cli.likelihood.nuisance import table
-from mobilecal_cli.likelihood.state import State, cameras_at, head_at, wheel_clock_s
-from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, view_rates
-from mobilecal_cli.model import Extraction, Parameters
+from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at, wheel_clock_s
+from mobilecal_cli.likelihood.views import view_rates
+from mobilecal_cli.model import Camera, Extraction, Parameters, Side
 from mobilecal_cli.solvers.residuals import triangulated_again
 
 
@@ -30,23 +31,29 @@ def at_state(extraction: Extraction, data: Dataset, state: State) -> tuple[Extra
 
 def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extraction:
     """The same with each corner where it was at its image's stamp, see `ImageClock`."""
-    clocks = {row.name for row in data.layout.constants if isinstance(row.effect, ImageClock)}
-    if not any(state.value(name) for name in clocks):
+    change = camera_change(data.layout.constants, state.constants)
+    if not (change.right_late_s or change.readout_s):
         return extraction
-    T_c_k, rates = data.T_c_k, view_rates(data, state)
-    prompt = replace(state, constants={k: v for k, v in state.constants.items() if k not in clocks})
-    moved = list(extraction.observations)
-    for block in blocks_of(data.stations):
-        late, _ = corner_residuals(data, state, T_c_k[block], block, rates[block])
-        shift = late - corner_residuals(data, prompt, T_c_k[block], block)[0]
-        for i, (left, right) in enumerate(shift, block.start):
-            o = moved[i]
-            sides = (
-                replace(o.left, pixels=o.left.pixels - left),
-                replace(o.right, pixels=o.right.pixels - right),
-            )
-            moved[i] = replace(o, left=sides[0], right=sides[1])
-    return replace(extraction, observations=tuple(moved))
+    cameras, rates = change.apply(data.cameras), view_rates(data, state)[:, None]
+    points = se3.act(data.T_c_k, points_at(data, state))
+    velocity = np.cross(rates[..., :3], points) + rates[..., 3:]
+    moved = []
+    sides: tuple[tuple[Side, Camera], ...] = (("left", cameras.left), ("right", cameras.right))
+    for k, (side, camera) in enumerate(sides):
+        rows = (data.pixels[:, k, :, 1] + 0.5) / camera.height - 0.5
+        late = points + change.late_s(side, rows)[..., None] * velocity
+        if side == "right":
+            points, late = (se3.act(se3.inverse(cameras.T_c_r), at) for at in (points, late))
+        moved.append(project(camera, late) - project(camera, points))
+    observations = tuple(
+        replace(
+            o,
+            left=replace(o.left, pixels=o.left.pixels - left),
+            right=replace(o.right, pixels=o.right.pixels - right),
+        )
+        for o, left, right in zip(extraction.observations, *moved, strict=True)
+    )
+    return replace(extraction, observations=observations)
 
 
 def at_constants(

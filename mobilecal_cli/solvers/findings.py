@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.solvers.fit import Fit, Fitter
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
-_MATERIAL_SIGMAS = 1.0  # a jump that moves the result by less is none that matters: a pair that warms up
+_MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _STRETCH = 3  # stations that are rejected one after another: something moved
 _STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent

@@ -21,7 +21,7 @@ JOINT_DEG, JOINT_MM, WHEEL = (0.2, 0.4), (0.35, 0.7), (0.015, 0.03)
 FLOOR_DEG, STAMP_MS, WHEEL_SHARE_PERCENT = (0.3, 1.5), (2.0, 20.0), (1.0, 5.0)
 HEIGHT_MM = (4.0, 30.0)
 # A jump that moves the result by more than this makes it neither the old nor the new one.
-JUMP_SHIFT_SIGMAS = 1.0
+JUMP_SHIFT_SIGMAS = 2.0
 
 
 def unobservable(solution: Solution, *, enough: bool) -> Iterator[Check]:
