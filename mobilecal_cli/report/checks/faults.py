@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.model import Extraction, Solution
 from mobilecal_cli.report.check import Check, graded
-from mobilecal_cli.report.decomposition import ErrorPart, error_parts
+from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.numbers import (
     board_distance_m,
     encoder_heading_rad,
@@ -148,12 +148,14 @@ def leg_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
 def error_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
-    That is the depth noise of the cameras and an uneven floor.
+    That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
+    limits of their own.
     """
     error, distance = solution.point_rms_m, board_distance_m(extraction)
     predicted = predicted_point_rms_m(extraction, solution)
-    floor = error_parts(solution, extraction).get("floor", ErrorPart(0.0, 0.0))
-    unexplained = 100 * math.sqrt(max(error**2 - predicted**2 - floor.m**2, 0.0)) / distance
+    parts = [part for name, part in error_parts(solution, extraction).items() if name != "corners"]
+    explained = predicted**2 + sum(part.m**2 for part in parts)
+    unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
     yield Check(
         "point_error",
         unexplained,
@@ -162,6 +164,6 @@ def error_checks(solution: Solution, extraction: Extraction) -> Iterator[Check]:
         {"error_mm": error * 1e3, "depth_noise_mm": predicted * 1e3, "distance_m": distance},
     )
     limit_px = PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
-    px = math.sqrt(max(solution.reprojection_rms_px**2 - floor.px**2, 0.0))
+    px = math.sqrt(max(solution.reprojection_rms_px**2 - sum(part.px**2 for part in parts), 0.0))
     facts = {"error_px": solution.reprojection_rms_px}
     yield Check("reprojection_error", px, limit_px, graded(px, math.inf, limit_px), facts)
