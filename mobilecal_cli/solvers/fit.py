@@ -41,6 +41,9 @@ from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
+#: Levels whose effects differ little, each with the other.
+_PAIRS = (("floor_rad", "sway_rad"), ("floor_m", "sway_m"), ("wheel_rad_per_sqrt_rad", "wheel_share"))
+_ALIKE = dict(_PAIRS) | {b: a for a, b in _PAIRS}
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 5.0, 0.5
@@ -112,7 +115,8 @@ class Fit:
         """(P, P) of the shared parameters, wider than the bound where the noise levels rest on few residuals.
 
         A variance that r residuals show is itself uncertain: its mean is r / (r - 2) times what they show. So much
-        wider is the share of each kind of noise; at most 3 / 2, as a guess is right within a factor of about 1.6.
+        wider is the share of each kind of noise; at most 3 / 2, as a guess is right within a factor of about 1.6. The
+        residuals of two levels that act alike show their sum.
         """
         covariance = self.lin.covariance.copy()
         if self.pooled_covariance is not None:
@@ -123,7 +127,9 @@ class Fit:
             for level in influence.parts:
                 component = self.components.get(level)
                 if component is not None and level not in self.given:
-                    rests_on = component.redundancy + guess_worth(component.redundancy)
+                    alike = self.components.get(_ALIKE.get(level, ""))
+                    redundancy = component.redundancy + (alike.redundancy if alike else 0.0)
+                    rests_on = redundancy + guess_worth(redundancy)
                     covariance += influence.covariance(level) * 2 / max(rests_on - 2, _GUESS_FREEDOM)
         return covariance
 

@@ -24,7 +24,7 @@ _SHORT = HEADER.replace(" (deg)", "").replace(" (mm)", "")
 def drawn(name: str) -> Case:
     """A case with every constant drawn from its prior and every noise at its level."""
     case = CASES[name]
-    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=USUAL)
+    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=USUAL, lengths_drawn=True)
 
 
 def one_run(name: str, seed: int) -> tuple[Run, Run]:

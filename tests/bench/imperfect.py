@@ -50,6 +50,7 @@ class Case:
         fixed: constants with a given value.
         noise: of the recording.
         outside: what no constant describes.
+        lengths_drawn: floor and wheel scales are processes whose correlation lengths are drawn from their priors.
     """
 
     robot: str = "pan-tilt"
@@ -59,6 +60,7 @@ class Case:
     fixed: Mapping[str, float] = field(default_factory=dict)
     noise: ideal.Noise = PERFECT
     outside: Outside = _NOTHING
+    lengths_drawn: bool = False
 
     def constants(self, seed: int) -> dict[str, float]:
         """The constants of one run."""
@@ -71,9 +73,11 @@ class Case:
         """One run."""
         robot = ROBOTS[self.robot]()
         route = route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
-        return imperfect_extraction(
-            robot, route, Imperfection(self.constants(seed), self.noise, self.outside), seed
-        )
+        noise = self.noise
+        if self.lengths_drawn:
+            factors = 3.0 ** np.random.default_rng([seed, 8]).normal(size=2)
+            noise = replace(noise, floor_length_m=0.3 * factors[0], wheel_length_m=2.0 * factors[1])
+        return imperfect_extraction(robot, route, Imperfection(self.constants(seed), noise, self.outside), seed)
 
 
 def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
