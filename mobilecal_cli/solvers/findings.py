@@ -51,13 +51,14 @@ def scale_of(
     if not np.all(priors.weight[columns] > 0):
         return None
     apart = np.array([1.0, -1.0])  # a larger board looks like a shorter baseline
-    value = float(apart @ priors.displacement(fit.lin.state)[columns])
+    mean = float(apart @ priors.mean[columns])
+    value = float(apart @ priors.displacement(fit.lin.state)[columns]) - mean
     before = float(apart**2 @ (1 / priors.weight[columns]))
     after = float(apart @ fit.lin.covariance[np.ix_(columns, columns)] @ apart)
     share = after / before
     if share > _SCALE_SHOWN:
         return None
-    ratio, std = value / (1 - share), np.sqrt(after / (1 - share))
+    ratio, std = mean + value / (1 - share), np.sqrt(after / (1 - share))
     chi2 = value**2 / (before - after)
     wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
     apart_too_far = wrong or chi2 > _APART_CHI2

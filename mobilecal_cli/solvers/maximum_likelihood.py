@@ -79,10 +79,14 @@ class Solver:
         fit = self.solve(start)
         while len(found) < _MOST_CONTRADICTIONS:
             evidence = tuple(fit.lin.evidence())
-            worst = max(evidence, key=lambda e: e.sigmas, default=None)
+            told = {(e.kind, e.part) for e in found if e.values.keys() <= self._constraints.priors.keys()}
+            others = (e for e in evidence if (e.kind, e.part) not in told)
+            worst = max(others, key=lambda e: e.sigmas, default=None)
             if worst is None or worst.sigmas < CONTRADICTION_SIGMAS:
                 break
             found.append(worst)
+            if worst.values.keys() <= self._constraints.priors.keys():
+                continue  # the user's own priors stay
             rows = {row.name: row.sigma for row in fit.data.layout.constants}
             wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
             alike = (e for e in evidence if e.kind == worst.kind)

@@ -287,3 +287,21 @@ def test_a_camera_fixed_to_the_base_with_a_bad_station():
     rig = replace(drive.rig, chain=fixed)
     solution = solve(replace(drive, rig=rig, observations=tuple(seen), joint_tracks=((),)))
     assert [outlier.observations for outlier in solution.outliers] == [(5,)]
+
+
+@pytest.mark.long
+def test_a_prior_of_the_user_that_the_data_contradict_is_told_once():
+    extraction = imperfect.Case(stations=12).extraction(0)
+    found = solve(extraction, constraints=Constraints(priors={"focal_left": (0.02, 0.0005)}))
+    named = [(e.kind, e.part) for e in found.contradictions]
+    assert named[0] == ("focal_length", "left camera")
+    assert named.count(named[0]) == 1
+
+
+def test_the_scale_is_compared_with_the_mean_of_the_users_prior():
+    """Squares that the user measured as 1 % larger than stated, and that are: nothing is contradicted."""
+    extraction = imperfect.Case(stations=12, fixed={"square_scale": 0.01}).extraction(0)
+    found = solve(extraction, constraints=Constraints(priors={"square_scale": (0.01, 0.0005)}))
+    assert found.contradictions == ()
+    assert not found.scale.apart
+    assert found.scale.ratio == pytest.approx(1.01, abs=4 * found.scale.std)
