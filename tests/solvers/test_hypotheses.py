@@ -12,7 +12,7 @@ from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.diagnosis import diagnose
+from mobilecal_cli.solvers.hypotheses import explain
 from tests.solvers.test_several_logs import joined
 
 ROBOT = tick_robot()
@@ -204,7 +204,7 @@ QUICK = (
 @pytest.mark.parametrize("name", QUICK)
 def test_the_diagnosis_names_the_mistake(recorded, name):
     spoil, cause = MISTAKES[name]
-    assert cause in diagnose(spoil(recorded)).cause
+    assert cause in explain(spoil(recorded)).cause
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_the_named_mistake_is_the_only_one(recorded):
 
 
 def test_a_good_recording_has_no_diagnosis(recorded):
-    assert diagnose(recorded) is None
+    assert explain(recorded) is None
     assert solve(recorded).diagnosis is None
 
 
@@ -254,7 +254,7 @@ def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
                 side, value=np.where(side.time_ns > at, start + factor * (side.value - start), side.value)
             )
         )
-    found = diagnose(replace(recorded, wheels=(WheelTrack(*sides),)))
+    found = explain(replace(recorded, wheels=(WheelTrack(*sides),)))
     assert cause in found.cause
     assert found.cause.endswith("s: the recording fits before and after, but not as a whole")
 
@@ -270,7 +270,7 @@ def test_joints_that_are_wrong_from_the_middle_on(change, cause):
     made = ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=4), Noise(0.2, 0.003, 0.0, 1e-3), 4)
     seen = made.observations
     later = (replace(o, joints=change(o.joints)) for o in seen[10:])
-    found = diagnose(replace(made, observations=(*seen[:10], *later), joint_tracks=()))
+    found = explain(replace(made, observations=(*seen[:10], *later), joint_tracks=()))
     assert found.cause.startswith("from ")
     assert f" s on, {cause}" in found.cause
 
@@ -278,7 +278,7 @@ def test_joints_that_are_wrong_from_the_middle_on(change, cause):
 def test_a_board_that_moves_with_the_robot(recorded):
     first = recorded.observations[0]
     same = tuple(replace(o, T_c_k=first.T_c_k, points_c=first.points_c) for o in recorded.observations)
-    found = diagnose(replace(recorded, observations=same))
+    found = explain(replace(recorded, observations=same))
     assert found.cause == "all stations show the board at the same place, but the base or the head moves"
 
 
@@ -296,5 +296,5 @@ def test_a_recording_that_nothing_explains(recorded):
 def test_the_recording_with_the_mistake_is_named(recorded):
     second = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=5), Noise(0.2, 0.003, 0.0, 1e-3), 5)
     spoilt = with_wheels(second, -1, 1)
-    found = diagnose(joined(recorded, spoilt))
+    found = explain(joined(recorded, spoilt))
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
