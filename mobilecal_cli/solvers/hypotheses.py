@@ -40,8 +40,8 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.linear import few_rounds, ratios_of
+from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.refine import refine_lm
 from mobilecal_cli.solvers.transfer import base_motion, residuals_m
 
@@ -183,42 +183,49 @@ class _Score:
 class _Scorer:
     """Scores readings by the linear method, from the nominal wheels and those of the readings as they stand."""
 
-    def __init__(self, readings: Readings) -> None:
-        nominal, self._starts = readings.rig.nominal, list[FloatArray]()
-        if nominal.wheels is not None:
-            self._starts.append(ratios_of(nominal.wheels))
-        try:
-            found = linear_estimate(_thinned(readings.pairs), nominal.wheels).parameters
-            self._starts.append(np.abs(ratios_of(found.wheels)) * [1.0, -1.0])
-        except (SolveError, np.linalg.LinAlgError):
-            pass
+    def __init__(self, as_is: Readings) -> None:
+        self._as_is, nominal = as_is, as_is.rig.nominal
+        X = _nominal_head_eye(as_is)
+        self._prior, self._R_h_c = InitialPrior(X, nominal.wheels), None if X is None else X[:3, :3]
+        self._starts = [] if nominal.wheels is None else [ratios_of(nominal.wheels)]
+        if as_is.distinguishes:
+            try:
+                found = linear_estimate(_thinned(as_is.pairs), nominal.wheels).parameters
+                self._starts.append(np.abs(ratios_of(found.wheels)) * [1.0, -1.0])
+            except (SolveError, np.linalg.LinAlgError):
+                pass
 
     def __call__(self, readings: Readings, possible: bool = True) -> _Score | None:
-        """The best fit with positive wheels, or with any; None without one, or where the motion tells nothing."""
-        if len(readings.time_ns) < _FEWEST_IN_PART or not readings.distinguishes:
+        """The best fit with positive wheels, or with any; None without one.
+
+        Motion that does not show all parameters fits many mistakes: there, only the readings as they stand are scored.
+        """
+        full = readings.distinguishes
+        if len(readings.time_ns) < _FEWEST_IN_PART or not (full or readings is self._as_is):
             return None
         pairs = _thinned(readings.pairs)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
         found: list[tuple[float, Parameters]] = []
-        for ratios in self._starts:
+        for ratios in self._starts if full else [np.zeros(2)]:
             try:
-                parameters = few_rounds(pairs, ratios, _ROUNDS)
+                parameters = (
+                    few_rounds(pairs, ratios, _ROUNDS)
+                    if full
+                    else initial_with_prior(pairs, self._prior, readings.motion)
+                )
                 misfit, kept = _misfit(pairs, parameters, distance_m)
                 if misfit < _PROMISING:
                     parameters = refine_lm(pairs.select(kept), parameters).parameters
                     misfit, _ = _misfit(pairs, parameters, distance_m)
             except (SolveError, np.linalg.LinAlgError):
                 continue
-            if not possible or np.all(parameters.wheels.vector > 0):
+            if not (full and possible) or np.all(parameters.wheels.vector > 0):
                 found.append((misfit, parameters))
         if not found:
             return None
         misfit, best = min(found, key=lambda item: item[0])
-        nominal, turned = readings.rig.nominal.T_h_reference, 0.0
-        if nominal is not None:
-            R = nominal[:3, :3] @ readings.rig.cameras.T_c_reference[:3, :3].T
-            turned = float(np.linalg.norm(se3.log_so3(best.T_h_c[:3, :3] @ R.T)))
-        return _Score(misfit, turned, best.wheels)
+        turn = np.eye(3) if self._R_h_c is None else self._R_h_c.T @ best.T_h_c[:3, :3]
+        return _Score(misfit, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
 
 
 def _thinned(pairs: MotionPairs) -> MotionPairs:
@@ -520,11 +527,8 @@ def _first_stations(readings: Readings) -> Readings:
 
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels and a head-eye transform near its nominal one."""
-    readings, X, wheels = (
-        _first_stations(readings),
-        _nominal_head_eye(readings),
-        readings.rig.nominal.wheels,
-    )
+    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
+    readings = _first_stations(readings)
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_w_v, scale = [np.eye(4)], 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
@@ -541,16 +545,13 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
     start = np.concatenate([np.zeros(6), np.full(len(joints), np.median(joints[:, column]))])
     found = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
     joints[:, column] = found.x[6:]
-    return replace(readings, joints=joints)
+    return replace(readings, joints=joints) if np.ptp(found.x[6:]) > _MOVED else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints: a turn, a straight line and a turn on each leg."""
-    readings, X, wheels = (
-        _first_stations(readings),
-        _nominal_head_eye(readings),
-        readings.rig.nominal.wheels,
-    )
+    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
+    readings = _first_stations(readings)
     if X is None or wheels is None:
         return readings.of(slice(0))
     count, scale = len(readings.log), 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
@@ -620,8 +621,10 @@ def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
     score = _Scorer(readings)
     as_is = score(readings)
     if as_is is not None and as_is.misfit < FITS:
+        if not readings.distinguishes:
+            return None
         return _other_wheels(as_is.wheels, readings.rig.nominal.wheels)
-    base = math.inf if as_is is None else as_is.misfit
+    base = as_is.misfit if as_is is not None and readings.distinguishes else math.inf
     found = _named(readings, _WHOLE, score, base)
     if found is None and in_parts:
         found = _of_one_log(readings) or _changed(readings, score, base)
