@@ -47,6 +47,9 @@ from mobilecal_cli.solvers.transfer import base_motion, residuals_m
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02
+_FITS_CHANGED = FITS / 2  # the parts before and after a change
+_FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
+_CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
 _BETTER = 0.4  # and at most this share of the misfit without the correction
 _EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
 _SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
@@ -82,6 +85,7 @@ class Readings:
         joints: (N, J) readings, rad or m.
         time_ns, log: (N,) stamps, and index of the recording.
         wheels, joint_tracks: see `Extraction`.
+        consistent: the images fit camera_info and the board.
     """
 
     rig: Rig
@@ -92,6 +96,7 @@ class Readings:
     log: IntArray
     wheels: tuple[WheelTrack, ...]
     joint_tracks: tuple[tuple[Track, ...], ...]
+    consistent: bool
 
     def of(self, stations: IntArray | BoolArray | slice) -> Readings:
         """Some stations alone."""
@@ -156,6 +161,7 @@ def readings_of(extraction: Extraction) -> Readings:
         np.array([o.log for o in seen], dtype=np.int64),
         extraction.wheels,
         extraction.joint_tracks,
+        float(np.median([o.reprojection_px for o in seen])) < _CONSISTENT_PX,
     )
 
 
@@ -200,8 +206,9 @@ class _Scorer:
 
         Motion that does not show all parameters fits many mistakes: there, only the readings as they stand are scored.
         """
-        full = readings.distinguishes
-        if len(readings.time_ns) < _FEWEST_IN_PART or not (full or readings is self._as_is):
+        legs = len(readings.log) - len(np.unique(readings.log))
+        full = legs >= _FEWEST_IN_PART - 1 and readings.distinguishes
+        if legs < FEWEST_LEGS or not (full or readings is self._as_is):
             return None
         pairs = _thinned(readings.pairs)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
@@ -628,14 +635,16 @@ def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
     found = _named(readings, _WHOLE, score, base)
     if found is None and in_parts:
         found = _of_one_log(readings) or _changed(readings, score, base)
-        if found is None and len(readings.wheels) == 1:
-            found = _named(readings, _FREE, score, base)
+        if found is None and len(readings.wheels) == 1 and readings.consistent:
+            found = _named(readings, _FREE, score, base, _FITS_FREE)
     return found
 
 
-def _named(readings: Readings, stages: Stages, score: _Scorer, base: float) -> Diagnosis | None:
+def _named(
+    readings: Readings, stages: Stages, score: _Scorer, base: float, fits: float = FITS
+) -> Diagnosis | None:
     """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
-    limit = min(_BETTER * base, FITS)
+    limit = min(_BETTER * base, fits)
     for stage in stages:
         scored = [(score(row.transform(readings)), row) for family in stage for row in family(readings)]
         found = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
@@ -668,7 +677,7 @@ def _of_one_log(readings: Readings) -> Diagnosis | None:
 
 def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | None:
     """A change between two stations: the first stations fit on their own, and the others too, or without a mistake."""
-    count, limit = len(readings.log), min(_BETTER * base, FITS)
+    count, limit = len(readings.log), min(_BETTER * base, _FITS_CHANGED)
     if len(readings.wheels) > 1 or count < 2 * _FEWEST_IN_PART:
         return None
 

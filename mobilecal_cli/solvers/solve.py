@@ -55,11 +55,17 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 OBSERVABLE_SHARE = 1 / 3
 # Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
-# Point error of the linear method: beyond this, mistakes in the whole recording are searched for before the estimate.
-_GROSS_SHARE = 0.1
+# Point error of the linear method: beyond this, mistakes in the whole recording are searched for before the estimate;
+# and that of most stations: beyond this, no robust estimate helps.
+_GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
 
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
+
+
+class _ExplainedError(SolveError):
+    """A recording that does not fit, after the search for the cause."""
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -120,6 +126,8 @@ def solve(
             solution = _by_likelihood(extraction, solver, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
+    except _ExplainedError:
+        raise
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
     found = explain(extraction) if _fits_badly(solution, extraction) else None
@@ -165,14 +173,7 @@ def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction
         return _refusal(found)
     share = misfit(extraction)
     if share is not None:
-        return SolveError(
-            "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
-            f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %). "
-            "Tried: signs, sides, order and units of joints and wheels; late readings; readings that stop, jump or "
-            "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
-            "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
-            "the board nor a cable moved",
-        )
+        return _unexplained(share, extraction)
     if isinstance(error, SolveError):
         return error
     return SolveError(
@@ -181,8 +182,35 @@ def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction
     )
 
 
+def _unexplained(share: float, extraction: Extraction) -> SolveError:
+    apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
+    return _ExplainedError(
+        "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
+        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
+        f"stereo reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
+        "joints and wheels; late readings; readings that stop, jump or change their scale; and readings of one joint "
+        "or of the wheels that do not belong to the recording",
+        "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
+        "the board nor a cable moved",
+    )
+
+
+def _refuse_gross(extraction: Extraction) -> None:
+    """Refuse a recording that does not fit at all, without an estimate.
+
+    Raises:
+        SolveError: a mistake explains the whole recording, or none explains any part of it.
+    """
+    found = explain(extraction, in_parts=False)
+    if found is not None:
+        raise _refusal(found)
+    share = misfit(extraction)
+    if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
+        raise _unexplained(share, extraction)
+
+
 def _refusal(found: Diagnosis) -> SolveError:
-    return SolveError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+    return _ExplainedError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
 
 
 def _require_positive(wheels: WheelGeometry) -> None:
@@ -263,9 +291,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     if solver.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
-            found = explain(extraction, in_parts=False)
-            if found is not None:
-                raise _refusal(found)
+            _refuse_gross(extraction)
         _require_positive(linear.parameters.wheels)
     else:
         linear = _initial_estimate(
