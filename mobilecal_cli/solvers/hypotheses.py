@@ -70,7 +70,6 @@ _CHANGED_SCALE = (
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
 _AROUND_NS = 100_000_000
-_REVERSALS = 24  # stations at which a wheel's sign may change
 _MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # of a nominal head-eye transform, while a part is free
 
 
@@ -368,7 +367,7 @@ def _still(values: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
             yield first, last
 
 
-# -- stage 2: readings of another time, and changes of sign ------------------------------------------
+# -- stage 2: readings of another time ------------------------------------------
 
 
 def _delays(readings: Readings) -> Iterator[Hypothesis]:
@@ -447,29 +446,6 @@ def _neighbors(_: Readings) -> Iterator[Hypothesis]:
         yield Hypothesis(f"the joint readings are those of the {which} station", cure, moved("joints", by))
 
 
-def _reversals(readings: Readings) -> Iterator[Hypothesis]:
-    """A wheel whose readings change their sign at one of the stations."""
-    cure = "check the cable and the driver of this encoder, and record again, or leave this stretch out"
-
-    def reversed_from(at_ns: int) -> Callable[[Track], Track]:
-        def change(track: Track) -> Track:
-            start = float(track.at(np.array([at_ns]))[0])
-            later = track.time_ns > at_ns
-            return replace(track, value=np.where(later, 2 * start - track.value, track.value))
-
-        return change
-
-    for log in range(len(readings.wheels)):
-        inner = np.flatnonzero(readings.log == log)[3:-3]
-        for station in inner[:: 1 + len(inner) // _REVERSALS].tolist():
-            for side in ("right", "left"):
-                yield Hypothesis(
-                    f"the sign of the {side} wheel's readings changes at {readings.at_s(station)} s",
-                    cure,
-                    _with_wheels(reversed_from(int(readings.time_ns[station])), (side,), log),
-                )
-
-
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
 
 
@@ -527,15 +503,10 @@ def _with_step(X: FloatArray, step: FloatArray) -> FloatArray:
     return np.asarray(X @ se3.exp(step * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3)))
 
 
-def _first_stations(readings: Readings) -> Readings:
-    first = np.flatnonzero(readings.log == readings.log[0])[:_FREE_STATIONS]
-    return readings.of_log(int(readings.log[0])).of(np.arange(len(first)))
-
-
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels and a head-eye transform near its nominal one."""
     X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
-    readings = _first_stations(readings)
+    readings = readings.of(slice(_FREE_STATIONS))
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_w_v, scale = [np.eye(4)], 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
@@ -558,7 +529,7 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints: a turn, a straight line and a turn on each leg."""
     X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
-    readings = _first_stations(readings)
+    readings = readings.of(slice(_FREE_STATIONS))
     if X is None or wheels is None:
         return readings.of(slice(0))
     count, scale = len(readings.log), 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
@@ -599,7 +570,7 @@ def _wheels_as_seen(readings: Readings) -> Readings:
 
 Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
 #: The table, in stages of growing freedom: mistakes in a whole recording, and readings that say nothing.
-_WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors, _reversals))
+_WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
 _FREE: Stages = ((_free_joints,), (_free_wheels,))
 
 

@@ -178,7 +178,7 @@ def with_images_of_previous(extraction):
 MISTAKES |= {
     "wheels late": (lambda e: late(e, 3.0, 3.0), "the readings of both wheels are about 3.0 s late"),
     "left late": (lambda e: late(e, 0.0, 3.0), "the readings of the left wheel are about 3.0 s late"),
-    "reversed": (lambda e: reversed_from(e, 6), "the sign of the left wheel's readings changes at"),
+    "reversed": (lambda e: reversed_from(e, 6), "s on, the left wheel's encoder has the wrong sign"),
     "one frozen": (lambda e: with_wheels(e, 0, 1), "the reading of the right wheel never changes"),
     "old joints": (with_joints_of_previous, "the joint readings are those of the previous station"),
     "old images": (with_images_of_previous, "the images are those of the previous station"),
