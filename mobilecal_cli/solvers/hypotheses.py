@@ -43,7 +43,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.refine import refine_lm
-from mobilecal_cli.solvers.transfer import base_motion, residuals_m
+from mobilecal_cli.solvers.transfer import base_motion, residuals_m, rms_m
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02
@@ -178,9 +178,10 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class _Score:
-    """A fit: rms of the legs that are used over the distance to the board, and the camera's turn from nominal."""
+    """A fit: rms of most legs and of all over the distance to the board, and the camera's turn from nominal."""
 
     misfit: float
+    of_all: float
     turned_rad: float
     wheels: WheelGeometry
 
@@ -231,7 +232,8 @@ class _Scorer:
             return None
         misfit, best = min(found, key=lambda item: item[0])
         turn = np.eye(3) if self._R_h_c is None else self._R_h_c.T @ best.T_h_c[:3, :3]
-        return _Score(misfit, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
+        of_all = rms_m(residuals_m(pairs, best)) / distance_m
+        return _Score(misfit, of_all, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
 
 
 def _thinned(pairs: MotionPairs) -> MotionPairs:
@@ -654,7 +656,7 @@ def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | Non
 
     def fits(part: slice) -> _Score | None:
         fit = score(readings.of(part))
-        return fit if fit is not None and fit.misfit < limit else None
+        return fit if fit is not None and fit.of_all < limit else None
 
     low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
     while low < high:  # the most first stations that fit
@@ -692,7 +694,7 @@ def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | Non
             )
         found = _named(rest, _WHOLE[:1], score, base)
         if found is not None:
-            return replace(found, cause=f"from {readings.at_s(cut)} s on, {found.cause}")
+            return replace(found, cause=f"from about {readings.at_s(cut)} s on, {found.cause}")
     return None
 
 
