@@ -80,8 +80,8 @@ class Solver:
         while len(found) < _MOST_CONTRADICTIONS:
             evidence = tuple(fit.lin.evidence())
             told = {(e.kind, e.part) for e in found if e.values.keys() <= self._constraints.priors.keys()}
-            others = (e for e in evidence if (e.kind, e.part) not in told)
-            worst = max(others, key=lambda e: e.sigmas, default=None)
+            untold = (e for e in evidence if (e.kind, e.part) not in told)
+            worst = max(untold, key=lambda e: e.sigmas, default=None)
             if worst is None or worst.sigmas < CONTRADICTION_SIGMAS:
                 break
             found.append(worst)

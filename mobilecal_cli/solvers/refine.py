@@ -34,6 +34,7 @@ def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
     history, evaluations = [rms], 1
     while len(history) <= _MAX_STEPS:
         scale = np.sqrt(np.diag(H))
+        scale[scale == 0] = 1.0  # these legs do not show the parameter: it stays
         step = -np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(9), gradient / scale) / scale
         trial = parameters.plus(step)
         H_trial, gradient_trial, rms_trial = _normal_equations(pairs, trial)

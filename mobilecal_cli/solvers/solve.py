@@ -27,10 +27,10 @@ from mobilecal_cli.model import (
     Refinement,
     Solution,
     Uncertainty,
+    WheelGeometry,
 )
 from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.diagnosis import diagnose, misfit
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
@@ -42,22 +42,30 @@ from mobilecal_cli.solvers.findings import (
     widening,
 )
 from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import residuals_of
-from mobilecal_cli.solvers.signs import check_signs
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
 OBSERVABLE_SHARE = 1 / 3
 # Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
+# Point error of the linear method: beyond this, mistakes in the whole recording are searched for before the estimate;
+# and that of most stations: beyond this, no robust estimate helps.
+_GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
 
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
+
+
+class _ExplainedError(SolveError):
+    """A recording that does not fit, after the search for the cause."""
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -118,9 +126,11 @@ def solve(
             solution = _by_likelihood(extraction, solver, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
+    except _ExplainedError:
+        raise
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
-    found = diagnose(extraction) if _fits_badly(solution, extraction) else None
+    found = explain(extraction) if _fits_badly(solution, extraction) else None
     if found is None and solution.contradictions and len(extraction.wheels) > 1:
         found = _different_cameras(solution, extraction, constraints)
     return replace(solution, diagnosis=found)
@@ -158,22 +168,64 @@ def _different_cameras(
 
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
-    found = diagnose(extraction)
+    found = explain(extraction)
     if found is not None:
-        return SolveError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+        return _refusal(found)
     share = misfit(extraction)
     if share is not None:
-        return SolveError(
-            "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
-            f"{100 * share:.0f} % of the distance to the board",
-            "check that all topics belong to this drive and this robot, the signs and units in rig.yaml, the head "
-            "chain, and that neither the board nor a cable moved",
-        )
+        return _unexplained(share, extraction)
     if isinstance(error, SolveError):
         return error
     return SolveError(
         "the measurements do not determine all parameters",
         "record more stations, with the whole board in both images",
+    )
+
+
+def _unexplained(share: float, extraction: Extraction) -> SolveError:
+    apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
+    return _ExplainedError(
+        "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
+        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
+        f"stereo reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
+        "joints and wheels; late readings; readings that stop, jump or change their scale; and readings of one joint "
+        "or of the wheels that do not belong to the recording",
+        "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
+        "the board nor a cable moved",
+    )
+
+
+def _refuse_gross(extraction: Extraction) -> None:
+    """Refuse a recording that does not fit at all, without an estimate.
+
+    Raises:
+        SolveError: a mistake explains the whole recording, or none explains any part of it.
+    """
+    found = explain(extraction, in_parts=False)
+    if found is not None:
+        raise _refusal(found)
+    share = misfit(extraction)
+    if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
+        raise _unexplained(share, extraction)
+
+
+def _refusal(found: Diagnosis) -> SolveError:
+    return _ExplainedError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+
+
+def _require_positive(wheels: WheelGeometry) -> None:
+    """Refuse impossible wheels.
+
+    Raises:
+        SolveError: a negative radius or separation.
+    """
+    if np.all(wheels.vector > 0):
+        return
+    right, left, separation = 1e3 * wheels.vector
+    raise SolveError(
+        f"the wheel radii that fit best are {right:.1f} mm (right) and {left:.1f} mm (left), the wheel separation is "
+        f"{separation:.1f} mm: a negative value is impossible",
+        "check the topics, signs and units of the wheels and of the head joints in rig.yaml, and their clocks",
     )
 
 
@@ -197,7 +249,7 @@ def _by_points(
     start_ratios: FloatArray | None,
 ) -> Solution:
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
-    check_signs(linear.parameters.wheels)
+    _require_positive(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
     refinement = refiner(pairs, linear.parameters) if refiner is not None else None
     return _solution(extraction, pairs, refinement or linear, linear=linear)
@@ -238,7 +290,9 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     pairs = solver.data.pairs
     if solver.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
-        check_signs(linear.parameters.wheels)
+        if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
+            _refuse_gross(extraction)
+        _require_positive(linear.parameters.wheels)
     else:
         linear = _initial_estimate(
             pairs, solver.initial()
@@ -250,7 +304,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
-    check_signs(parameters.wheels)
+    _require_positive(parameters.wheels)
     i, j = data.legs.T
     inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
     if not inliers.any():

@@ -6,6 +6,7 @@ description: they are kept, and the estimate finds what is wrong with it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -25,6 +26,7 @@ _TIMES_THE_MEDIAN = 3.0
 _UNIT_TOLERANCE = 0.3  # a wrong unit is off by far more
 _UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 1 / 0.0254}
 _FEWEST = 5  # stations that make a median
+_SAME_PX = 1.0  # corners that do not move
 #: A misfit of this size is beyond the priors of camera_info: the estimate does not find its cause.
 _GROSS_PX = 5.0
 _RECALIBRATE = (
@@ -131,6 +133,11 @@ _MISTAKES: Mapping[str, tuple[Callable[[StereoRig, Board, FloatArray, FloatArray
 }
 
 
+_LATE = "the images of the right camera are those of the station before"
+_EARLY = "the images of the left camera are those of the station before"
+_CLOCK = "check that both cameras send each image at once, with the time of its exposure, and record again"
+
+
 def _misfit_px(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray, seen: Pair) -> float:
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
     both = seen[0].seen & seen[1].seen
@@ -140,6 +147,30 @@ def _misfit_px(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray
         if isinstance(points, StereoPoints):
             best = min(best, points.rms_px)
     return best
+
+
+def _check_repeated(pairs: Sequence[Pair]) -> None:
+    """Refuse images that are those of the other camera, or always the same.
+
+    Raises:
+        ObservationError: names the camera.
+    """
+    corners = np.stack([[a.pixels, b.pixels] for a, b in pairs])
+    apart_px = np.abs(corners[:, 0] - corners[:, 1]).max(axis=(1, 2))
+    if np.median(apart_px) < _SAME_PX:
+        raise ObservationError(
+            "both image topics carry the images of the same camera: the corners are at the same pixels "
+            f"(median {np.median(apart_px):.2g} px apart) in {len(pairs)} stereo pairs",
+            "check cameras.left.image and cameras.right.image in rig.yaml, and the topics of the camera driver",
+        )
+    moved_px = np.median(np.abs(np.diff(corners, axis=0)).max(axis=(2, 3)), axis=0)
+    for side, own_px, other_px in (("left", *moved_px), ("right", *moved_px[::-1])):
+        if own_px < _SAME_PX and other_px > _GROSS_PX:
+            raise ObservationError(
+                f"the images of the {side} camera do not change: the corners move by {own_px:.2g} px between "
+                f"stations, and by {other_px:.0f} px in the other camera",
+                "restart the driver of this camera, check that its images are not old ones, and record again",
+            )
 
 
 def check_arrangement(
@@ -153,8 +184,11 @@ def check_arrangement(
         rig, board: as described.
 
     Raises:
-        ObservationError: the images are exchanged, mirrored or upside down, or camera_info is grossly wrong.
+        ObservationError: the images are exchanged, mirrored, upside down, of one camera or of another station, or
+            camera_info is grossly wrong.
     """
+    if len(pairs) >= _FEWEST:
+        _check_repeated(pairs)
     gross = [
         one.points.rms_px > _GROSS_PX if isinstance(one, Measured) else one.reason == INCONSISTENT
         for one in measured
@@ -173,6 +207,10 @@ def check_arrangement(
         )
         for mistake, (undo, _) in _MISTAKES.items()
     }
+    for by, mistake in ((1, _LATE), (-1, _EARLY)):
+        shifted = [(a, b) for (a, _), (_, b) in itertools.pairwise(pairs[::by])]
+        apart_px = [_misfit_px(rig, board, a.pixels, b.pixels, (a, b)) for a, b in shifted]
+        misfits_px[mistake] = float(np.median(apart_px)) if apart_px else np.inf
     likely = min(misfits_px, key=lambda mistake: misfits_px[mistake])
     facts = (
         f"at {sum(gross)} of {len(gross)} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
@@ -181,7 +219,7 @@ def check_arrangement(
     if misfits_px[likely] <= _EPIPOLAR_PX:
         raise ObservationError(
             f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away",
-            _MISTAKES[likely][1],
+            _MISTAKES[likely][1] if likely in _MISTAKES else _CLOCK,
         )
     raise ObservationError(f"camera_info does not fit the images: {facts}", _RECALIBRATE)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -101,6 +102,39 @@ def test_the_arrangement_of_the_images_is_named(mistake: str) -> None:
     with pytest.raises(ObservationError, match=f"images.* are {mistake}: at 8 of 8 stations") as told:
         check_arrangement(measured(wrong), wrong, RIG, BOARD)
     assert told.value.hint
+
+
+def _one_camera(found: list[Pair]) -> list[Pair]:
+    return [(left, left) for left, _ in found]
+
+
+def _frozen_right(found: list[Pair]) -> list[Pair]:
+    return [(left, found[0][1]) for left, _ in found]
+
+
+def _late_right(found: list[Pair]) -> list[Pair]:
+    return [(left, before) for (left, _), (_, before) in zip(found[1:], found, strict=False)]
+
+
+def _late_left(found: list[Pair]) -> list[Pair]:
+    return [(before, right) for (_, right), (before, _) in zip(found[1:], found, strict=False)]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause"),
+    [
+        (_one_camera, "both image topics carry the images of the same camera"),
+        (_frozen_right, "the images of the right camera do not change"),
+        (_late_right, "the images of the right camera are those of the station before"),
+        (_late_left, "the images of the left camera are those of the station before"),
+    ],
+)
+def test_images_that_do_not_belong_together(spoil: Callable[[list[Pair]], list[Pair]], cause: str) -> None:
+    """A new calibration of the stereo pair would change nothing."""
+    wrong = spoil(pairs())
+    with pytest.raises(ObservationError, match=cause) as told:
+        check_arrangement(measured(wrong), wrong, RIG, BOARD)
+    assert "calibrate" not in told.value.hint
 
 
 def test_a_gross_misfit_is_named() -> None:

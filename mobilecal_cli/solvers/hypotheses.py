@@ -1,0 +1,742 @@
+"""Why a recording does not fit its robot: hypotheses on single mistakes, and one scorer.
+
+A hypothesis turns the readings into those without the mistake. The scorer solves them by the linear method and a few
+steps of eq. 19 on the board's poses, without the worst legs. A cause is named only if the corrected readings fit as
+recordings fit. Those of a later stage have more freedom, and are tried only if none of the stages before fits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import (
+    FEWEST_LEGS,
+    MotionSeen,
+    cut_at,
+    encoder_steps_rad,
+    head_pose,
+    integrate,
+    join,
+    motion_seen,
+)
+from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.model import (
+    BoolArray,
+    Diagnosis,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Parameters,
+    Rig,
+    Track,
+    WheelGeometry,
+    WheelTrack,
+)
+from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
+from mobilecal_cli.solvers.refine import refine_lm
+from mobilecal_cli.solvers.transfer import base_motion, residuals_m, rms_m
+
+#: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
+FITS = 0.02
+_FITS_CHANGED = FITS / 2  # the parts before and after a change
+_FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
+_CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
+_BETTER = 0.4  # and at most this share of the misfit without the correction
+_EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
+_SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
+_USED = 0.8  # share of the legs that must fit; the others may be outliers
+_PROMISING = 10 * FITS  # linear solutions beyond this are not refined
+_ROUNDS = 12  # of the linear method
+_MOST_LEGS = 40  # that are scored, spread over the recording
+_FREE_STATIONS = 40  # at which a free part is estimated
+_FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
+_STILL, _MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
+_TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
+_OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
+_SAME_UNIT_M = 0.05
+_SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+_CHANGED_SCALE = (
+    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
+)
+_LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
+_MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
+_AROUND_NS = 100_000_000
+_MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # of a nominal head-eye transform, while a part is free
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What cameras, joints and wheels of N stations say.
+
+    Attributes:
+        rig: the robot.
+        T_c_k: (N, 4, 4) board in the left camera.
+        corners_k: (4, 3) outer corners of the board, m.
+        joints: (N, J) readings, rad or m.
+        time_ns, log: (N,) stamps, and index of the recording.
+        wheels, joint_tracks: see `Extraction`.
+        consistent: the images fit camera_info and the board.
+    """
+
+    rig: Rig
+    T_c_k: FloatArray
+    corners_k: FloatArray
+    joints: FloatArray
+    time_ns: IntArray
+    log: IntArray
+    wheels: tuple[WheelTrack, ...]
+    joint_tracks: tuple[tuple[Track, ...], ...]
+    consistent: bool
+
+    def of(self, stations: IntArray | BoolArray | slice) -> Readings:
+        """Some stations alone."""
+        by_station = ("T_c_k", "joints", "time_ns", "log")
+        return replace(self, **{name: getattr(self, name)[stations] for name in by_station})
+
+    def of_log(self, log: int) -> Readings:
+        """The stations of one recording."""
+        one = self.of(self.log == log)
+        return replace(
+            one,
+            log=np.zeros_like(one.log),
+            wheels=self.wheels[log : log + 1],
+            joint_tracks=self.joint_tracks[log : log + 1],
+        )
+
+    def at_s(self, station: int) -> str:
+        """Time of a station from the beginning of its recording."""
+        begin = self.wheels[int(self.log[station])].time_ns[0]
+        return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
+
+    @cached_property
+    def pairs(self) -> MotionPairs:
+        """The legs, with the outer corners of the board."""
+        steps, legs = [], []
+        for number, track in enumerate(self.wheels):
+            mine = np.flatnonzero(self.log == number)
+            if len(mine) > 1:
+                times = self.time_ns[mine]
+                steps.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
+                legs.append(np.stack([mine[:-1], mine[1:]], axis=1))
+        between = np.concatenate(legs)
+        log = self.log[between[:, 0]]
+        points_c = se3.act(self.T_c_k, np.broadcast_to(self.corners_k, (len(self.T_c_k), 4, 3)))
+        chain, T_v_h = np.searchsorted(log, log), head_pose(self.rig.chain, self.joints)
+        return MotionPairs(T_v_h, self.T_c_k, points_c, between, chain, join(steps))
+
+    @cached_property
+    def motion(self) -> MotionSeen:
+        """What joints and wheels move."""
+        pairs = self.pairs
+        return motion_seen(pairs.T_v_h, pairs.steps.totals_rad, encoder_steps_rad(self.wheels))
+
+    @property
+    def distinguishes(self) -> bool:
+        """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
+        return self.motion.tilts and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+
+
+def readings_of(extraction: Extraction) -> Readings:
+    """The readings of an extraction with at least one leg."""
+    seen, board = extraction.observations, extraction.board
+    square_m = board.square_m or float(np.median([o.square_m for o in seen]))
+    grid = board.grid().reshape(-1, 3) * square_m
+    ends = [0, board.columns - 1, len(grid) - board.columns, len(grid) - 1]
+    return Readings(
+        extraction.rig,
+        np.stack([o.T_c_k for o in seen]),
+        grid[ends],
+        np.stack([o.joints for o in seen]),
+        np.array([o.time_ns for o in seen], dtype=np.int64),
+        np.array([o.log for o in seen], dtype=np.int64),
+        extraction.wheels,
+        extraction.joint_tracks,
+        float(np.median([o.reprojection_px for o in seen])) < _CONSISTENT_PX,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A mistake, what to do about it, and what gives the readings without it."""
+
+    cause: str
+    cure: str
+    transform: Callable[[Readings], Readings]
+
+
+# -- the scorer -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    """A fit: rms of most legs and of all over the distance to the board, and the camera's turn from nominal."""
+
+    misfit: float
+    of_all: float
+    turned_rad: float
+    wheels: WheelGeometry
+
+
+class _Scorer:
+    """Scores readings by the linear method, from the nominal wheels and those of the readings as they stand."""
+
+    def __init__(self, as_is: Readings) -> None:
+        self._as_is, nominal = as_is, as_is.rig.nominal
+        X = _nominal_head_eye(as_is)
+        self._prior, self._R_h_c = InitialPrior(X, nominal.wheels), None if X is None else X[:3, :3]
+        self._starts = [] if nominal.wheels is None else [ratios_of(nominal.wheels)]
+        if as_is.distinguishes:
+            try:
+                found = linear_estimate(_thinned(as_is.pairs), nominal.wheels).parameters
+                self._starts.append(np.abs(ratios_of(found.wheels)) * [1.0, -1.0])
+            except (SolveError, np.linalg.LinAlgError):
+                pass
+
+    def __call__(self, readings: Readings, possible: bool = True) -> _Score | None:
+        """The best fit with positive wheels, or with any; None without one.
+
+        Motion that does not show all parameters fits many mistakes: there, only the readings as they stand are scored.
+        """
+        legs = len(readings.log) - len(np.unique(readings.log))
+        full = legs >= _FEWEST_IN_PART - 1 and readings.distinguishes
+        if legs < FEWEST_LEGS or not (full or readings is self._as_is):
+            return None
+        pairs = _thinned(readings.pairs)
+        distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
+        found: list[tuple[float, Parameters]] = []
+        for ratios in self._starts if full else [np.zeros(2)]:
+            try:
+                parameters = (
+                    few_rounds(pairs, ratios, _ROUNDS)
+                    if full
+                    else initial_with_prior(pairs, self._prior, readings.motion)
+                )
+                misfit, kept = _misfit(pairs, parameters, distance_m)
+                if misfit < _PROMISING:
+                    parameters = refine_lm(pairs.select(kept), parameters).parameters
+                    misfit, _ = _misfit(pairs, parameters, distance_m)
+            except (SolveError, np.linalg.LinAlgError):
+                continue
+            if not (full and possible) or np.all(parameters.wheels.vector > 0):
+                found.append((misfit, parameters))
+        if not found:
+            return None
+        misfit, best = min(found, key=lambda item: item[0])
+        turn = np.eye(3) if self._R_h_c is None else self._R_h_c.T @ best.T_h_c[:3, :3]
+        of_all = rms_m(residuals_m(pairs, best)) / distance_m
+        return _Score(misfit, of_all, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
+
+
+def _thinned(pairs: MotionPairs) -> MotionPairs:
+    legs = len(pairs.legs)
+    if legs <= _MOST_LEGS:
+        return pairs
+    return pairs.select(np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64))
+
+
+def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tuple[float, IntArray]:
+    """Rms of the corners' transfer error over the distance, on the legs that fit best, and these legs."""
+    squared = np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=1)
+    kept = np.sort(np.argsort(squared)[: math.ceil(_USED * len(squared))])
+    return math.sqrt(float(squared[kept].mean())) / distance_m, kept
+
+
+# -- stage 1: signs, sides and units, and readings that stop -----------------------------------------
+
+
+def _joints(readings: Readings) -> Iterator[Hypothesis]:
+    """Signs, order and units of the head joints' readings."""
+    chain = readings.rig.chain
+    joints = chain.joints
+
+    def scaled(factor: FloatArray | float) -> Callable[[Readings], Readings]:
+        return lambda r: replace(r, joints=r.joints * factor)
+
+    for column, name in enumerate(joints):
+        yield Hypothesis(
+            f"the sign of joint {name} is reversed",
+            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
+            scaled(np.where(np.arange(len(joints)) == column, -1.0, 1.0)),
+        )
+    if len(joints) > 1:
+        yield Hypothesis(
+            "the signs of all head joints are reversed",
+            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
+            scaled(-1.0),
+        )
+    if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
+        order = np.arange(len(joints))
+        pan, tilt = joints.index(chain.pan), joints.index(chain.tilt)
+        order[[pan, tilt]] = tilt, pan
+        yield Hypothesis(
+            f"the readings of {chain.pan} and {chain.tilt} are exchanged",
+            "exchange joints.pan and joints.tilt in rig.yaml, or the names in the recording",
+            lambda r: replace(r, joints=r.joints[:, order]),
+        )
+    for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
+        cure = "set the unit in joints.fields in rig.yaml, or correct the recording"
+        yield Hypothesis(f"the joint readings are in {unit}", cure, scaled(factor))
+        for column, name in enumerate(joints if len(joints) > 1 else ()):
+            only = np.where(np.arange(len(joints)) == column, factor, 1.0)
+            yield Hypothesis(f"the readings of {name} are in {unit}", cure, scaled(only))
+
+
+def _with_wheels(
+    change: Callable[[Track], Track], sides: Sequence[str], log: int | None = None, swapped: bool = False
+) -> Callable[[Readings], Readings]:
+    """Change the readings of some wheels, after their exchange, of one recording or of all."""
+
+    def transform(readings: Readings) -> Readings:
+        wheels = list(readings.wheels)
+        for number, track in enumerate(wheels):
+            if log in (None, number):
+                right, left = (track.left, track.right) if swapped else (track.right, track.left)
+                wheels[number] = WheelTrack(
+                    change(right) if "right" in sides else right, change(left) if "left" in sides else left
+                )
+        return replace(readings, wheels=tuple(wheels))
+
+    return transform
+
+
+def _times(factor: float) -> Callable[[Track], Track]:
+    return lambda track: replace(track, value=factor * track.value)
+
+
+def _wheels(_: Readings) -> Iterator[Hypothesis]:
+    """Signs, sides and units of the wheels' readings."""
+    for swapped in (False, True):
+        for sides in ((), ("right",), ("left",), ("right", "left")):
+            if not swapped and not sides:
+                continue
+            causes = ["the left and right wheels are swapped"] * swapped
+            causes += [f"the {side} wheel's encoder has the wrong sign" for side in sides]
+            cures = ["exchange wheels.left and wheels.right in rig.yaml"] * swapped
+            cures += [f"negate wheels.{side}.sign in rig.yaml" for side in sides]
+            transform = _with_wheels(_times(-1.0), sides, swapped=swapped)
+            yield Hypothesis(" and ".join(causes), ", then ".join(cures), transform)
+    yield Hypothesis(
+        "the wheel readings are in degrees",
+        "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
+        _with_wheels(_times(math.pi / 180), ("right", "left")),
+    )
+
+
+def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
+    """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
+    cure = "check the cable and the driver, and record again, or leave this stretch out"
+    for log, track in enumerate(readings.wheels):
+        mine = np.flatnonzero(readings.log == log)
+        if len(mine) < _FEWEST_IN_PART:
+            continue
+        turned = np.stack([side.at(readings.time_ns[mine]) for side in (track.right, track.left)], axis=1)
+        joints = readings.joints[mine]
+        parts = [
+            (f"the reading of joint {name} does not change", joints[:, [j]], np.delete(joints, j, axis=1))
+            for j, name in enumerate(readings.rig.chain.joints)
+        ]
+        parts += [
+            (f"the reading of the {name} wheel does not change", turned[:, [j]], turned[:, [1 - j]])
+            for j, name in enumerate(("right", "left"))
+        ]
+        wheels = ("the readings of both wheels do not change", turned, turned[:, :0])
+        for cause, values, others in (*parts, wheels):
+            of_joint = cause.startswith("the reading of joint")
+            for first, last in _still(values, others):
+                if first and last < len(mine) - 1 and not of_joint:
+                    continue  # the leg across would be wrong
+                kept = np.delete(np.arange(len(readings.log)), mine[first + 1 if first else 0 : last + 1])
+                between = f"between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s"
+                yield Hypothesis(f"{cause} {between}", cure, lambda r, kept=kept: r.of(kept))  # type: ignore[misc]
+
+
+def _still(values: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
+    """First and last row of stretches in which readings (n, k) stay the same while the others (n, m) change, if any."""
+    same = np.all(np.abs(np.diff(values, axis=0)) < _STILL, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    for first, last in edges.reshape(-1, 2).tolist():
+        moved = np.ptp(others[first : last + 1], axis=0)
+        if _FEWEST_IN_PART <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > _MOVED):
+            yield first, last
+
+
+# -- stage 2: readings of another time ------------------------------------------
+
+
+def _delays(readings: Readings) -> Iterator[Hypothesis]:
+    """Stamps that are late or early by so much that joints or wheels move while the images show a stop.
+
+    A delay is tried if nothing moves at nearly all stations without it, and if both wheels still have readings of at
+    least half the recording.
+    """
+    shortest_s = min((float(np.ptp(track.time_ns)) * 1e-9 for track in readings.wheels), default=0.0)
+    most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
+    shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
+    parts: list[tuple[str, tuple[str, ...]]] = [
+        ("readings of both wheels are", ("right", "left")),
+        ("readings of the right wheel are", ("right",)),
+        ("readings of the left wheel are", ("left",)),
+    ]
+    for cause, sides in (*parts, *[("joint readings are", ())] * bool(readings.joint_tracks)):
+        tracks = [tuple(getattr(track, side) for side in sides) for track in readings.wheels]
+        if not sides:
+            tracks = [*readings.joint_tracks]
+        moving = np.array([_moving_share(readings, tracks, shift_s) for shift_s in shifts_s])
+        if moving[len(moving) // 2] < _MOSTLY_STILL:
+            continue  # still as stamped
+        edges = np.diff(np.concatenate([[False], moving < _MOSTLY_STILL, [False]]).astype(int))
+        runs = np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1], axis=1)
+        stops_s = shifts_s[runs].mean(axis=1)
+        for delay_s in stops_s[np.argsort(np.abs(stops_s))][:_DELAYS].tolist():
+            delay_ns = round(delay_s * 1e9)
+            yield Hypothesis(
+                f"the {cause} about {abs(delay_s):.1f} s {'late' if delay_s > 0 else 'early'}",
+                "correct the clock that stamps them, and record again",
+                _with_wheels(_earlier(delay_ns), sides) if sides else _with_joints_earlier(delay_ns),
+            )
+
+
+def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift_s: float) -> float:
+    """Share of the stations at which some of the tracks move, if their stamps are late by so much."""
+    moving = np.zeros(len(readings.log), dtype=np.bool_)
+    for log, own in enumerate(tracks):
+        mine = readings.log == log
+        at_ns = readings.time_ns[mine] + round(shift_s * 1e9)
+        for track in own:
+            moving[mine] |= np.abs(track.at(at_ns + _AROUND_NS) - track.at(at_ns - _AROUND_NS)) > _STILL
+    return float(moving.mean())
+
+
+def _earlier(delay_ns: int) -> Callable[[Track], Track]:
+    return lambda track: replace(track, time_ns=track.time_ns - delay_ns)
+
+
+def _with_joints_earlier(delay_ns: int) -> Callable[[Readings], Readings]:
+    def transform(readings: Readings) -> Readings:
+        joints = readings.joints.copy()
+        for log, tracks in enumerate(readings.joint_tracks):
+            mine = readings.log == log
+            at_ns = readings.time_ns[mine]
+            for j, track in enumerate(tracks):
+                joints[mine, j] += track.at(at_ns + delay_ns) - track.at(at_ns)
+        return replace(readings, joints=joints)
+
+    return transform
+
+
+def _neighbors(_: Readings) -> Iterator[Hypothesis]:
+    """Images or joint readings that belong to the station before or after."""
+    cure = "check the clock that stamps them, and that the driver sends each one at once, and record again"
+
+    def moved(name: str, by: int) -> Callable[[Readings], Readings]:
+        def transform(readings: Readings) -> Readings:
+            count = len(readings.log)
+            own = np.arange(max(-by, 0), count - max(by, 0))
+            own = own[readings.log[own] == readings.log[own + by]]
+            return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
+
+        return transform
+
+    for by, which in ((1, "previous"), (-1, "next")):
+        yield Hypothesis(f"the images are those of the {which} station", cure, moved("T_c_k", by))
+        yield Hypothesis(f"the joint readings are those of the {which} station", cure, moved("joints", by))
+
+
+# -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
+
+
+def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
+    """Readings of one joint that have nothing to do with it."""
+    for column, name in enumerate(readings.rig.chain.joints):
+        still = bool(np.ptp(readings.joints[:, column]) < _STILL)
+        yield Hypothesis(
+            f"the reading of {name} never changes, and the images do not fit a joint at rest"
+            if still
+            else f"the readings of {name} do not fit; the images, the wheels and the other joints do",
+            "check that the state of this joint is recorded while it moves"
+            if still
+            else "check the topic, the clock, the sign and the unit of this joint, and its gear",
+            lambda r, column=column: _joint_as_seen(r, column),  # type: ignore[misc]
+        )
+
+
+def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
+    """Readings of the wheels that have nothing to do with the drive."""
+    sides = [(name, [getattr(track, name) for track in readings.wheels]) for name in ("right", "left")]
+    still = [name for name, tracks in sides if all(np.ptp(track.value) < _STILL for track in tracks)]
+    rising = all(np.all(np.diff(track.value) >= -_STILL) for _, tracks in sides for track in tracks)
+    cause, cure = (
+        "the readings of the wheels do not fit the drive that the images and the head joints show",
+        "check the topics, the clocks and the counters of both wheels: overflow, resets, gears",
+    )
+    if len(still) == 2:
+        cause = "the readings of both wheels never change, and the images do not fit a base at rest"
+        cure = "check that the wheel encoders are recorded while the base moves"
+    elif still:
+        cause = f"the reading of the {still[0]} wheel never changes, and that of the other wheel does"
+        cure = "check the cable and the driver of this encoder, and record again"
+    elif rising:
+        cause = (
+            "the readings of both wheels never decrease, but the images show that the base drives to and fro"
+        )
+        cure = "read the encoders with their direction (quadrature), and record again"
+    yield Hypothesis(cause, cure, _wheels_as_seen)
+
+
+def _nominal_head_eye(readings: Readings) -> FloatArray | None:
+    nominal = readings.rig.nominal.T_h_reference
+    return None if nominal is None else nominal @ se3.inverse(readings.rig.cameras.T_c_reference)
+
+
+def _spread(readings: Readings, X: FloatArray, T_w_v: FloatArray, joints: FloatArray) -> FloatArray:
+    """Distance of each station's board from their mean, (N, 4, 3), m."""
+    T_w_k = T_w_v @ head_pose(readings.rig.chain, joints) @ X @ readings.T_c_k
+    corners_w = se3.act(T_w_k, np.broadcast_to(readings.corners_k, (len(T_w_k), 4, 3)))
+    return np.asarray(corners_w - np.median(corners_w, axis=0))
+
+
+def _with_step(X: FloatArray, step: FloatArray) -> FloatArray:
+    return np.asarray(X @ se3.exp(step * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3)))
+
+
+def _joint_as_seen(readings: Readings, column: int) -> Readings:
+    """The readings of one joint by the images, with nominal wheels and a head-eye transform near its nominal one."""
+    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
+    readings = readings.of(slice(_FREE_STATIONS))
+    if X is None or wheels is None:
+        return readings.of(slice(0))
+    T_w_v, scale = [np.eye(4)], 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
+    for T_vi_vj in base_motion(integrate(readings.pairs.steps, wheels)):
+        T_w_v.append(T_w_v[-1] @ T_vi_vj)
+    base, joints = np.stack(T_w_v), readings.joints.copy()
+
+    def residuals(x: FloatArray) -> FloatArray:
+        joints[:, column] = x[6:]
+        return np.concatenate(
+            [(_spread(readings, _with_step(X, x[:6]), base, joints) / scale).ravel(), x[:6]]
+        )
+
+    start = np.concatenate([np.zeros(6), np.full(len(joints), np.median(joints[:, column]))])
+    found = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
+    joints[:, column] = found.x[6:]
+    return replace(readings, joints=joints) if np.ptp(found.x[6:]) > _MOVED else readings.of(slice(0))
+
+
+def _wheels_as_seen(readings: Readings) -> Readings:
+    """The readings of nominal wheels by the images and the joints: a turn, a straight line and a turn on each leg."""
+    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
+    readings = readings.of(slice(_FREE_STATIONS))
+    if X is None or wheels is None:
+        return readings.of(slice(0))
+    count, scale = len(readings.log), 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
+
+    def base(x: FloatArray) -> FloatArray:
+        planar = np.concatenate([np.zeros((1, 3)), x[6:].reshape(-1, 3)])
+        shift = np.concatenate([planar[:, :2], np.zeros((count, 1))], axis=1)
+        return se3.transform(se3.rotation_z(planar[:, 2]), shift)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        spread = _spread(readings, _with_step(X, x[:6]), base(x), readings.joints)
+        return np.concatenate([(spread / scale).ravel(), x[:6]])
+
+    T_v_k = head_pose(readings.rig.chain, readings.joints) @ X @ readings.T_c_k
+    T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
+    heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
+    start = np.concatenate([np.zeros(6), np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()])
+    found = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
+    T_w_v = base(found.x)
+    T_vi_vj = se3.inverse(T_w_v[:-1]) @ T_w_v[1:]
+    first = np.arctan2(T_vi_vj[:, 1, 3], T_vi_vj[:, 0, 3])
+    backward = np.abs(first) > math.pi / 2  # rather drives backwards than turns around
+    first = np.where(backward, first - np.copysign(math.pi, first), first)
+    length_m = np.where(backward, -1.0, 1.0) * np.hypot(T_vi_vj[:, 0, 3], T_vi_vj[:, 1, 3])
+    last = np.arctan2(T_vi_vj[:, 1, 0], T_vi_vj[:, 0, 0]) - first
+    zero = np.zeros_like(first)
+    turn, drive = np.stack([first, zero, last], axis=1), np.stack([zero, length_m, zero], axis=1)
+    rolled = [
+        np.concatenate([[0.0], np.cumsum((drive + side * turn * wheels.separation_m / 2) / radius_m)])
+        for side, radius_m in ((1, wheels.radius_right_m), (-1, wheels.radius_left_m))
+    ]
+    begin, end = readings.time_ns[:-1], readings.time_ns[1:]
+    stamps = np.append(
+        np.stack([begin, begin + (end - begin) // 3, end - (end - begin) // 3], axis=1), end[-1]
+    )
+    return replace(readings, wheels=(WheelTrack.at_same_times(stamps, *rolled),))
+
+
+Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
+#: The table, in stages of growing freedom: mistakes in a whole recording, and readings that say nothing.
+_WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
+_FREE: Stages = ((_free_joints,), (_free_wheels,))
+
+
+# -- the search -----------------------------------------------------------------------------------
+
+
+def misfit(extraction: Extraction) -> float | None:
+    """Misfit of most legs over the distance to the board; None if they fit, or the motion does not show it."""
+    readings = readings_of(extraction)
+    fit = _Scorer(readings)(readings, possible=False)
+    return None if fit is None or fit.misfit < FITS else fit.misfit
+
+
+def explain(extraction: Extraction, in_parts: bool = True) -> Diagnosis | None:
+    """The mistake that explains a recording which does not fit; None if it fits, or none of the known ones does.
+
+    Args:
+        extraction: a recording with at least three legs.
+        in_parts: also look at each of several recordings, for a change in time, and for readings that say nothing.
+    """
+    readings = readings_of(extraction)
+    return _same_view(readings) or _explained(readings, in_parts)
+
+
+def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
+    score = _Scorer(readings)
+    as_is = score(readings)
+    if as_is is not None and as_is.misfit < FITS:
+        if not readings.distinguishes:
+            return None
+        return _other_wheels(as_is.wheels, readings.rig.nominal.wheels)
+    base = as_is.misfit if as_is is not None and readings.distinguishes else math.inf
+    found = _named(readings, _WHOLE, score, base)
+    if found is None and in_parts:
+        found = _of_one_log(readings) or _changed(readings, score, base)
+        if found is None and len(readings.wheels) == 1 and readings.consistent:
+            found = _named(readings, _FREE, score, base, _FITS_FREE)
+    return found
+
+
+def _named(
+    readings: Readings, stages: Stages, score: _Scorer, base: float, fits: float = FITS
+) -> Diagnosis | None:
+    """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
+    limit = min(_BETTER * base, fits)
+    for stage in stages:
+        scored = [(score(row.transform(readings)), row) for family in stage for row in family(readings)]
+        found = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
+        if not found:
+            continue
+        least = min(fit.misfit for fit, _ in found)
+        equal = [(fit, row) for fit, row in found if fit.misfit < _EQUAL * least]
+        nearest = min(fit.turned_rad for fit, _ in equal)
+        named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
+        return Diagnosis(
+            " or ".join(row.cause for row in named),
+            ", or ".join(dict.fromkeys(row.cure for row in named)),
+            base if math.isfinite(base) else None,
+            least,
+        )
+    return None
+
+
+def _of_one_log(readings: Readings) -> Diagnosis | None:
+    """The mistake of one of several recordings."""
+    logs = len(readings.wheels)
+    for log in range(logs if logs > 1 else 0):
+        one = readings.of_log(log)
+        if len(one.log) > FEWEST_LEGS:
+            found = _explained(one)
+            if found is not None:
+                return replace(found, cause=f"recording {log + 1} of {logs}: {found.cause}")
+    return None
+
+
+def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | None:
+    """A change between two stations: the first stations fit on their own, and the others too, or without a mistake."""
+    count, limit = len(readings.log), min(_BETTER * base, _FITS_CHANGED)
+    if len(readings.wheels) > 1 or count < 2 * _FEWEST_IN_PART:
+        return None
+
+    def fits(part: slice) -> _Score | None:
+        fit = score(readings.of(part))
+        return fit if fit is not None and fit.of_all < limit else None
+
+    low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
+    while low < high:  # the most first stations that fit
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if fits(slice(middle)) else (low, middle - 1)
+    for cut in range(
+        low, max(low - 3, _FEWEST_IN_PART - 1), -1
+    ):  # a part may fit with an outlier of the other one
+        before = fits(slice(cut))
+        if before is None:
+            continue
+        after, rest = fits(slice(cut, None)), readings.of(slice(cut, None))
+        if after is not None:
+            factors = (
+                before.wheels.vector[:2] / after.wheels.vector[:2]
+            )  # larger readings look like smaller wheels
+            what = " and ".join(
+                f"the {side} wheel's readings become {factor:.2g} times as large"
+                for side, factor in zip(("right", "left"), factors.tolist(), strict=True)
+                if abs(factor - 1) > _CHANGED_SCALE
+            )
+            apart = replace(
+                readings, log=(np.arange(count) >= cut).astype(np.int64), wheels=readings.wheels * 2
+            )
+            same = score(apart)
+            if same is not None and same.misfit < _EQUAL * max(before.misfit, after.misfit):
+                what = "the readings of the wheels jump, or the board or the robot is moved by hand,"
+            return Diagnosis(
+                f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
+                f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
+                "check the wheels, the head, the cameras and the board at this time, and record again without the "
+                "change",
+                base if math.isfinite(base) else None,
+                max(before.misfit, after.misfit),
+            )
+        found = _named(rest, _WHOLE[:1], score, base)
+        if found is not None:
+            return replace(found, cause=f"from about {readings.at_s(cut)} s on, {found.cause}")
+    return None
+
+
+# -- what needs no fit ------------------------------------------------------------------------------
+
+
+def _same_view(readings: Readings) -> Diagnosis | None:
+    """All stations show the board at the same place while joints or wheels move."""
+    away = se3.inverse(readings.T_c_k[0]) @ readings.T_c_k
+    distance_m = float(np.linalg.norm(readings.T_c_k[0, :3, 3]))
+    still = np.linalg.norm(se3.log_so3(away[:, :3, :3]), axis=-1).max() < _SAME_VIEW
+    still &= np.linalg.norm(away[:, :3, 3], axis=-1).max() < _SAME_VIEW * distance_m
+    moves = [
+        np.ptp(readings.joints, axis=0),
+        np.abs(readings.pairs.steps.totals_rad).max(axis=0, initial=0.0),
+    ]
+    if not still or np.concatenate(moves).max() <= _MOVED:
+        return None
+    return Diagnosis(
+        "all stations show the board at the same place, but the base or the head moves",
+        "check that the images are not frozen, and that the board does not move with the robot",
+        None,
+        None,
+    )
+
+
+def _other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagnosis | None:
+    """Wheel radii with which the recording fits but which are several times the nominal ones: another unit."""
+    if nominal is None:
+        return None
+    radii_m = wheels.vector[:2]
+    factor = float(np.mean(radii_m / nominal.vector[:2]))
+    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
+        return None
+    right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
+    meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
+    return Diagnosis(
+        f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
+        "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
+        None,
+        None,
+    )
