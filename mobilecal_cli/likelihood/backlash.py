@@ -7,14 +7,16 @@ import numpy as np
 from mobilecal_cli.model import Extraction, FloatArray, IntArray, Track
 
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
-_INTERVAL_NS, _MOVING_RADPS = (
-    50_000_000,
-    0.03,
-)  # a joint in motion: its own direction counts, not how it got there
+# A joint in motion: its own direction counts, not how it got there.
+_INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
+_AROUND_NS = 150_000_000  # a joint that moves within this time of a station, but hardly there, turns back
 
 
 def approach_direction(extraction: Extraction) -> FloatArray:
-    """(N, J) the direction of each joint's last motion before each station."""
+    """(N, J) the direction of each joint's last motion before each station, from -1 to 1.
+
+    Where a joint turns back, its play is on neither side: there the direction changes in proportion to the rate.
+    """
     seen = extraction.observations
     log, joints = np.array([o.log for o in seen]), np.stack([o.joints for o in seen])
     times_ns = np.array([o.time_ns for o in seen], dtype=np.int64)
@@ -23,10 +25,13 @@ def approach_direction(extraction: Extraction) -> FloatArray:
         mine = np.flatnonzero(log == number)
         for j, track in enumerate(tracks):
             last = _last_motion(track, times_ns[mine], joints[mine, j])
-            rate = (track.at(times_ns[mine]) - track.at(times_ns[mine] - _INTERVAL_NS)) / (
-                _INTERVAL_NS * 1e-9
-            )
-            sides[mine, j] = np.where(np.abs(rate) > _MOVING_RADPS, np.sign(rate), last)
+            at = times_ns[mine]
+            before, here, after = (track.at(at + by) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))
+            ends = [np.abs(track.at(at + by) - here) for by in (-_AROUND_NS, _AROUND_NS)]
+            rate = (here - before) / (_INTERVAL_NS * 1e-9)
+            own = np.clip((after - before) / (2e-9 * _INTERVAL_NS) / _MOVING_RADPS, -1, 1)
+            turns = np.minimum(*ends) > _MOVED_RAD
+            sides[mine, j] = np.where((np.abs(rate) > _MOVING_RADPS) | turns, own, last)
     return sides
 
 

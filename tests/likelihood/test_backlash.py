@@ -22,9 +22,13 @@ def plain(extraction):
         for j, track in enumerate(extraction.joint_tracks[o.log]):
             earlier = track.value[track.time_ns < o.time_ns]
             away = earlier[np.abs(earlier - o.joints[j]) > 0.002]
-            rate = (track.at(np.array([o.time_ns])) - track.at(np.array([o.time_ns - 50_000_000])))[0] / 0.05
+            long_ago, before, here, after, later = track.at(
+                o.time_ns + np.array([-150, -50, 0, 50, 150]) * 1_000_000
+            )
             last = np.sign(o.joints[j] - away[-1]) if len(away) else 0.0
-            sides.append(np.sign(rate) if abs(rate) > 0.03 else last)
+            turns = min(abs(long_ago - here), abs(later - here)) > 0.002
+            own = np.clip((after - before) / 0.1 / 0.03, -1, 1)
+            sides.append(own if abs(here - before) / 0.05 > 0.03 or turns else last)
     return np.array(sides).reshape(len(extraction.observations), -1)
 
 
@@ -44,6 +48,15 @@ def test_as_by_looking_at_every_value(seed, length):
     )
     changed = dataclasses.replace(EXTRACTION, observations=observations, joint_tracks=(tuple(tracks),))
     np.testing.assert_array_equal(approach_direction(changed), plain(changed))
+
+
+def test_a_joint_that_turns_back_at_a_station_is_on_neither_side():
+    o = EXTRACTION.observations[2]
+    at = o.time_ns + np.arange(-40, 41) * 10_000_000
+    back = Track(at, 0.5 * ((at - o.time_ns) * 1e-9) ** 2)
+    tracks = (back, *EXTRACTION.joint_tracks[0][1:])
+    sides = approach_direction(dataclasses.replace(EXTRACTION, joint_tracks=(tracks,)))
+    assert abs(sides[2, 0]) < 0.1
 
 
 def test_a_route_comes_from_both_sides():
