@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -12,7 +14,7 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, FloatArray, KnownNoise, Parameters, Solution
+from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Parameters, Solution
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.imperfect import (
@@ -44,8 +46,9 @@ class Case:
 
     Attributes:
         robot: key of `ROBOTS`.
-        stations: number of stops; a moving recording has 40 images.
+        stations: number of stops.
         motion: kind of route.
+        images: number of images of a moving recording.
         kinds: constants that are drawn: kind or name → times its prior's standard deviation.
         fixed: constants with a given value.
         noise: of the recording.
@@ -55,6 +58,7 @@ class Case:
     robot: str = "pan-tilt"
     stations: int = 20
     motion: Motion = "standard"
+    images: int = 40
     kinds: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     noise: ideal.Noise = PERFECT
@@ -70,10 +74,12 @@ class Case:
     def extraction(self, seed: int) -> Extraction:
         """One run."""
         robot = ROBOTS[self.robot]()
-        route = route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
-        return imperfect_extraction(
-            robot, route, Imperfection(self.constants(seed), self.noise, self.outside), seed
-        )
+        what = Imperfection(self.constants(seed), self.noise, self.outside)
+        return imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+
+    def route(self, seed: int) -> Route:
+        """The route of one run."""
+        return route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
 
 
 def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
@@ -126,6 +132,8 @@ class Run:
         level: verdict.
         named: kind of each contradiction, most significant first.
         outliers: number of outliers other than single corners.
+        jumps: changes inside the recording that are named.
+        seconds: processor time of solution and verdict.
     """
 
     error: FloatArray
@@ -134,17 +142,26 @@ class Run:
     level: str
     named: tuple[str, ...]
     outliers: int
+    jumps: tuple[Jump, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def beyond(self) -> bool:
+        """One of the nine is beyond five stated standard deviations."""
+        return bool(np.any(np.abs(self.error) > FIVE_SIGMA * self.std))
 
     @property
     def false_pass(self) -> bool:
         """PASS, and one of the nine beyond five stated standard deviations."""
-        return self.level == "PASS" and bool(np.any(np.abs(self.error) > FIVE_SIGMA * self.std))
+        return self.level == "PASS" and self.beyond
 
 
 def run_of(extraction: Extraction, robot: SimulatedRobot) -> Run:
     """Solve and judge one extraction."""
+    start = time.process_time()
     try:
-        return _judged(solve(extraction), extraction, robot)
+        run = _judged(solve(extraction), extraction, robot)
+        return replace(run, seconds=time.process_time() - start)
     except MobilecalError as error:
         return _refused(error)
 
@@ -172,7 +189,13 @@ def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -
     level = judge(solution, extraction).level
     named = tuple(found.kind for found in solution.contradictions)
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    return Run(error, known.std, np.array(nees), level, named, gross)
+    return Run(error, known.std, np.array(nees), level, named, gross, solution.jumps)
+
+
+def level_counts(runs: Sequence[Run]) -> list[int]:
+    """Number of PASS, FAIL, NOT ENOUGH, and of refused recordings."""
+    counts = Counter(run.level.partition(":")[0] for run in runs)
+    return [counts[level] for level in ("PASS", "FAIL", "NOT ENOUGH", "refused")]
 
 
 def summary(error: FloatArray, robot: SimulatedRobot) -> str:
