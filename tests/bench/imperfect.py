@@ -160,10 +160,10 @@ def run_of(extraction: Extraction, robot: SimulatedRobot) -> Run:
     """Solve and judge one extraction."""
     start = time.process_time()
     try:
-        run = _judged(solve(extraction), extraction, robot)
+        run = judged(solve(extraction), extraction, robot)
         return replace(run, seconds=time.process_time() - start)
     except MobilecalError as error:
-        return _refused(error)
+        return refused(error)
 
 
 def run_of_case(case: Case, seed: int) -> Run:
@@ -171,16 +171,18 @@ def run_of_case(case: Case, seed: int) -> Run:
     try:
         extraction = case.extraction(seed)
     except MobilecalError as error:
-        return _refused(error)
+        return refused(error)
     return run_of(extraction, ROBOTS[case.robot]())
 
 
-def _refused(error: MobilecalError) -> Run:
+def refused(error: MobilecalError) -> Run:
+    """A recording without a result."""
     nothing = np.full(9, np.nan)
     return Run(nothing, nothing, np.full(4, np.nan), f"refused: {error.message[:60]}", (), 0)
 
 
-def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:
+def judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:
+    """One solved extraction against the truth."""
     known = solution.uncertainty
     assert known is not None
     error, C = errors(solution.parameters, robot), known.covariance

@@ -127,10 +127,10 @@ def spoiled(
     return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
 
 
-def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> Iterator[Any]:
-    """`run` on every task, on all cores, results in the tasks' order."""
+def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: int = 5) -> Iterator[Any]:
+    """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
     with ProcessPoolExecutor() as pool:
-        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=5)
+        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
 
 
 def both_sizes(study: Callable[[int, int], None]) -> None:
