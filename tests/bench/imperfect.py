@@ -38,6 +38,7 @@ _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float
 PERFECT, USUAL = ideal.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
+_APART_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,8 @@ class Case:
         kinds: constants that are drawn: kind or name → times its prior's standard deviation.
         fixed: constants with a given value.
         noise: of the recording.
-        outside: what no constant describes.
+        outside: what no constant describes; every run has a board of its own.
+        twice: every image is there twice, with the same corners and joint readings.
     """
 
     robot: str = "pan-tilt"
@@ -63,23 +65,35 @@ class Case:
     fixed: Mapping[str, float] = field(default_factory=dict)
     noise: ideal.Noise = PERFECT
     outside: Outside = _NOTHING
+    twice: bool = False
 
     def constants(self, seed: int) -> dict[str, float]:
         """The constants of one run."""
-        drawn = dict(self.fixed)
+        drawn: dict[str, float] = {}
         for kind, scale in self.kinds.items():
             drawn |= draw(ROBOTS[self.robot](), np.random.default_rng([seed, 7]), scale, {kind})
-        return drawn
+        return drawn | dict(self.fixed)
 
     def extraction(self, seed: int) -> Extraction:
         """One run."""
         robot = ROBOTS[self.robot]()
-        what = Imperfection(self.constants(seed), self.noise, self.outside)
-        return imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+        outside = replace(self.outside, print_seed=seed) if self.outside.print_m else self.outside
+        what = Imperfection(self.constants(seed), self.noise, outside)
+        extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+        return _twice(extraction) if self.twice else extraction
 
     def route(self, seed: int) -> Route:
         """The route of one run."""
         return route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
+
+
+def _twice(extraction: Extraction) -> Extraction:
+    seen = [
+        replace(o, station=2 * o.station + k, time_ns=o.time_ns + k * _APART_NS)
+        for o in extraction.observations
+        for k in range(2)
+    ]
+    return replace(extraction, observations=tuple(seen))
 
 
 def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
