@@ -48,6 +48,7 @@ class Outside:
         heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
         print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
         print_seed: see there.
+        sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
     """
 
     sag_rad: float = 0.0
@@ -55,6 +56,7 @@ class Outside:
     heavy_tails: bool = False
     print_m: float = 0.0
     print_seed: int = 0
+    sheet_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +151,9 @@ class ActualRobot:
         scale = (1 + self._of("square_scale")) * np.array([1 + aspect, 1 - aspect])
         bends = [self._of("board_bend_x"), self._of("board_bend_y"), self._of("board_twist")]
         outside, random = self.outside, np.random.default_rng([self.outside.print_seed, 11])
-        off_m = outside.print_m * random.normal(size=(len(board.grid()), 2)) if outside.print_m else None
+        x = board.grid()[:, 0]
+        off_m = outside.print_m * random.normal(size=(len(x), 2))
+        off_m += outside.sheet_m * (x > (x.min() + x.max()) / 2)[:, None]
         return BoardShape(board, scale, np.array(bends), self._of("board_shear"), off_m)
 
     @property

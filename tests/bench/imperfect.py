@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -12,7 +14,7 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, FloatArray, KnownNoise, Parameters, Solution
+from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Parameters, Solution
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.imperfect import (
@@ -36,6 +38,7 @@ _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float
 PERFECT, USUAL = ideal.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
+_APART_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,42 +47,59 @@ class Case:
 
     Attributes:
         robot: key of `ROBOTS`.
-        stations: number of stops; a moving recording has 40 images.
+        stations: number of stops.
         motion: kind of route.
+        images: number of images of a moving recording.
         kinds: constants that are drawn: kind or name → times its prior's standard deviation.
         fixed: constants with a given value.
         noise: of the recording.
-        outside: what no constant describes.
+        outside: what no constant describes; every run has a board of its own.
+        twice: every image is there twice, with the same corners and joint readings.
         lengths_drawn: floor and wheel scales are processes whose correlation lengths are drawn from their priors.
     """
 
     robot: str = "pan-tilt"
     stations: int = 20
     motion: Motion = "standard"
+    images: int = 40
     kinds: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     noise: ideal.Noise = PERFECT
     outside: Outside = _NOTHING
+    twice: bool = False
     lengths_drawn: bool = False
 
     def constants(self, seed: int) -> dict[str, float]:
         """The constants of one run."""
-        drawn = dict(self.fixed)
+        drawn: dict[str, float] = {}
         for kind, scale in self.kinds.items():
             drawn |= draw(ROBOTS[self.robot](), np.random.default_rng([seed, 7]), scale, {kind})
-        return drawn
+        return drawn | dict(self.fixed)
 
     def extraction(self, seed: int) -> Extraction:
         """One run."""
         robot = ROBOTS[self.robot]()
-        route = route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
         noise = self.noise
         if self.lengths_drawn:
             factors = 3.0 ** np.random.default_rng([seed, 8]).normal(size=2)
-            noise = replace(noise, floor_length_m=0.3 * factors[0], wheel_length_m=2.0 * factors[1])
-        return imperfect_extraction(
-            robot, route, Imperfection(self.constants(seed), noise, self.outside), seed
-        )
+            noise = replace(noise, floor_length_m=0.3 * factors[0], wheel_length_m=1.0 * factors[1])
+        outside = replace(self.outside, print_seed=seed) if self.outside.print_m else self.outside
+        what = Imperfection(self.constants(seed), noise, outside)
+        extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+        return _twice(extraction) if self.twice else extraction
+
+    def route(self, seed: int) -> Route:
+        """The route of one run."""
+        return route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
+
+
+def _twice(extraction: Extraction) -> Extraction:
+    seen = [
+        replace(o, station=2 * o.station + k, time_ns=o.time_ns + k * _APART_NS)
+        for o in extraction.observations
+        for k in range(2)
+    ]
+    return replace(extraction, observations=tuple(seen))
 
 
 def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
@@ -132,6 +152,8 @@ class Run:
         level: verdict.
         named: kind of each contradiction, most significant first.
         outliers: number of outliers other than single corners.
+        jumps: changes inside the recording that are named.
+        seconds: processor time of solution and verdict.
     """
 
     error: FloatArray
@@ -140,19 +162,28 @@ class Run:
     level: str
     named: tuple[str, ...]
     outliers: int
+    jumps: tuple[Jump, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def beyond(self) -> bool:
+        """One of the nine is beyond five stated standard deviations."""
+        return bool(np.any(np.abs(self.error) > FIVE_SIGMA * self.std))
 
     @property
     def false_pass(self) -> bool:
         """PASS, and one of the nine beyond five stated standard deviations."""
-        return self.level == "PASS" and bool(np.any(np.abs(self.error) > FIVE_SIGMA * self.std))
+        return self.level == "PASS" and self.beyond
 
 
 def run_of(extraction: Extraction, robot: SimulatedRobot) -> Run:
     """Solve and judge one extraction."""
+    start = time.process_time()
     try:
-        return _judged(solve(extraction), extraction, robot)
+        run = judged(solve(extraction), extraction, robot)
+        return replace(run, seconds=time.process_time() - start)
     except MobilecalError as error:
-        return _refused(error)
+        return refused(error)
 
 
 def run_of_case(case: Case, seed: int) -> Run:
@@ -160,16 +191,18 @@ def run_of_case(case: Case, seed: int) -> Run:
     try:
         extraction = case.extraction(seed)
     except MobilecalError as error:
-        return _refused(error)
+        return refused(error)
     return run_of(extraction, ROBOTS[case.robot]())
 
 
-def _refused(error: MobilecalError) -> Run:
+def refused(error: MobilecalError) -> Run:
+    """A recording without a result."""
     nothing = np.full(9, np.nan)
     return Run(nothing, nothing, np.full(4, np.nan), f"refused: {error.message[:60]}", (), 0)
 
 
-def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:
+def judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -> Run:
+    """One solved extraction against the truth."""
     known = solution.uncertainty
     assert known is not None
     error, C = errors(solution.parameters, robot), known.covariance
@@ -178,7 +211,13 @@ def _judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) -
     level = judge(solution, extraction).level
     named = tuple(found.kind for found in solution.contradictions)
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    return Run(error, known.std, np.array(nees), level, named, gross)
+    return Run(error, known.std, np.array(nees), level, named, gross, solution.jumps)
+
+
+def level_counts(runs: Sequence[Run]) -> list[int]:
+    """Number of PASS, FAIL, NOT ENOUGH, and of refused recordings."""
+    counts = Counter(run.level.partition(":")[0] for run in runs)
+    return [counts[level] for level in ("PASS", "FAIL", "NOT ENOUGH", "refused")]
 
 
 def summary(error: FloatArray, robot: SimulatedRobot) -> str:

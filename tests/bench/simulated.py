@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
 
-# One thread a process: the studies run one process on each core.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+import numpy as np
+import scipy
+from scipy.spatial.transform import Rotation
 
-import platform  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Callable, Iterator  # noqa: E402
-from concurrent.futures import ProcessPoolExecutor  # noqa: E402
-from dataclasses import replace  # noqa: E402
-from datetime import UTC, datetime  # noqa: E402
-from functools import cache  # noqa: E402
-from typing import Any  # noqa: E402
-
-import numpy as np  # noqa: E402
-import scipy  # noqa: E402
-from scipy.spatial.transform import Rotation  # noqa: E402
-
-from mobilecal_cli import __version__, se3  # noqa: E402
-from mobilecal_cli.likelihood.dataset import dataset_of  # noqa: E402
-from mobilecal_cli.likelihood.linearization import Linearization  # noqa: E402
-from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise  # noqa: E402
-from mobilecal_cli.likelihood.priors import Priors  # noqa: E402
-from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack  # noqa: E402
-from mobilecal_cli.simulate import ideal  # noqa: E402
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot  # noqa: E402
-from mobilecal_cli.simulate.route import Motion, Route, plan_route  # noqa: E402
-from mobilecal_cli.simulate.stereo import pixels  # noqa: E402
-from mobilecal_cli.solvers.initial_state import initial_state  # noqa: E402
-from mobilecal_cli.vision import Miss, board_pose, triangulate  # noqa: E402
+from mobilecal_cli import __version__, se3
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack
+from mobilecal_cli.simulate import ideal
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.route import Motion, Route, plan_route
+from mobilecal_cli.simulate.stereo import pixels
+from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.vision import Miss, board_pose, triangulate
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = ideal.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -132,10 +127,10 @@ def spoiled(
     return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
 
 
-def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]]) -> Iterator[Any]:
-    """`run` on every task, on all cores, results in the tasks' order."""
+def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: int = 5) -> Iterator[Any]:
+    """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
     with ProcessPoolExecutor() as pool:
-        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=5)
+        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
 
 
 def both_sizes(study: Callable[[int, int], None]) -> None:

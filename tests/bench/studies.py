@@ -1,9 +1,12 @@
 """`make studies`: the accuracy studies of docs/explanation/results.md, in sequence; this takes hours."""
 
 from tests.bench import (
+    correlated,
     degenerate,
     drawn,
     fleet,
+    invariance,
+    jumps,
     memory,
     monte_carlo,
     moving,
@@ -17,6 +20,7 @@ from tests.bench import (
 )
 
 exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
-for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, one_thing, *exact):
+stay = (correlated, one_thing, jumps, invariance)
+for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, *stay, *exact):
     print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
     study.main()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from mobilecal_cli.simulate.actual import approach_directions, crosswise
+from mobilecal_cli.simulate.actual import ActualRobot, approach_directions, crosswise
 from mobilecal_cli.simulate.ideal import START_NS, Noise, ideal_extraction, station_times_s
 from mobilecal_cli.simulate.imperfect import (
     PRIORS,
@@ -439,3 +439,15 @@ def test_heavy_tails_keep_the_variance_of_the_wheels_noise():
     # Half of all values: within 0.674 sigma of a normal, within 0.765 / sqrt(3) of a Student t distribution.
     assert np.median(np.abs(scaled[True])) == pytest.approx(0.003 * 0.765 / np.sqrt(3), rel=0.05)
     assert kurtosis(scaled[True]) > 5 > 1 > kurtosis(scaled[False])
+
+
+def test_the_half_of_a_board_on_another_sheet_is_displaced():
+    board = plan_route(tick_robot(), "standard", stations=4, seed=0).board
+    whole, halves = (
+        ActualRobot(tick_robot(), {}, outside).shape(board).corners_k()
+        for outside in (Outside(), Outside(sheet_m=0.0003))
+    )
+    beyond = board.grid()[:, 0] > (board.columns - 1) / 2
+    assert beyond.any()
+    assert not beyond.all()
+    assert halves - whole == pytest.approx(np.where(beyond[:, None], [0.0003, 0.0003, 0.0], 0.0), abs=1e-12)

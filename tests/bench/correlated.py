@@ -1,0 +1,79 @@
+"""Floors and wheel errors that stay the same for a while: are the standard deviations true at any picture rate?"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from tests.bench.imperfect import ROBOTS, USUAL, Case, Run, all_kinds, level_counts, run_of_case, summary
+from tests.bench.simulated import conditions, map_runs
+
+#: Correlation length of the floor and distance over which a wheel's scale error is constant, m.
+LENGTHS = ((0.1, 0.3), (0.3, 1.0), (1.0, 3.0))
+#: Recording → case and runs, as a share of the asked number.
+RECORDINGS = {
+    "20 stations": (Case(stations=20), 1.0),
+    "80 stations": (Case(stations=80), 1.0),
+    "80 images in motion": (Case(motion="moving", images=80), 1.0),
+    "400 images in motion": (Case(motion="moving", images=400), 0.3),
+    "900 images in motion": (Case(motion="moving", images=900), 0.1),
+}
+_SEEDS = 100  # of ten routes; fewer runs are spread over them
+_WORTH_A_LINE = 3.0  # NEES / 9
+
+
+def correlated(name: str, floor_m: float, wheel_m: float) -> Case:
+    """A recording on a smooth floor, which is not the exponential process that the estimator assumes."""
+    case = RECORDINGS[name][0]
+    noise = replace(USUAL, floor_length_m=floor_m, floor_smooth=True, wheel_length_m=wheel_m)
+    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=noise)
+
+
+def one_run(name: str, floor_m: float, wheel_m: float, seed: int) -> Run:
+    """Noise levels and correlation lengths estimated."""
+    return run_of_case(correlated(name, floor_m, wheel_m), seed)
+
+
+def study(name: str, floor_m: float, wheel_m: float, runs: int) -> None:
+    """Print one row."""
+    seeds = [k * max(_SEEDS // runs, 1) for k in range(runs)]
+    results = list(map_runs(one_run, [(name, floor_m, wheel_m, seed) for seed in seeds]))
+    error, std, nees = (np.array([getattr(r, part) for r in results]) for part in ("error", "std", "nees"))
+    ratio = np.sqrt(np.nanmean((error / std) ** 2, axis=0))
+    cells = [
+        f"{np.nanmean(nees[:, 3]):.2f}",
+        f"{np.sqrt(np.mean(ratio**2)):.2f} ({ratio.max():.2f})",
+        *level_counts(results),
+        sum(r.false_pass for r in results),
+        summary(std, ROBOTS["pan-tilt"]()),
+        f"{np.mean([r.seconds for r in results]):.1f}",
+    ]
+    print(f"| {name} | {floor_m:g}, {wheel_m:g} | {runs} | " + " | ".join(map(str, cells)) + " |")
+    for seed, r in zip(seeds, results, strict=True):
+        if r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE:
+            parts = [jump.part for jump in r.jumps]
+            print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.2f}, {r.named}, {parts}")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """All cells; runs as an argument (100 by default; fewer for many images), then parts of names of recordings."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    print(conditions())
+    print(
+        "\nEvery constant is drawn from its prior, noise levels are estimated.\n\n"
+        "| | floor, wheels (m) | runs | mean NEES / 9 | rms error over sigma (worst of nine) | PASS | FAIL | NOT ENOUGH | "
+        "refused | false PASS | sigma: rotation (deg) | translation (mm) | wheels (%) | processor time (s) |\n"
+        + "| --- " * 14
+        + "|"
+    )
+    for name, (_, share) in RECORDINGS.items():
+        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
+            for floor_m, wheel_m in LENGTHS:
+                study(name, floor_m, wheel_m, max(round(share * runs), 1))
+
+
+if __name__ == "__main__":
+    main()

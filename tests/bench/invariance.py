@@ -1,0 +1,184 @@
+"""What must not matter: threads of linear algebra, 1e-6 px, the order of recordings, one recording cut in two."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.solvers import solve
+from tests.bench.imperfect import USUAL, Case, all_kinds
+from tests.bench.simulated import conditions
+
+_NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
+#: Cases, times of the priors that constants are drawn from, and number of recordings.
+RECORDINGS = (
+    ("20 stations", Case(stations=20), 1.0, 5),
+    ("40 stations", Case(stations=40), 1.0, 3),
+    ("80 images in motion", Case(motion="moving", images=80), 1.0, 4),
+    ("20 stations, 3 times the priors", Case(stations=20), 3.0, 4),
+    ("40 images in motion, 3 times the priors", Case(motion="moving"), 3.0, 4),
+)
+_NOISE_PX, _LIMIT = 1e-6, 0.05
+
+
+def recordings() -> list[tuple[str, Extraction]]:
+    """All recordings, with a name."""
+    made = []
+    for name, case, times, count in RECORDINGS:
+        drawn = replace(case, noise=_NOISE, kinds=all_kinds(case.motion == "moving", times))
+        made += [(f"{name}, seed {10 * seed}", drawn.extraction(10 * seed)) for seed in range(count)]
+    return made
+
+
+def shaken(extraction: Extraction) -> Extraction:
+    """The same with 1e-6 px of noise on all corners."""
+    random = np.random.default_rng(3)
+    seen = [
+        replace(
+            o,
+            left=replace(o.left, pixels=o.left.pixels + _NOISE_PX * random.normal(size=o.left.pixels.shape)),
+            right=replace(
+                o.right, pixels=o.right.pixels + _NOISE_PX * random.normal(size=o.right.pixels.shape)
+            ),
+        )
+        for o in extraction.observations
+    ]
+    return replace(extraction, observations=tuple(seen))
+
+
+def cut(extraction: Extraction, exchanged: bool = False) -> Extraction:
+    """One recording as two, cut between its middle stations; optionally the second one first."""
+    seen, wheels, joints = extraction.observations, extraction.wheels[0], extraction.joint_tracks[0]
+    middle = len(seen) // 2
+    moment_ns = (seen[middle - 1].time_ns + seen[middle].time_ns) // 2
+
+    def part(track: Track, late: bool) -> Track:
+        mine = (track.time_ns > moment_ns) == late
+        return Track(track.time_ns[mine], track.value[mine])
+
+    halves = [
+        (
+            seen[middle:] if late else seen[:middle],
+            WheelTrack(part(wheels.right, late), part(wheels.left, late)),
+            tuple(part(track, late) for track in joints),
+        )
+        for late in ((True, False) if exchanged else (False, True))
+    ]
+    return replace(
+        extraction,
+        observations=tuple(
+            replace(o, log=log, station=k) for log, half in enumerate(halves) for k, o in enumerate(half[0])
+        ),
+        wheels=tuple(half[1] for half in halves),
+        joint_tracks=tuple(half[2] for half in halves),
+    )
+
+
+VARIANTS = {
+    "as recorded": lambda extraction: extraction,
+    "1e-6 px": shaken,
+    "cut in two": cut,
+    "cut in two, exchanged": lambda extraction: cut(extraction, exchanged=True),
+}
+
+
+def answer(extraction: Extraction) -> dict[str, Any]:
+    """Verdict, the nine and their standard deviations."""
+    try:
+        solution = solve(extraction)
+    except MobilecalError as error:
+        return {"level": f"refused: {error.message[:60]}"}
+    known = solution.uncertainty
+    assert known is not None
+    return {
+        "level": judge(solution, extraction).level,
+        "T": solution.parameters.T_h_c.tolist(),
+        "wheels": solution.parameters.wheels.vector.tolist(),
+        "std": known.std.tolist(),
+    }
+
+
+def work(path: str, names: list[str]) -> None:
+    """Print the answers for some variants of all recordings of a file, as JSON."""
+    made = pickle.loads(Path(path).read_bytes())  # written by `main`
+    print(json.dumps([{name: answer(VARIANTS[name](each)) for name in names} for _, each in made]))
+
+
+def answers(path: Path, threads: int, names: list[str]) -> list[dict[str, Any]]:
+    """`work` in a process with a number of threads of linear algebra."""
+    variables = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
+    command = [sys.executable, "-m", "tests.bench.invariance", "work", str(path), *names]
+    done = subprocess.run(command, env=os.environ | variables, stdout=subprocess.PIPE, check=True)
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found
+
+
+def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
+    """Largest difference of the nine in standard deviations of the first; NaN where one was refused."""
+    if "T" not in one or "T" not in other:
+        return float("nan")
+    return float(np.max(np.abs(_vector(one, one) - _vector(other, one)) / np.array(one["std"])))
+
+
+def lost(whole: dict[str, Any], parts: dict[str, Any]) -> float:
+    """Standard deviation of the difference that the missing leg explains, in sigmas of the whole: the largest."""
+    if "T" not in whole or "T" not in parts:
+        return float("nan")
+    more = (np.array(parts["std"]) / np.array(whole["std"])) ** 2 - 1
+    return float(np.sqrt(max(more.max(), 0.0)))
+
+
+def _vector(result: dict[str, Any], reference: dict[str, Any]) -> FloatArray:
+    T, R = np.array(result["T"]), np.array(reference["T"])[:3, :3]
+    turn = T[:3, :3] @ R.T
+    small = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+    return np.concatenate([small, T[:3, 3], result["wheels"]])
+
+
+def main() -> None:
+    """Twenty recordings, or the first ones, as many as an argument says."""
+    if sys.argv[1:2] == ["work"]:
+        work(sys.argv[2], sys.argv[3:])
+        return
+    print(conditions(), flush=True)
+    made = recordings()[: int(sys.argv[1]) if len(sys.argv) > 1 else None]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recordings.pickle"
+        path.write_bytes(pickle.dumps(made))
+        one = answers(path, 1, list(VARIANTS))
+        two = answers(path, 2, ["as recorded"])
+    rows = {
+        "two threads": [(a["as recorded"], b["as recorded"]) for a, b in zip(one, two, strict=True)],
+        "1e-6 px on the corners": [(a["as recorded"], a["1e-6 px"]) for a in one],
+        "the two parts in the other order": [(a["cut in two"], a["cut in two, exchanged"]) for a in one],
+        "cut in two and pooled": [(a["as recorded"], a["cut in two"]) for a in one],
+    }
+    print(
+        f"\n{len(made)} recordings.\n\n| | other verdict | largest difference (sigma) | beyond {_LIMIT:g} sigma |\n"
+        + "| --- " * 4
+        + "|"
+    )
+    for label, pairs in rows.items():
+        differences = np.array([apart(a, b) for a, b in pairs])
+        others = sum(a["level"] != b["level"] for a, b in pairs)
+        print(f"| {label} | {others} | {np.nanmax(differences):.2g} | {int(np.sum(differences > _LIMIT))} |")
+        for (name, _), (a, b), difference in zip(made, pairs, differences, strict=True):
+            if a["level"] != b["level"] or difference > _LIMIT:
+                missing = f", the leg explains {lost(a, b):.2f} sigma" if label.startswith("cut") else ""
+                print(f"  {name}: {a['level']}, then {b['level']}; {difference:.3f} sigma{missing}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,255 @@
+"""Something changes inside a recording: is it named with its time, and does the old value ever pass?"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTrack
+from mobilecal_cli.simulate.actual import ActualRobot
+from mobilecal_cli.simulate.ideal import extraction_of
+from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
+from mobilecal_cli.simulate.route import Route
+from mobilecal_cli.solvers import solve
+from tests.bench.imperfect import FIVE_SIGMA, USUAL, Case, all_kinds, judged, level_counts, refused
+from tests.bench.imperfect import Run as Result
+from tests.bench.simulated import conditions, map_runs
+
+_NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
+RECORDINGS = {
+    name: replace(case, noise=_NOISE, kinds=all_kinds(case.motion == "moving"))
+    for name, case in (
+        ("20 stations", Case(stations=20)),
+        ("40 stations", Case(stations=40)),
+        ("40 images in motion", Case(motion="moving")),
+    )
+}
+FACTORS, MOMENTS = (1.0, 3.0, 10.0), (0.25, 0.5, 0.75)
+_STEREO = tuple(f"stereo_r_{axis}" for axis in "xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class After:
+    """The world after a change.
+
+    Attributes:
+        robot: with the new head-eye transform or wheels.
+        route: with the new place of the board.
+        constants: that have new values.
+        last: head-eye transform and wheels that are right after the change.
+    """
+
+    robot: SimulatedRobot
+    route: Route
+    constants: Mapping[str, float] = field(default_factory=dict)
+    last: SimulatedRobot | None = None
+
+
+def _mount(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    return After(replace(robot, T_h_c=_moved(robot.T_h_c, factor * _step(known, unit))), route)
+
+
+def _board(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    step = factor * _step(known, unit)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]
+    return After(robot, replace(route, T_w_k=route.T_w_k @ T))
+
+
+def _pan(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    return After(robot, route, {"pan_zero": factor * np.sign(unit[0]) * known.constants["pan_zero"].std})
+
+
+def _tilt(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    assert known.uncertainty is not None
+    joint = next(joint for joint in robot.joints if joint.name == robot.tilt)
+    axis = np.array(joint.axis)  # in the head's frame too: what follows the joint is a translation
+    turn = factor * np.sign(unit[0]) * float(np.sqrt(axis @ known.uncertainty.covariance[:3, :3] @ axis))
+    ahead = np.where(np.array(robot.joint_names) == robot.tilt, turn, 0.0)
+    T = se3.inverse(robot.head_pose(np.zeros(len(ahead)))) @ robot.head_pose(ahead) @ robot.T_h_c
+    return After(robot, route, {"tilt_zero": turn}, replace(robot, T_h_c=T))
+
+
+def _camera(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    turn = unit[:3] / np.linalg.norm(unit[:3])
+    return After(
+        robot,
+        route,
+        {name: factor * t * known.constants[name].std for name, t in zip(_STEREO, turn, strict=True)},
+    )
+
+
+def _wheel(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+    assert known.uncertainty is not None
+    more = factor * np.sign(unit[0]) * float(known.uncertainty.std[6])
+    wheels = replace(robot.wheels, radius_right_m=robot.wheels.radius_right_m + more)
+    return After(replace(robot, wheels=wheels), route)
+
+
+CHANGES: dict[str, Callable[[SimulatedRobot, Route, Solution, FloatArray, float], After]] = {
+    "head mount": _mount,
+    "joint pan_joint": _pan,
+    "joint tilt_joint": _tilt,
+    "right camera": _camera,
+    "right wheel": _wheel,
+    "board": _board,
+}
+
+
+def _step(known: Solution, unit: FloatArray) -> FloatArray:
+    """(6,) change of the head-eye transform, one stated standard deviation from zero."""
+    assert known.uncertainty is not None
+    return np.asarray(np.linalg.cholesky(known.uncertainty.covariance[:6, :6]) @ unit)
+
+
+def _moved(T: FloatArray, step: FloatArray) -> FloatArray:
+    out = T.copy()
+    out[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ T[:3, :3]
+    out[:3, 3] += step[3:]
+    return out
+
+
+def spliced(before: Extraction, after: Extraction, first: int, ratio: float) -> Extraction:
+    """One recording whose stations and joint readings are those of another from a station on.
+
+    Args:
+        before, after: with the same stamps and the same noise.
+        first: index of the first station after the change, which is half-way from the station before.
+        ratio: rotations of the right wheel after the change, over those before.
+    """
+    both = zip(before.observations, after.observations, strict=True)
+    seen = tuple(b if i >= first else a for i, (a, b) in enumerate(both))
+    moment_ns = (seen[first - 1].time_ns + seen[first].time_ns) // 2
+    joints = tuple(
+        Track(a.time_ns, np.where(a.time_ns > moment_ns, b.value, a.value))
+        for a, b in zip(before.joint_tracks[0], after.joint_tracks[0], strict=True)
+    )
+    wheels = before.wheels[0]
+    right = wheels.right_rad.copy()
+    start = int(np.searchsorted(wheels.time_ns, moment_ns))
+    right[start:] = right[start] + (right[start:] - right[start]) * ratio
+    track = WheelTrack.at_same_times(wheels.time_ns, right, wheels.left_rad)
+    return replace(before, observations=seen, joint_tracks=(joints,), wheels=(track,))
+
+
+def changed(
+    case: Case, part: str, factor: float, seed: int, known: Solution
+) -> tuple[Extraction, After, int, dict[str, float]]:
+    """A recording with a change, the world after it, the first station after it, and all constants after it."""
+    robot, route, constants = tick_robot(), case.route(seed), case.constants(seed)
+    unit = np.random.default_rng([seed, 8]).normal(size=6)
+    after = CHANGES[part](robot, route, known, unit / np.linalg.norm(unit), factor)
+    now = {**constants, **{n: constants.get(n, 0.0) + more for n, more in after.constants.items()}}
+    head = replace(after.robot, wheels=robot.wheels)
+    other = extraction_of(ActualRobot(head, now), after.route, case.noise, seed, images=case.images)
+    before = case.extraction(seed)
+    first = round(MOMENTS[seed % len(MOMENTS)] * len(before.observations))
+    ratio = robot.wheels.radius_right_m / after.robot.wheels.radius_right_m
+    return spliced(before, other, first, ratio), after, first, now
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One recording with a change.
+
+    Attributes:
+        result: against the values after the change.
+        beyond: one of the nine, or a constant that changed, is beyond five stated sigmas of its last value.
+        named: part, and number of stations from the first one after the change; None if nothing is named.
+    """
+
+    result: Result
+    beyond: bool
+    named: tuple[str, int] | None
+
+
+def one_change(case: Case, part: str, factor: float, seed: int, known: Solution) -> Run:
+    """Solve one recording with a change."""
+    extraction, after, first, now = changed(case, part, factor, seed, known)
+    try:
+        solution = solve(extraction)
+    except MobilecalError as error:
+        return Run(refused(error), False, None)
+    result = judged(solution, extraction, after.last or after.robot)
+    off = [
+        abs(solution.constants[name].value - now[name]) / solution.constants[name].std
+        for name in after.constants
+        if name in solution.constants
+    ]
+    named = [(jump.part, jump.station - first) for jump in solution.jumps]
+    return Run(result, result.beyond or max(off, default=0.0) > FIVE_SIGMA, named[0] if named else None)
+
+
+def one_run(name: str, seed: int) -> tuple[Run, dict[tuple[str, float], Run]]:
+    """A recording without a change, and with each change in each size."""
+    case = RECORDINGS[name]
+    extraction = case.extraction(seed)
+    known = solve(extraction)
+    same = judged(known, extraction, tick_robot())
+    still = Run(same, same.beyond, (known.jumps[0].part, 0) if known.jumps else None)
+    return still, {
+        (part, factor): one_change(case, part, factor, seed, known) for part in CHANGES for factor in FACTORS
+    }
+
+
+def _line(label: str, part: str, runs: list[Run]) -> str:
+    named = [run.named for run in runs]
+    near = [n for n in named if n and abs(n[1]) <= 1]
+    right = sum(n[0] == part for n in near)
+    cells = [
+        f"{right} of {len(runs)}",
+        len(near) - right,
+        sum(n is not None for n in named) - len(near),
+        *level_counts([run.result for run in runs]),
+        sum(run.beyond and run.result.level == "PASS" for run in runs),
+    ]
+    return f"| {label} | " + " | ".join(map(str, cells)) + " |"
+
+
+def study(name: str, runs: int) -> None:
+    """Print the table of one recording."""
+    results = list(map_runs(one_run, [(name, seed) for seed in range(runs)], together=1))
+    print(
+        f"\n### {name}, {runs} runs\n\n"
+        "| change | named: part and time | another part, time right | another time | PASS | FAIL | NOT ENOUGH | refused | "
+        "PASS beyond five sigmas |\n" + "| --- " * 9 + "|"
+    )
+    print(_line("none", "", [still for still, _ in results]))
+    for part in CHANGES:
+        for factor in FACTORS:
+            each = [found[part, factor] for _, found in results]
+            print(_line(f"{part}, {factor:g} sigma", part, each))
+            others = Counter(run.named for run in each if run.named and run.named != (part, 0))
+            passed = [k for k, run in enumerate(each) if run.beyond and run.result.level == "PASS"]
+            missed = [k for k, run in enumerate(each) if run.named is None] if factor == FACTORS[-1] else []
+            refusals = [run.result.level for run in each if run.result.level.startswith("refused")]
+            for what, found in (
+                ("named", dict(others)),
+                ("false PASS, seeds", passed),
+                ("not named, seeds", missed),
+                ("", refusals),
+            ):
+                if found:
+                    print(f"  {what} {found}")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """All recordings; runs as an argument, 30 by default, then parts of names of recordings."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 30
+    print(conditions())
+    print("\nChanges at 25, 50 and 75 % of the recording, in turn; every constant is drawn from its prior.")
+    for name in RECORDINGS:
+        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
+            study(name, runs)
+
+
+if __name__ == "__main__":
+    main()
