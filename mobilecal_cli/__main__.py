@@ -13,6 +13,8 @@ _OUTPUT = 7  # as OutputError, which is not imported this early
 
 def main() -> None:
     """Run the command line; exit with 128 plus the number of the signal that ended it."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # small matrices: more threads only wait for each other
     _open_standard_streams()
     interruption.unwind_on_signals()
     try:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.model import Evidence, FloatArray
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def evidence(lin: Linearization) -> Iterator[Evidence]:
     values = lin.priors.displacement(lin.state)
     groups: dict[tuple[str, str], list[int]] = {}
     for column, row in enumerate(layout.constants, 9):
-        if lin.priors.weight[column]:
+        if lin.priors.weight[column] and row.kind != CORNERS:  # patterns stand for others, too
             groups.setdefault((row.kind, row.part), []).append(column)
     for (kind, part), columns in groups.items():
         prior = 1 / np.sqrt(lin.priors.weight[columns])

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _FEWEST_EACH_SIDE = 3  # stations before and after a change
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _LEAST = 1e-9  # information about a direction, relative to that for known others, that is none
+_LASTING = 0.25  # of chi-squared
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
 
 
@@ -104,6 +105,11 @@ class _Test:
         self._followed = normal.base_by_shared
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared(lin.data.layout)
+
+    @property
+    def stations(self) -> int:
+        """Number of stations."""
+        return self._lin.data.stations
 
     def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, ...]]:
         """For a jump before each of some stations: gradient, information, across, and known.
@@ -257,10 +263,19 @@ def likeliest(lin: Linearization) -> Jump | None:
     if every > 1 and best is not None:
         near = np.array(moments)
         best = _best(test, parts, near[np.abs(near - best.station) < every])
-    if best is None:
+    if best is None or not _lasts(test, parts[best.part], best):
         return None
     tried = len(moments) * len(parts)
     return replace(best, tried=tried, sigmas=_significance(best.chi2, best.dof, tried))
+
+
+def _lasts(test: _Test, part: _Part, jump: Jump) -> bool:
+    """Whether a jump is more than a misfit of the one station behind it: a step a station later explains much of it."""
+    later = jump.station + 1
+    if later >= test.stations:
+        return False
+    ((gradient, information, _, known),) = test.terms(part, np.array([later]))
+    return _score(gradient, information, known)[0] > _LASTING * jump.chi2
 
 
 def _best(test: _Test, parts: Mapping[str, _Part], moments: IntArray) -> Jump | None:

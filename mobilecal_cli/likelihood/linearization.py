@@ -102,15 +102,24 @@ class Linearization:
         return other
 
     def with_noise(self, noise: Noise) -> Linearization:
-        """The same point with other noise levels, and the legs' covariance for the wheels of this state."""
+        """The same point with other noise levels, and the legs' covariance for the wheels of this state.
+
+        The views' rates stay, as the views do; see `renewed`.
+        """
         other = Linearization.at(self.data, self.state, self.inliers, noise, self.priors)
-        other = replace(other, leg_offset=self.leg_offset)
+        other = replace(other, leg_offset=self.leg_offset, rates=self.rates)
         if "views" in self.__dict__:
             other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
         same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
         if "legs" in self.__dict__ and same and noise.wheel_length_m == self.noise.wheel_length_m:
             other.__dict__["legs"] = self.legs
         return other
+
+    def renewed(self) -> Linearization:
+        """The same point with the views' rates of its state: the same itself where nothing moves."""
+        if not self.data.moving.any():
+            return self
+        return Linearization.at(self.data, self.state, self.inliers, self.noise, self.priors)
 
     def with_inliers(self, inliers: Inliers) -> Linearization:
         """The same point with other inliers."""

@@ -46,7 +46,7 @@ _PAIRS = (("floor_rad", "sway_rad"), ("floor_m", "sway_m"), ("wheel_rad_per_sqrt
 _ALIKE = dict(_PAIRS) | {b: a for a, b in _PAIRS}
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
-JUMP_SIGMAS, _CANDIDATE_SIGMAS = 5.0, 0.5
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
 _STILL = 1e-9  # rad, m: a fixed value of the right camera follows the stereo pair no more
 
 
@@ -332,7 +332,7 @@ class Fitter:
             _, _, noise = self._levels_near(fit.lin, fit.components, tolerances.levels)
             if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
-            lin = fit.lin.with_noise(noise)
+            lin = fit.lin.with_noise(noise).renewed()
             fit = self._fit_from(lin.under(self.priors(lin.state)), tolerances.near)
             fitted = True
         return fit
