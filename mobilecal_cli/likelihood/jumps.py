@@ -106,11 +106,6 @@ class _Test:
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared(lin.data.layout)
 
-    @property
-    def stations(self) -> int:
-        """Number of stations."""
-        return self._lin.data.stations
-
     def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, ...]]:
         """For a jump before each of some stations: gradient, information, across, and known.
 
@@ -263,18 +258,24 @@ def likeliest(lin: Linearization) -> Jump | None:
     if every > 1 and best is not None:
         near = np.array(moments)
         best = _best(test, parts, near[np.abs(near - best.station) < every])
-    if best is None or not _lasts(test, parts[best.part], best):
+    if best is None:
         return None
     tried = len(moments) * len(parts)
     return replace(best, tried=tried, sigmas=_significance(best.chi2, best.dof, tried))
 
 
-def _lasts(test: _Test, part: _Part, jump: Jump) -> bool:
-    """Whether a jump is more than a misfit of the one station behind it: a step a station later explains much of it."""
+def lasts(lin: Linearization, jump: Jump) -> bool:
+    """Whether a jump is more than a misfit of the one station behind it: a step a station later explains much of it.
+
+    Args:
+        lin: the point at which the jump was tested, without its residuals.
+        jump: from `again`.
+    """
     later = jump.station + 1
-    if later >= test.stations:
+    if later >= lin.data.stations:
         return False
-    ((gradient, information, _, known),) = test.terms(part, np.array([later]))
+    lin = without(lin, replace(jump, value=-jump.value))
+    ((gradient, information, _, known),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([later]))
     return _score(gradient, information, known)[0] > _LASTING * jump.chi2
 
 

@@ -349,7 +349,7 @@ class Fitter:
         lin = lin.predicted(proposed(lin)[0])
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
         found = jumps.again(lin, found)
-        return found if found.sigmas > JUMP_SIGMAS else None
+        return found if found.sigmas > JUMP_SIGMAS and jumps.lasts(lin, found) else None
 
     def _levels_near(
         self,

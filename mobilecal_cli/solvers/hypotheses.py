@@ -604,8 +604,6 @@ def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
     score = _Scorer(readings)
     as_is = score(readings)
     if as_is is not None and as_is.misfit < FITS:
-        if not readings.distinguishes:
-            return None
         return _other_wheels(as_is.wheels, readings.rig.nominal.wheels)
     base = as_is.misfit if as_is is not None and readings.distinguishes else math.inf
     found = _named(readings, _WHOLE, score, base)

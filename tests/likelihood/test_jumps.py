@@ -1,0 +1,51 @@
+"""Jumps inside a recording: found with part and station, and not mistaken for one bad station."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+
+ROBOT, STATIONS, HALF = tick_robot(), 16, 8
+ROUTE = plan_route(ROBOT, "standard", stations=STATIONS, seed=2)
+NOISE = Noise(0.1, 0.003, 0.0, 3.5e-4)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return ideal_extraction(ROBOT, ROUTE, NOISE, 1)
+
+
+def turned(angle_rad):
+    T = ROBOT.T_h_c.copy()
+    T[:3, :3] = se3.exp_so3(angle_rad * np.array([0.6, 0.0, 0.8])) @ T[:3, :3]
+    return ideal_extraction(replace(ROBOT, T_h_c=T), ROUTE, NOISE, 1)
+
+
+def spliced(first, second):
+    return replace(first, observations=first.observations[:HALF] + second.observations[HALF:])
+
+
+def test_nothing_jumps(whole):
+    assert solve(whole).jumps == ()
+
+
+def test_a_mount_that_turns_is_found(whole):
+    (jump,) = solve(spliced(whole, turned(np.radians(1.5)))).jumps
+    assert (jump.part, jump.station, jump.rejected) == ("head mount", HALF, 0)
+    assert jump.turn_rad == pytest.approx(np.radians(1.5), rel=0.2)
+    assert jump.shift_sigmas > 2
+
+
+def test_one_station_that_does_not_fit_is_no_jump(whole):
+    """The right camera is off by 3 px at the fourth station from the end alone."""
+    at = STATIONS - 4
+    o = whole.observations[at]
+    off = replace(o, right=replace(o.right, pixels=o.right.pixels + np.array([3.0, 0.0])))
+    seen = (*whole.observations[:at], off, *whole.observations[at + 1 :])
+    assert solve(replace(whole, observations=seen)).jumps == ()
