@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -51,7 +52,8 @@ def semaphores():
 
 def ended(process, number, everyone):
     """Send the signal, wait for the end; exit code and standard error."""
-    (os.killpg if everyone else os.kill)(process.pid, number)
+    with contextlib.suppress(ProcessLookupError):  # it had finished: the exit code says so
+        (os.killpg if everyone else os.kill)(process.pid, number)
     _, err = process.communicate(timeout=60)
     deadline = time.monotonic() + 15
     while time.monotonic() < deadline:  # worker processes notice the end of their parent
@@ -158,8 +160,9 @@ def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
         packed = zstandard.compress((sample_logs / f"{name}.mcap").read_bytes())
         (logs / f"{name}.mcap").write_bytes(packed)
     process = started(["batch", logs, "-o", "out", "--jobs", 2], tmp_path)
-    while len(list(tmp_path.glob("tmp/*/*"))) < 2 and process.poll() is None:
-        time.sleep(0.05)
+    while not list(tmp_path.glob("tmp/*/*")) and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(0.2)  # the other process unpacks too, where the machine lets it
     assert not cleaned(process, number, everyone, tmp_path)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {".mobilecal_batch"}
 
