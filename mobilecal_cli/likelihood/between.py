@@ -26,8 +26,8 @@ class Pooled:
 
     Attributes:
         between: each recording by itself, and the spread between them.
-        step: (named,) from the optimum of all measurements to the estimate that allows for the spread.
-        covariance: (named, named) of that estimate.
+        step: (P,) from the optimum of all measurements to the estimate that allows for the spread.
+        covariance: (P, P) of that estimate.
     """
 
     between: BetweenLogs
@@ -113,20 +113,16 @@ def weigh_logs(lin: Linearization) -> Pooled:
     Args:
         lin: the optimum of all measurements.
     """
-    named, scales, basis = lin.data.layout.named, lin.priors.scales, lin.priors.named_basis
+    size, scales, basis = lin.data.layout.size, lin.priors.scales, lin.priors.scaled_basis
     parts = []
     for log in np.unique(lin.data.log).tolist():
         normal = lin.of_log(log).normal
-        S, s = normal.S, normal.s
-        onto = np.linalg.solve(S[named:, named:], np.column_stack([S[named:, :named], s[named:]]))
-        reduced = S[:named, :named] - S[:named, named:] @ onto[:, :-1]
-        gradient = s[:named] - S[:named, named:] @ onto[:, -1]
-        parts.append((basis.T @ (reduced * np.outer(scales, scales)) @ basis, basis.T @ (gradient * scales)))
+        parts.append((basis.T @ (normal.S * np.outer(scales, scales)) @ basis, basis.T @ (normal.s * scales)))
     nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
     own = slice(own_basis.shape[1])
     logs = [_own(A[own, own], a[own], own_basis) for A, a in parts]
     step, std, shown = (np.array([getattr(log, name) for log in logs]) for name in ("step", "std", "shown"))
-    variance, factor = np.zeros(named), np.ones(named)
+    variance, factor = np.zeros(size), np.ones(size)
     spare = sum(log.rank for log in logs) - own_basis.shape[1]
     if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
         variance[nine] = [
@@ -141,9 +137,9 @@ def weigh_logs(lin: Linearization) -> Pooled:
         shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
         data += shrink @ A
         right += shrink @ a
-    right += basis.T @ (lin.priors.gradient(lin.state)[:named] * scales)
+    right += basis.T @ (lin.priors.gradient(lin.state) * scales)
     prior = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
-    pooled = -basis @ np.linalg.solve(data + prior, right) if variance.any() else np.zeros(named)
+    pooled = -basis @ np.linalg.solve(data + prior, right) if variance.any() else np.zeros(size)
     # The factor widens the standard deviation of what the recordings say, not the priors.
     narrow = basis.T @ (basis / factor[:, None])
     total = narrow @ data @ narrow + prior

@@ -47,12 +47,8 @@ def corner_modes(data: Dataset) -> Iterator[Constant]:
     """
     every = np.arange(0, data.stations, max(1, data.stations // _MOST_STATIONS))
     plain, T = data.with_constants(()), data.T_c_k[every]
-    anywhere = (
-        Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)),
-        np.eye(4)[None],
-        np.zeros((data.stations, 3)),
-    )
-    state = State.without_errors(plain, *anywhere)
+    anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
+    state = State.without_errors(plain, *anywhere, np.zeros((data.stations, 3)))
     _, J = corner_residuals(plain, state, T, every)
     J = np.where(data.seen[every][:, None, ..., None], whitened(data.whitening[every], J), 0.0)
     by_corner = np.einsum("npcmx,npq->nqcmx", J[:, 3:6], T[:, :3, :3])
@@ -61,7 +57,7 @@ def corner_modes(data: Dataset) -> Iterator[Constant]:
     K = se3.adjoint(se3.inverse(T)) @ np.linalg.pinv(G, hermitian=True) @ across
     scale = np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
     sigma = kind(KIND).sigma
-    _, board, count = np.unique(data.board[every], return_inverse=True, return_counts=True)
+    _, board, count = np.unique(data.log[every], return_inverse=True, return_counts=True)
     common = np.zeros((len(count), *K.shape[1:]))
     np.add.at(common, board, K / count[board, None, None])
     felt = (K - common[board]) / _POSE[:, None] * (sigma * scale)

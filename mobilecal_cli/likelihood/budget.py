@@ -105,22 +105,18 @@ def influences(lin: Linearization) -> Iterator[Influence]:
 
 def _onto(lin: Linearization, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
     """(N, P, m) influence of m measurements of each station's base block (N, B, m), or of its own errors (N, E, m)."""
-    data, given = lin.data, base if base is not None else own
-    assert given is not None
-    count, m = data.stations, given.shape[2]
-    base = np.zeros((count, data.base_width, m)) if base is None else base
-    own = np.zeros((count, data.own_width, m)) if own is None else own
-    onto = lin.normal.onto_shared(np.arange(count), base, own, np.zeros((count, data.layout.size, m)))
-    influence: FloatArray = lin.conditional_covariance @ onto
+    stations = np.arange(lin.data.stations)
+    influence: FloatArray = lin.conditional_covariance @ lin.normal.onto_shared(stations, base, own)
     return influence
 
 
 def _of_images(lin: Linearization) -> Influence:
     views = lin.views
     root, inverse = _roots(views.information)
-    base, own = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in (views.by_base, views.by_own))
+    of_poses = views.by_base, views.by_own, views.by_board
+    base, own, board = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in of_poses)
     shared = np.swapaxes(views.onto_shared(np.swapaxes(root, 1, 2)), 1, 2)
-    onto = lin.normal.onto_shared(np.arange(lin.data.stations), base, own, shared)
+    onto = lin.normal.onto_shared(np.arange(lin.data.stations), base, own, board, shared)
     return Influence(
         lin.conditional_covariance @ onto,
         (inverse @ views.gradient[..., None])[..., 0],
@@ -138,8 +134,7 @@ def _of_processes(lin: Linearization) -> Influence:
     i, j = data.legs.T
     there = np.zeros((len(j), data.base_width, COUNT))
     there[:, on + PROCESSES.start, on] = -processes.rho[j] * root[j]
-    none, nothing = np.zeros((len(j), data.own_width, COUNT)), np.zeros((len(j), data.layout.size, COUNT))
-    by_unit[j] += lin.conditional_covariance @ lin.normal.onto_shared(i, there, none, nothing)
+    by_unit[j] += lin.conditional_covariance @ lin.normal.onto_shared(i, there)
     parts = {level: np.diag([float(level == other) for other in LEVELS]) for level in dict.fromkeys(LEVELS)}
     leverage = root[:, :, None] * lin.marginals.innovations(processes.rho) * root[:, None, :]
     return Influence(by_unit, processes.innovations(lin.state.processes) * root, leverage, parts)
@@ -150,9 +145,8 @@ def _of_legs(lin: Linearization) -> Influence:
     i, j = data.legs.T
     root, _ = _roots(lin.leg_weight)
     shared = np.swapaxes(legs.by_shared(data.layout), 1, 2) @ root
-    none = np.zeros((len(i), data.own_width, 3))
-    onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, none, shared)
-    onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root, none, np.zeros_like(shared))
+    onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, shared=shared)
+    onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root)
     transposed = np.swapaxes(root, 1, 2)
     return Influence(
         lin.conditional_covariance @ onto,

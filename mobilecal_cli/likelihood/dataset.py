@@ -78,13 +78,12 @@ class Dataset:
         joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
         moving: (N,) stations that are not at rest: there, the offset of a clock matters.
         approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
-        log: (N,) the recording of each station.
-        board: (N,) the board pose that each station sees.
+        log: (N,) the recording of each station. Each recording has a board pose of its own.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
-        layout: columns of the parameters that all stations share.
+        layout: columns of the parameters that all recordings share.
     """
 
     cameras: StereoRig
@@ -101,7 +100,6 @@ class Dataset:
     moving: BoolArray
     approach_direction: FloatArray
     log: IntArray
-    board: IntArray
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
     times_ns: IntArray
@@ -112,6 +110,11 @@ class Dataset:
     def stations(self) -> int:
         """Number of stations."""
         return len(self.joints)
+
+    @property
+    def logs(self) -> int:
+        """Number of recordings, also of those without stations."""
+        return len(self.tracks)
 
     @property
     def base_width(self) -> int:
@@ -220,23 +223,20 @@ class Dataset:
 
     def with_constants(self, constants: Sequence[Constant]) -> Dataset:
         """The same measurements with other constants estimated."""
-        return replace(self, layout=Layout(tuple(constants), self.layout.boards))
+        return replace(self, layout=Layout(tuple(constants)))
 
     def of_log(self, log: int) -> Dataset:
         """The stations and legs of one recording."""
         mine = self.log == log
         legs = mine[self.legs[:, 0]]
         number = np.cumsum(mine) - 1
-        boards = np.unique(self.board[mine])
         return replace(
             self,
             **{name: getattr(self, name)[mine] for name in _BY_STATION},
             joint_tracks=self.joint_tracks[log : log + 1],
             log=np.zeros(int(mine.sum()), dtype=np.int64),
-            board=np.searchsorted(boards, self.board[mine]),
             legs=number[self.legs[legs]],
             tracks=self.tracks[log : log + 1],
-            layout=replace(self.layout, boards=len(boards)),
         )
 
 
@@ -281,7 +281,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
             )
             for t in tracks
         )
-    logs, board = np.unique(log, return_inverse=True)
     claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
     return Dataset(
         cameras=extraction.rig.cameras,
@@ -298,12 +297,11 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         moving=moving,
         approach_direction=approach_direction(extraction),
         log=log,
-        board=board.astype(np.int64),
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
         encoder_step_rad=steps,
-        layout=Layout(tuple(constants), len(logs)),
+        layout=Layout(tuple(constants)),
     )
 
 

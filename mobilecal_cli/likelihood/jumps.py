@@ -100,9 +100,8 @@ class _Test:
     def __init__(self, lin: Linearization) -> None:
         self._lin = lin
         self._G = station_information(lin)
-        normal = lin.normal
-        self._factor = cholesky_banded(banded(*normal.chain), lower=True, check_finite=False)
-        self._followed = normal.base_by_shared
+        self._normal = lin.normal
+        self._factor = cholesky_banded(banded(*lin.normal.chain), lower=True, check_finite=False)
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared(lin.data.layout)
 
@@ -114,28 +113,34 @@ class _Test:
         """
         lin, count = self._lin, self._lin.data.stations
         P, B = lin.data.layout.size, lin.data.base_width
-        gradient, own, base, start, shared = self._by_station(part)
+        gradient, own, base, start, board, shared = self._by_station(part)
         m = gradient.shape[1]
         after = np.stack([_after(lin, first) for first in moments.tolist()]).astype(np.float64)
-        gradients, owns, shares = (np.tensordot(after, each, 1) for each in (gradient, own, shared))
+        gradients, owns, boards, shares = (
+            np.tensordot(after, each, 1) for each in (gradient, own, board, shared)
+        )
         i, j = lin.data.legs.T
         of_leg = np.zeros_like(after)
         of_leg[:, i] = after[:, j]
         coupled = after[:, :, None, None] * base + of_leg[:, :, None, None] * start
         flat = np.moveaxis(coupled, 0, 2).reshape(count * B, -1)
         solved = cho_solve_banded((self._factor, True), flat, check_finite=False)
-        followed = (self._followed.reshape(-1, P).T @ flat).reshape(P, -1, m)
-        for k in range(len(moments)):
-            columns = slice(k * m, (k + 1) * m)
-            across = shares[k] + followed[:, k]
-            information = owns[k] - flat[:, columns].T @ solved[:, columns] - across.T @ self._C @ across
+        normal, logs = self._normal, lin.data.log[moments]
+        for k, log in enumerate(logs.tolist()):
+            at, mine = flat[:, k * m : (k + 1) * m], lin.data.log == log
+            rows = np.repeat(mine, B)
+            with_board = boards[k] + normal.base_by_board[mine].reshape(-1, 6).T @ at[rows]
+            across = shares[k] + normal.board_by_shared[log].T @ boards[k]
+            across += normal.base_by_shared[mine].reshape(-1, P).T @ at[rows]
+            information = owns[k] - at.T @ solved[:, k * m : (k + 1) * m] - across.T @ self._C @ across
+            information -= with_board.T @ normal.board_covariance[log] @ with_board
             yield gradients[k], information, across, np.diag(owns[k])
 
     def _by_station(self, part: _Part) -> tuple[FloatArray, ...]:
         """What each station, and the leg that ends there, says of a part.
 
         (N, m) gradient, (N, m, m) information, that with the station's base block, (N, B, m), with that of the start of
-        the leg, at the start's row, (N, B, m), and with the shared parameters (N, P, m).
+        the leg, at the start's row, (N, B, m), with the board (N, 6, m), and with the shared parameters (N, P, m).
         """
         lin, data = self._lin, self._lin.data
         count, P, B = data.stations, data.layout.size, data.base_width
@@ -146,7 +151,8 @@ class _Test:
             base = np.swapaxes(views.by_base, 1, 2) @ GV[:, :6]
             shared = np.swapaxes(views.by_shared, 1, 2) @ GV[:, :6]
             shared[:, views.direct] += GV[:, 6:]
-            return (Vt @ views.gradient[..., None])[..., 0], Vt @ GV, base, np.zeros_like(base), shared
+            board = np.swapaxes(views.by_board, 1, 2) @ GV[:, :6]
+            return (Vt @ views.gradient[..., None])[..., 0], Vt @ GV, base, np.zeros_like(base), board, shared
         assert part.legs is not None
         i, j = data.legs.T
         D, legs = part.legs, lin.legs
@@ -159,7 +165,7 @@ class _Test:
         base[j] = np.swapaxes(legs.by_end, 1, 2) @ WD
         start[i] = np.swapaxes(legs.by_start, 1, 2) @ WD
         shared[j] = np.swapaxes(self._leg_shared, 1, 2) @ WD
-        return gradient, own, base, start, shared
+        return gradient, own, base, start, np.zeros((count, 6, m)), shared
 
 
 def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[float, int, FloatArray]:

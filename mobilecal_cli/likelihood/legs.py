@@ -35,7 +35,7 @@ class Legs:
     by_clock: FloatArray
 
     def by_shared(self, layout: Layout) -> FloatArray:
-        """(L, 3, P) by all parameters that the stations share."""
+        """(L, 3, P) by all parameters that the recordings share."""
         shared = np.zeros((len(self.residual), 3, layout.size))
         shared[:, :, 6:9] = self.by_wheels
         for column, row in enumerate(layout.constants, 9):

@@ -204,7 +204,7 @@ class Linearization:
     # -- normal equations -------------------------------------------------------------------------
 
     def eliminated(self, damping: float = 0.0) -> NormalEquations:
-        """Normal equations of the measurements, stations eliminated; see `normal.eliminated`.
+        """Normal equations of the measurements, stations and boards eliminated; see `normal.eliminated`.
 
         Raises:
             SolveError: a singular matrix.
@@ -220,7 +220,7 @@ class Linearization:
     @cached_property
     def information(self) -> FloatArray:
         """(P, P) information of the shared parameters, priors included."""
-        return np.asarray(self.normal.S + np.diag(self.priors.information))
+        return np.asarray(self.normal.S + np.diag(self.priors.weight))
 
     @cached_property
     def conditional_covariance(self) -> FloatArray:
@@ -244,10 +244,10 @@ class Linearization:
         return self.conditional_covariance + self.considered @ self.considered.T
 
     def observable_directions(self, user_weight: FloatArray) -> Directions:
-        """Directions of the named parameters that the measurements show.
+        """Directions of the shared parameters that the measurements show.
 
         Args:
-            user_weight: (named,) inverse variances of priors that count as measurements.
+            user_weight: (P,) inverse variances of priors that count as measurements.
         """
         with _solvable():
             return directions(self, user_weight)

@@ -81,17 +81,23 @@ def marginals(lin: Linearization) -> Marginals:
         LinAlgError: a singular matrix.
     """
     C, normal = lin.conditional_covariance, lin.normal
-    own, cross = normal.base_covariance()
-    follow = normal.base_by_shared
-    E_inverse, by_base, by_shared = normal.own_conditional()
-    views, legs = lin.views, lin.legs
+    follow, with_board = normal.base_by_shared, normal.base_by_board
+    E_inverse, by_base, by_board, by_shared = normal.own_conditional()
+    views, legs, log = lin.views, lin.legs, lin.data.log
+    # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
+    V = normal.board_covariance[log]
+    known, cross = normal.base_covariance()
+    own = known + _sandwich(with_board, V)
+    cross[:-1] += with_board[:-1] @ V[:-1] @ np.swapaxes(with_board[1:], 1, 2)
 
     A = views.by_base + views.by_own @ by_base
-    F = A @ follow + views.by_shared + views.by_own @ by_shared
+    F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
+    K = A @ with_board + views.by_board + views.by_own @ by_board
     FC = F @ C
-    seen = _sandwich(A, own) + FC @ np.swapaxes(F, 1, 2) + _sandwich(views.by_own, E_inverse)
-    F_own = by_base @ follow + by_shared
-    errors = E_inverse + _sandwich(by_base, own) + _sandwich(F_own, C)
+    seen = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    seen += _sandwich(views.by_own, E_inverse)
+    F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
+    errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     bases = own + _sandwich(follow, C)
 
     i, j = lin.data.legs.T

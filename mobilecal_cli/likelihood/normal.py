@@ -1,8 +1,8 @@
-"""The normal equations with the stations eliminated: the cost is linear in the number of stations.
+"""The normal equations with stations and boards eliminated: the cost is linear in the number of stations.
 
 Joint errors and sway belong to one station each and go first, station by station. Base poses, encoder errors, floor,
-wheel scales and stamp errors form a chain along the legs: a banded matrix. A small dense system for the shared
-parameters is left.
+wheel scales and stamp errors form a chain along the legs: a banded matrix. Then the board of each recording goes,
+recording by recording. A small dense system for the shared parameters is left, however many recordings there are.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP, Dataset
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.model import FloatArray, IntArray
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
@@ -25,34 +25,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Normal equations of the measurements, H d = -gradient, with stations eliminated.
+    """Normal equations of the measurements, H d = -gradient, with stations and boards eliminated.
 
     Attributes:
         S: (P, P) information of the shared parameters, all others eliminated.
         s: (P,) their gradient, the same way.
-        gain: decrease of the cost, to second order, by the best step of the stations alone.
+        gain: decrease of the cost, to second order, by the best step of stations and boards alone.
+        log: (N,) the recording of each station.
+        base_by_shared: (N, B, P) derivative of the stations' base blocks by the shared parameters, boards following.
+        base_by_board: (N, B, 6) that by the board of the recording.
+        board_by_shared: (logs, 6, P) derivative of the boards by the shared parameters.
+        board_covariance: (logs, 6, 6) of the boards for known shared parameters.
+        chain: (N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one.
     """
 
     S: FloatArray
     s: FloatArray
     gain: float
+    log: IntArray
+    base_by_shared: FloatArray
+    base_by_board: FloatArray
+    board_by_shared: FloatArray
+    board_covariance: FloatArray
+    chain: tuple[FloatArray, FloatArray]
     _E_inverse: FloatArray
     _E_base: FloatArray
+    _E_board: FloatArray
     _E_shared: FloatArray
+    _base: FloatArray
+    _board: FloatArray
     _e: FloatArray
-    _Y: FloatArray
-    _y: FloatArray
-    _diagonal: FloatArray
-    _off: FloatArray
 
     def step(self, shared: FloatArray) -> Step:
         """The step of all unknowns that goes with a step (P,) of the shared parameters."""
-        base = (-self._y - self._Y @ shared).reshape(len(self._diagonal), -1)
+        boards = self._board + self.board_by_shared @ shared
+        base = self._base + self.base_by_shared @ shared
         coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
-        return Step(shared, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
+        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
 
     def onto_shared(
-        self, station: IntArray, base: FloatArray, own: FloatArray, shared: FloatArray
+        self,
+        station: IntArray,
+        base: FloatArray | None = None,
+        own: FloatArray | None = None,
+        board: FloatArray | None = None,
+        shared: FloatArray | None = None,
     ) -> FloatArray:
         """Gradients at single stations as gradients of the shared parameters, all else eliminated.
 
@@ -60,45 +77,43 @@ class NormalEquations:
             station: (n,) where each gradient acts.
             base: (n, B, m) by the station's base block.
             own: (n, J + 3, m) by its joint errors and its sway.
+            board: (n, 6, m) by the board of its recording.
             shared: (n, P, m) by the shared parameters.
 
         Returns:
             (n, P, m).
         """
-        E_inverse, E_base, E_shared = (
-            part[station] for part in (self._E_inverse, self._E_base, self._E_shared)
-        )
-        solved = E_inverse @ own
-        follow = -self.base_by_shared[station]
-        left = base - np.swapaxes(E_base, 1, 2) @ solved
-        out: FloatArray = shared - np.swapaxes(E_shared, 1, 2) @ solved - np.swapaxes(follow, 1, 2) @ left
+        out: FloatArray = np.zeros(()) if shared is None else shared
+        left = np.zeros(()) if base is None else base
+        if own is not None:
+            solved = self._E_inverse[station] @ own
+            left = left - np.swapaxes(self._E_base[station], 1, 2) @ solved
+            out = out - np.swapaxes(self._E_shared[station], 1, 2) @ solved
+        if left.ndim:
+            out = out + np.swapaxes(self.base_by_shared[station], 1, 2) @ left
+        if board is not None:
+            out = out + np.swapaxes(self.board_by_shared[self.log[station]], 1, 2) @ board
         return out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Covariance of the stations' base block for known shared parameters.
+        """Covariance of the stations' base block for known boards and shared parameters.
 
         Returns:
             (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is empty).
         """
-        return chain_covariance(self._diagonal, self._off)
+        return chain_covariance(*self.chain)
 
-    @property
-    def chain(self) -> tuple[FloatArray, FloatArray]:
-        """(N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one."""
-        return self._diagonal, self._off
+    def own_conditional(self) -> tuple[FloatArray, ...]:
+        """A station's own errors for a known rest: covariance (N, E, E), slopes by base, board, and shared.
 
-    def own_conditional(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A station's own errors for a known rest: covariance (N, E, E), slopes by base (N, E, B), shared (N, E, P)."""
-        return self._E_inverse, -self._E_inverse @ self._E_base, -self._E_inverse @ self._E_shared
-
-    @property
-    def base_by_shared(self) -> FloatArray:
-        """(N, B, P) derivative of the stations' base blocks by the shared parameters."""
-        return -self._Y.reshape(*self._diagonal.shape[:2], self._Y.shape[1])
+        The slopes are (N, E, B), (N, E, 6) and (N, E, P); in the last one the board follows.
+        """
+        slopes = (-self._E_inverse @ part for part in (self._E_base, self._E_board, self._E_shared))
+        return self._E_inverse, *slopes
 
 
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
-    """Build the normal equations of the measurements and eliminate the stations.
+    """Build the normal equations of the measurements and eliminate the stations and the boards.
 
     Args:
         lin: where.
@@ -111,15 +126,20 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     count, P, B = data.stations, data.layout.size, data.base_width
 
     own = _eliminated_own(lin, damping)
-    E_base, E_shared = own.across[:, :, :6] @ views.by_base, views.onto_shared(own.across)
-    GS = views.onto_shared(own.information)
-    Bt = np.swapaxes(views.by_base, 1, 2)
-    D, C = Bt @ (own.information[:, :, :6] @ views.by_base), Bt @ GS
+    G, across = own.information, own.across
+    E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
+    E_shared = views.onto_shared(across)
+    GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
+    Bt, Kt = np.swapaxes(views.by_base, 1, 2), np.swapaxes(views.by_board, 1, 2)
+    D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
     b = np.einsum("nqb,nq->nb", views.by_base, own.gradient)
     H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, own.gradient)
-    H[views.direct] += _summed(own.information[:, :, 6:], views.by_shared)
+    H[views.direct] += _summed(G[:, :, 6:], views.by_shared)
     H[np.ix_(views.direct, views.direct)] += own.direct_information
     h[views.direct] += own.direct_gradient
+    HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
+    hK = _by_log(data, Kt @ own.gradient[..., None])
+    HK[_unseen_boards(lin)] += np.eye(6) / FREE_BOARD**2
 
     # Legs.
     off = np.zeros((count, B, B))
@@ -140,34 +160,47 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     h += np.einsum("lap,la->p", shared, We)
     _process_terms(lin, D, off, b)
     _weak_terms(lin, D, b)
-    unseen = _unseen_boards(lin)
-    H[unseen, unseen] += FREE_BOARD**-2
 
-    blocks = np.arange(B)
-    D[:, blocks, blocks] *= 1 + damping
-    H[np.arange(P), np.arange(P)] *= 1 + damping
+    for matrix in (D, HK, H):
+        diagonal = np.arange(matrix.shape[-1])
+        matrix[..., diagonal, diagonal] *= 1 + damping
 
-    gain = float(np.einsum("nj,njk,nk->", own.e, own.inverse, own.e))
-
+    # The chain, then the boards.
     factor = cholesky_banded(banded(D, off), lower=True, check_finite=False)
-    C_flat = C.reshape(-1, P)
-    right = np.concatenate([C_flat, b.reshape(-1, 1)], axis=1)
-    Yy = cho_solve_banded((factor, True), right, check_finite=False)
-    Y, y = Yy[:, :-1], Yy[:, -1]
-    gain += float(b.ravel() @ y)
+    right = np.concatenate([C, CK, b[..., None]], axis=2).reshape(count * B, -1)
+    solved = cho_solve_banded((factor, True), right, check_finite=False).reshape(count, B, -1)
+    Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
+    CKt = np.swapaxes(CK, 1, 2)
+    V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
+    SKS, sK = HKS - _by_log(data, CKt @ Y), hK - _by_log(data, CKt @ y)
+    Z, z = V @ SKS, V @ sK
+    gain = float(np.einsum("nj,njk,nk->", own.e, own.inverse, own.e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(
-        S=H - C_flat.T @ Y,
-        s=h - C_flat.T @ y,
-        gain=gain,
+        S=H - _summed(C, Y) - _summed(SKS, Z),
+        s=h - _summed(C, y)[:, 0] - _summed(SKS, z)[:, 0],
+        gain=gain + float(np.sum(sK * z)),
+        log=data.log,
+        base_by_shared=YK @ Z[data.log] - Y,
+        base_by_board=-YK,
+        board_by_shared=-Z,
+        board_covariance=V,
+        chain=(D, off),
         _E_inverse=own.inverse,
         _E_base=E_base,
-        _E_shared=E_shared,
-        _e=own.e,
-        _Y=Y,
-        _y=y,
-        _diagonal=D,
-        _off=off,
+        _E_board=E_board,
+        _E_shared=E_shared - E_board @ Z[data.log],
+        _base=(YK @ z[data.log] - y)[..., 0],
+        _board=-z[..., 0],
+        _e=own.e - (E_board @ z[data.log])[..., 0],
     )
+
+
+def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
+    """Sums over the stations of each recording: (N, ...) → (logs, ...)."""
+    out = np.zeros((data.logs, *values.shape[1:]))
+    starts = np.flatnonzero(np.diff(data.log, prepend=-1))
+    out[data.log[starts]] = np.add.reduceat(values, starts, axis=0)
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,13 +276,11 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     return product
 
 
-def _unseen_boards(lin: Linearization) -> IntArray:
-    """Columns of the boards that no used image shows."""
-    data = lin.data
-    unseen = np.setdiff1d(
-        np.arange(data.layout.boards), data.board[lin.inliers.used_corners.any(axis=(1, 2))]
-    )
-    return np.asarray(data.layout.named + (6 * unseen[:, None] + np.arange(6)).ravel(), dtype=np.int64)
+def _unseen_boards(lin: Linearization) -> BoolArray:
+    """(logs,) recordings whose board no used image shows."""
+    unseen = np.ones(lin.data.logs, dtype=np.bool_)
+    unseen[lin.data.log[lin.inliers.used_corners.any(axis=(1, 2))]] = False
+    return unseen
 
 
 def _process_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

@@ -276,30 +276,23 @@ def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str,
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Columns of the parameters that all stations share: the nine, the estimated constants, the boards.
+    """Columns of the parameters that all recordings share: the nine and the estimated constants.
 
     Attributes:
         constants: rows of the estimated constants, in the order of the table.
-        boards: number of board poses, six columns each.
     """
 
-    constants: tuple[Constant, ...]
-    boards: int
+    constants: tuple[Constant, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns before the boards'."""
+        """Names of the columns."""
         return (*NINE, *(row.name for row in self.constants))
 
     @property
-    def named(self) -> int:
-        """Number of columns before the boards'."""
-        return len(NINE) + len(self.constants)
-
-    @property
     def size(self) -> int:
-        """Number of all columns."""
-        return self.named + 6 * self.boards
+        """Number of columns."""
+        return len(NINE) + len(self.constants)
 
     @property
     def direct(self) -> tuple[tuple[int, Constant], ...]:
@@ -311,6 +304,6 @@ class Layout:
         )
 
     def prior_sigmas(self, wheels: WheelGeometry) -> FloatArray:
-        """(named,) prior sigmas of the nine around nominal values, and of the constants around zero."""
+        """(P,) prior sigmas of the nine around nominal values, and of the constants around zero."""
         constants = [row.sigma for row in self.constants]
         return np.concatenate([NINE_SIGMAS, WHEEL_SIGMA * np.abs(wheels.vector), constants])

@@ -41,7 +41,7 @@ class Directions:
 
 
 def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
-    """Singular directions of the information about the nine, the constants (with their priors) and boards eliminated.
+    """Singular directions of the information about the nine, the constants (with their priors) eliminated.
 
     Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
     to show the separation to 100 %. Over n such legs that makes a squared singular value of ``WHEEL_SIGMA^2 n`` of the
@@ -50,17 +50,15 @@ def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
 
     Args:
         lin: where.
-        user_weight: (named,) inverse variances of priors that count as measurements: the user's, and the constants'.
+        user_weight: (P,) inverse variances of priors that count as measurements: the user's, and the constants'.
 
     Raises:
-        LinAlgError: the boards' poses are not determined.
+        LinAlgError: the constants are not determined.
     """
-    layout, nine = lin.data.layout, len(NINE)
+    nine = len(NINE)
     scales, fixed = lin.priors.scales[:nine], lin.priors.fixed
-    S = lin.normal.S + np.diag(np.concatenate([user_weight, np.zeros(layout.size - layout.named)]))
-    free = np.ones(layout.size, dtype=np.bool_)
-    free[: layout.named] = ~fixed
-    others = np.flatnonzero(free)[np.flatnonzero(free) >= nine]
+    S = lin.normal.S + np.diag(user_weight)
+    others = nine + np.flatnonzero(~fixed[nine:])
     own = np.diag(S)[others]
     unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))  # far from the optimum, rounding may exceed what is known
     across = S[:nine, others] * unit

@@ -32,13 +32,12 @@ def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
         lin: the optimum.
         covariance: (P, P) of the shared parameters.
     """
-    named = lin.data.layout.named
-    return _expected(gradients_at(lin), covariance[:named, :named])
+    return _expected(gradients_at(lin), covariance)
 
 
 def gradients_at(lin: Linearization) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (k, named) derivatives by the named parameters; their variances add up to the figure's."""
-    camera = -lin.views.by_shared[..., : lin.data.layout.named]  # the board moves the other way
+    """Field of `AtWork` → (k, P) derivatives by the shared parameters; their variances add up to the figure's."""
+    camera = -lin.views.by_shared  # the board moves the other way
     return gradients(lin.state.parameters, camera)
 
 

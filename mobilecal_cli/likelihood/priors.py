@@ -21,10 +21,10 @@ class Priors:
     Attributes:
         layout: columns.
         anchor: the point that displacements count from.
-        mean: (named,) expected displacement.
-        weight: (named,) inverse variance, 0 for no prior.
-        fixed: (named,) columns with an exactly known displacement, `mean`.
-        scales: (named,) prior sigmas of nominal values: units in which directions are orthonormal.
+        mean: (P,) expected displacement.
+        weight: (P,) inverse variance, 0 for no prior.
+        fixed: (P,) columns with an exactly known displacement, `mean`.
+        scales: (P,) prior sigmas of nominal values: units in which directions are orthonormal.
         unobservable: (K, 9) directions of the nine that the measurements do not show, orthonormal in units of
             `scales`. The displacement keeps its mean along them, and its prior variance.
     """
@@ -40,27 +40,27 @@ class Priors:
     @classmethod
     def none(cls, layout: Layout, anchor: Parameters) -> Priors:
         """No prior: every parameter is free, from the measurements alone."""
-        zero = np.zeros(layout.named)
+        zero = np.zeros(layout.size)
         scales = layout.prior_sigmas(anchor.wheels)
         return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))))
 
     def displacement(self, state: State) -> FloatArray:
-        """(named,) rad, m, and the constants' units."""
+        """(P,) rad, m, and the constants' units."""
         constants = [state.value(row.name) for row in self.layout.constants]
         return np.concatenate([state.parameters.minus(self.anchor), constants])
 
     @cached_property
     def _kept(self) -> FloatArray:
-        """(K, named) all directions along which the displacement keeps its mean, in units of `scales`."""
-        along = np.zeros((len(self.unobservable), self.layout.named))
+        """(K, P) all directions along which the displacement keeps its mean, in units of `scales`."""
+        along = np.zeros((len(self.unobservable), self.layout.size))
         along[:, : len(NINE)] = self.unobservable
-        return np.concatenate([np.eye(self.layout.named)[self.fixed], along])
+        return np.concatenate([np.eye(self.layout.size)[self.fixed], along])
 
     @cached_property
-    def named_basis(self) -> FloatArray:
-        """(named, F) free directions of the named parameters, orthonormal in units of `scales`."""
-        constants = np.eye(self.layout.named)[:, len(NINE) :][:, ~self.fixed[len(NINE) :]]
-        nine = np.zeros((self.layout.named, self.nine_basis.shape[1]))
+    def scaled_basis(self) -> FloatArray:
+        """(P, F) free directions of the parameters, orthonormal in units of `scales`."""
+        constants = np.eye(self.layout.size)[:, len(NINE) :][:, ~self.fixed[len(NINE) :]]
+        nine = np.zeros((self.layout.size, self.nine_basis.shape[1]))
         nine[: len(NINE)] = self.nine_basis
         return np.concatenate([nine, constants], axis=1)
 
@@ -73,33 +73,24 @@ class Priors:
         _, _, Vt = np.linalg.svd(kept, full_matrices=True)
         return np.asarray(Vt[len(kept) :].T)
 
-    @cached_property
+    @property
     def basis(self) -> FloatArray:
-        """(P, F) free directions of all shared parameters."""
-        named, size = self.layout.named, self.layout.size
-        free = self.named_basis.shape[1]
-        basis = np.zeros((size, size - named + free))
-        basis[:named, :free] = self.scales[:, None] * self.named_basis
-        basis[named:, free:] = np.eye(size - named)
-        return basis
+        """(P, F) the same in the parameters' units."""
+        out: FloatArray = self.scales[:, None] * self.scaled_basis
+        return out
 
     def step_to_mean(self, state: State) -> FloatArray:
         """(P,) shortest step after which the state has its mean along all directions that keep it."""
         step = np.zeros(self.layout.size)
         if len(self._kept):
             off = self._kept @ ((self.mean - self.displacement(state)) / self.scales)
-            step[: self.layout.named] = self.scales * (self._kept.T @ off)
+            step = self.scales * (self._kept.T @ off)
         return step
-
-    @cached_property
-    def information(self) -> FloatArray:
-        """(P,) diagonal of the priors' information."""
-        return np.concatenate([self.weight, np.zeros(self.layout.size - self.layout.named)])
 
     def gradient(self, state: State) -> FloatArray:
         """(P,) gradient of half the priors' sum of squares."""
-        off = self.displacement(state) - self.mean
-        return np.concatenate([self.weight * off, np.zeros(self.layout.size - self.layout.named)])
+        out: FloatArray = self.weight * (self.displacement(state) - self.mean)
+        return out
 
     def cost(self, state: State) -> float:
         """Sum of squares of the whitened deviations from the priors."""

@@ -27,22 +27,23 @@ class Step:
     """A step of every unknown.
 
     Attributes:
-        shared: (layout.size,) of the nine parameters (see `Parameters.plus`), the constants and the boards (body
-            twists).
+        shared: (P,) of the nine parameters (see `Parameters.plus`) and the constants.
+        boards: (logs, 6) of the board poses, body twists.
         base: (N, B) of base poses as body twists (x, y, heading), of encoder errors, right and left, of the processes,
             and in a data set with motion of stamp errors.
         own: (N, J + 3) of joint errors and of the sway (roll, pitch, height).
     """
 
     shared: FloatArray
+    boards: FloatArray
     base: FloatArray
     own: FloatArray
 
     @classmethod
     def of_shared(cls, data: Dataset, shared: FloatArray) -> Step:
         """A step of the shared parameters alone."""
-        count = data.stations
-        return cls(shared, np.zeros((count, data.base_width)), np.zeros((count, data.own_width)))
+        sizes = (data.logs, 6), (data.stations, data.base_width), (data.stations, data.own_width)
+        return cls(shared, *(np.zeros(size) for size in sizes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,7 @@ class State:
     Attributes:
         parameters: the nine parameters.
         constants: name → value of the constants; those that are not there are zero.
-        T_w_k: (B, 4, 4) board poses; w is the base at the first station of the board's recording.
+        T_w_k: (logs, 4, 4) board pose in each recording; w is the base at its first station.
         base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
         joint_errors: (N, J) to be added to the readings.
         encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
@@ -108,14 +109,13 @@ class State:
 
     def plus(self, data: Dataset, step: Step) -> State:
         """The state after a step."""
-        layout, shared = data.layout, step.shared
-        values = zip(layout.constants, shared[9 : layout.named].tolist(), strict=True)
+        values = zip(data.layout.constants, step.shared[9:].tolist(), strict=True)
         cos, sin = np.cos(self.base[:, 2]), np.sin(self.base[:, 2])
         x, y, turn = step.base[:, 0], step.base[:, 1], step.base[:, 2]
         return State(
-            parameters=self.parameters.plus(shared[:9]),
+            parameters=self.parameters.plus(step.shared[:9]),
             constants={**self.constants, **{row.name: self.value(row.name) + value for row, value in values}},
-            T_w_k=self.T_w_k @ se3.exp(shared[layout.named :].reshape(-1, 6)),
+            T_w_k=self.T_w_k @ se3.exp(step.boards),
             base=self.base + np.stack([cos * x - sin * y, sin * x + cos * y, turn], axis=1),
             joint_errors=self.joint_errors + step.own[:, :-3],
             encoder_errors=self.encoder_errors + step.base[:, ENCODERS],
@@ -129,7 +129,7 @@ class State:
         mine = data.log == log
         return replace(
             self,
-            T_w_k=self.T_w_k[np.unique(data.board[mine])],
+            T_w_k=self.T_w_k[log : log + 1],
             base=self.base[mine],
             joint_errors=self.joint_errors[mine],
             encoder_errors=self.encoder_errors[mine],
@@ -196,5 +196,5 @@ def points_at(data: Dataset, state: State) -> FloatArray:
 def board_in_camera(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
     T_w_c = state.T_w_v @ head_at(data, state) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.board]
+    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.log]
     return T

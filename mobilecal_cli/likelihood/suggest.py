@@ -57,7 +57,7 @@ def _boards(data: Dataset, state: State, base: FloatArray, joints: FloatArray) -
     flat = np.concatenate([base[:, :2], np.zeros((len(base), 1))], axis=1)
     T_w_v = se3.transform(se3.rotation_z(base[:, 2]), flat)
     T_w_c = T_w_v @ head_pose(data.chain, joints) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.board[-1]]
+    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.log[-1]]
     return T
 
 
@@ -101,7 +101,7 @@ def _reachable(data: Dataset, state: State) -> _Stops:
     """Stops a turn and a drive away from the last, from which the whole board is seen."""
     rig = cameras_at(data, state)
     T_w_c = state.T_w_v @ head_at(data, state) @ state.parameters.T_h_c
-    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[data.board])[:, :3, 3], axis=1)
+    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[data.log])[:, :3, 3], axis=1)
     ways = [(np.radians(turn), drive, u, v) for turn in _TURNS_DEG for drive in _DRIVES_M for u, v in _LOOKS]
     turn, drive, u, v = np.array(ways).T
     last = state.base[-1]
@@ -129,7 +129,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         moving=np.zeros(count + 1, dtype=np.bool_),
         approach_direction=np.zeros((count + 1, J)),
         log=np.zeros(count + 1, dtype=np.int64),
-        board=np.repeat(data.board[-1:], count + 1),
+        tracks=data.tracks[data.log[-1] :][:1],
         legs=np.stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)], axis=1),
         times_ns=np.arange(count + 1),
         T_c_k=np.repeat(
@@ -139,7 +139,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         points_c=np.repeat(data.points_c[-1:], count + 1, axis=0),
     )
     base = np.concatenate([state.base[-1:], stops.base])
-    there = State.without_errors(wide, state.parameters, state.T_w_k, base)
+    there = State.without_errors(wide, state.parameters, state.T_w_k[data.log[-1:]], base)
     return wide, replace(there, constants=state.constants)
 
 
@@ -182,24 +182,31 @@ def _covariance(pair: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArra
 
 
 def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
-    """(C, P + B, P + B) information of each stop about the shared parameters and the last station's base block."""
+    """(C, P + 6 + B, P + 6 + B) information of each stop about the shared parameters, the board and the last base."""
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
     views = linearize_views(wide, there, Inliers.all_of(wide), noise, np.zeros((wide.stations, 6)))
-    count, P, B, own = len(stops.turn_rad), data.layout.size, STAMP, data.own_width
+    count, P, B, own = len(stops.turn_rad), data.layout.size + 6, STAMP, data.own_width
+    of_leg = np.r_[: P - 6, P : P + 2 * B]
     sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
     legs: dict[tuple[float, float], FloatArray] = {}
     out = np.empty((count, P + B, P + B))
     for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
         if way not in legs:
             legs[way] = _leg(lin, *way)
-        H = np.zeros((P + 2 * B + own,) * 2)  # shared, last base, new base, the new stop's own errors
-        seen = [views.by_shared[c + 1], np.zeros((6, B)), views.by_base[c + 1], views.by_own[c + 1]]
+        H = np.zeros((P + 2 * B + own,) * 2)  # shared, board, last base, new base, the new stop's own errors
+        seen = [
+            views.by_shared[c + 1],
+            views.by_board[c + 1],
+            np.zeros((6, B)),
+            views.by_base[c + 1],
+            views.by_own[c + 1],
+        ]
         A = np.zeros((6 + len(views.direct), len(H)))
         A[:6] = np.concatenate(seen, axis=1)
         A[range(6, len(A)), views.direct] = 1.0
         H += A.T @ views.information[c + 1] @ A
-        H[: P + 2 * B, : P + 2 * B] += legs[way]
+        H[np.ix_(of_leg, of_leg)] += legs[way]
         encoders = P + B + np.arange(ENCODERS.start, ENCODERS.stop)
         errors = np.arange(P + 2 * B, len(H))
         H[encoders, encoders] += lin.encoder_sigmas**-2 if noise.encoder_rad else 1.0
@@ -217,15 +224,14 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
         covariance: (P, P) of the shared parameters.
         most: how many at most.
     """
-    P, wheels = lin.data.layout.size, lin.state.parameters.wheels.vector
-    follow = lin.normal.base_by_shared[-1][:STAMP]  # at a stop, the stamp's error has no effect
-    own, _ = lin.normal.base_covariance()
-    by_base = follow @ covariance
-    joint = np.block([[covariance, by_base.T], [by_base, own[-1][:STAMP, :STAMP] + by_base @ follow.T]])
-    # A stop sees the last board alone: the others' columns only cost time.
-    named, board = lin.data.layout.named, lin.data.layout.named + 6 * int(lin.data.board[-1])
-    kept = np.r_[:named, board : board + 6, P : P + STAMP]
-    joint = joint[np.ix_(kept, kept)]
+    normal, wheels, last = lin.normal, lin.state.parameters.wheels.vector, int(lin.data.log[-1])
+    # Shared parameters, last board and last base block; at a stop, the stamp's error has no effect.
+    by_board = np.concatenate([np.zeros((len(covariance), 6)), np.eye(6), normal.base_by_board[-1][:STAMP]])
+    by_shared = np.concatenate(
+        [np.eye(len(covariance)), normal.board_by_shared[last], normal.base_by_shared[-1][:STAMP]]
+    )
+    joint = by_shared @ covariance @ by_shared.T + by_board @ normal.board_covariance[last] @ by_board.T
+    joint[-STAMP:, -STAMP:] += normal.base_covariance()[0][-1][:STAMP, :STAMP]
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     now = np.sqrt(np.diag(covariance)[:9])
     if not now.any():
@@ -234,8 +240,7 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
     stops = _reachable(lin.data, lin.state)
     best: dict[tuple[float, float], Suggestion] = {}
     for c, M in enumerate(_informations(lin, stops)):
-        M = M[np.ix_(kept, kept)]
-        after = joint - joint @ M @ np.linalg.solve(np.eye(len(kept)) + joint @ M, joint)
+        after = joint - joint @ M @ np.linalg.solve(np.eye(len(M)) + joint @ M, joint)
         then = np.sqrt(np.diag(after)[:9])
         gain = 1 - float(np.max(then / needed) / np.max(now / needed))
         way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))

@@ -53,7 +53,9 @@ class Views:
         cost: (N,) sum of squares.
         by_base: (N, 6, B) delta by the station's base block: by base pose, floor and stamp error.
         by_own: (N, 6, J + 3) delta by joint errors and by the sway.
-        by_shared: (N, 6, P) delta by the parameters that all stations share.
+        by_board: (N, 6, 6) delta by the pose of the recording's board.
+        by_shared: (N, 6, P) delta by the parameters that all recordings share.
+        log: (N,) the recording of each station.
         direct: (Q - 6,) columns of the direct constants among these parameters.
     """
 
@@ -63,7 +65,9 @@ class Views:
     cost: FloatArray
     by_base: FloatArray
     by_own: FloatArray
+    by_board: FloatArray
     by_shared: FloatArray
+    log: IntArray
     direct: IntArray
 
     def onto_shared(self, A: FloatArray) -> FloatArray:
@@ -75,6 +79,7 @@ class Views:
     def moved(self, step: Step) -> Views:
         """The same after a step of all unknowns, to first order; `residual_px` stays."""
         delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
+        delta += self.by_board @ step.boards[self.log, :, None]
         shift = np.empty_like(self.gradient)
         shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
         shift[:, 6:] = step.shared[self.direct]
@@ -201,7 +206,7 @@ def view_rates(data: Dataset, state: State) -> FloatArray:
 
 def _pose_columns(
     data: Dataset, state: State, T_c_k: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     X, layout = state.parameters.T_h_c, data.layout
     count, joints = data.joints.shape
     change, positions = chain_change(data, state), joints_at(data, state)
@@ -234,11 +239,7 @@ def _pose_columns(
             by_shared[..., column] = (by_own[..., :joints] @ rate[:, :, None])[..., 0]
         elif isinstance(row.effect, BaseLean):
             by_shared[..., column] = by_own[..., joints + row.effect.axis]
-    Ad_c_k = se3.adjoint(T_c_k)
-    for b in range(layout.boards):
-        mine = data.board == b
-        by_shared[mine, :, layout.named + 6 * b : layout.named + 6 * (b + 1)] = Ad_c_k[mine]
-    return by_base, by_own, by_shared
+    return by_base, by_own, se3.adjoint(T_c_k), by_shared
 
 
 def _floor_twists(state: State) -> FloatArray:
@@ -262,7 +263,7 @@ def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise,
     parts = [_measured(data, state, T_c_k, root_weight, rates, block) for block in blocks_of(data.stations)]
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _ in data.layout.direct], dtype=np.int64)
-    return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), direct)
+    return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
 def with_stations(

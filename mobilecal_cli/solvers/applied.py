@@ -69,7 +69,7 @@ def at_constants(
     rig = extraction.rig
     rows = [row for row in table(rig.cameras, rig.chain) if constants.get(row.name)]
     data = dataset_of(extraction, rows)
-    boards = np.broadcast_to(np.eye(4), (data.layout.boards, 4, 4))
+    boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
     known = {row.name: constants[row.name] for row in rows}
     return at_state(extraction, data, replace(state, constants=known))

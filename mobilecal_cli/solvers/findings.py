@@ -98,7 +98,7 @@ def jumps_of(extraction: Extraction, fitter: Fitter, fit: Fit) -> tuple[Jump, ..
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     """The constants of the robot description as estimated, by name; patterns of corners mean nothing elsewhere."""
-    std = np.sqrt(np.diag(fit.covariance)[9 : fit.data.layout.named]).tolist()
+    std = np.sqrt(np.diag(fit.covariance)[9:]).tolist()
     prior = np.where(fit.lin.priors.fixed, 0.0, fit.lin.priors.scales)[9:].tolist()
     value = fit.lin.state.value
     return {
@@ -115,13 +115,12 @@ def budget_of(fit: Fit) -> Budget:
     kinds |= {f"prior {name}": "nominal" for name in NINE}
     kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
     gradients = gradients_at(lin)
-    named = layout.named
     nine: dict[str, FloatArray] = {}
     figures: dict[str, FloatArray] = {}
     for name, share in lin.budget().items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [variance(g, share[:named, :named]) for g in gradients.values()]
+        of = [variance(g, share) for g in gradients.values()]
         figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
     shares = np.array(list(nine.values()))
     whole = np.array(list(figures.values()))
@@ -134,7 +133,7 @@ def budget_of(fit: Fit) -> Budget:
 
 
 def jackknife_covariance(fit: Fit) -> FloatArray:
-    """Jackknife covariance of the nine parameters, the constants and the boards, (P, P).
+    """Jackknife covariance of the nine parameters and the constants, (P, P).
 
     The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
     is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
@@ -142,14 +141,14 @@ def jackknife_covariance(fit: Fit) -> FloatArray:
     not show them.
     """
     spread = sum(influence.spread for influence in fit.lin.influences)
-    C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.information, fit.lin.considered
+    C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
     return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
 
 
 def reference_jacobian(fit: Fit) -> FloatArray:
     """(9, K) derivative of the nine parameters of the reference camera by those of the left one and the constants."""
     data, state = fit.data, fit.lin.state
-    J = np.eye(9, data.layout.named)
+    J = np.eye(9, data.layout.size)
     if data.cameras.reference == "left":
         return J
     R_h_c, cameras = state.parameters.T_h_c[:3, :3], cameras_at(data, state)
@@ -183,7 +182,5 @@ def over_logs(fit: Fit) -> Fit:
         return fit
     pooled = weigh_logs(lin)
     if np.any(pooled.step):
-        named, S = lin.data.layout.named, lin.normal.S
-        boards = -np.linalg.solve(S[named:, named:], S[named:, :named] @ pooled.step)
-        lin = lin.after(lin.normal.step(np.concatenate([pooled.step, boards])))
+        lin = lin.after(lin.normal.step(pooled.step))
     return replace(fit, lin=lin, between=pooled.between, pooled_covariance=pooled.covariance)

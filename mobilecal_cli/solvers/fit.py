@@ -83,7 +83,7 @@ class Fit:
         given: names of the noise levels that are not estimated.
         noisy: kinds of measurements whose many outliers were taken as noise.
         between: the recordings one by one, where there are several.
-        pooled_covariance: (named, named) covariance that allows for the spread between recordings.
+        pooled_covariance: (P, P) covariance that allows for the spread between recordings.
     """
 
     lin: Linearization
@@ -118,11 +118,8 @@ class Fit:
         wider is the share of each kind of noise; at most 3 / 2, as a guess is right within a factor of about 1.6. The
         residuals of two levels that act alike show their sum.
         """
-        covariance = self.lin.covariance.copy()
-        if self.pooled_covariance is not None:
-            named = len(self.pooled_covariance)
-            considered = self.lin.considered[:named]
-            covariance[:named, :named] = self.pooled_covariance + considered @ considered.T
+        considered, pooled = self.lin.considered, self.pooled_covariance
+        covariance = self.lin.covariance.copy() if pooled is None else pooled + considered @ considered.T
         for influence in self.lin.influences:
             for level in influence.parts:
                 component = self.components.get(level)
@@ -210,7 +207,7 @@ class Fitter:
         return Parameters(found.T_h_c if T_h_c is None else T_h_c, wheels or found.wheels)
 
     def _user_weight(self) -> FloatArray:
-        """(named,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
+        """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
         priors = self._constraints.priors
         nine = [priors[name][1] ** -2 if name in priors else 0.0 for name in NINE]
         return np.array(nine + [row.sigma**-2 for row in self.data.layout.constants])
@@ -233,9 +230,9 @@ class Fitter:
             anchor
         )
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
-        has_prior = np.ones(layout.named, dtype=np.bool_)
+        has_prior = np.ones(layout.size, dtype=np.bool_)
         has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
-        mean, weight = np.zeros(layout.named), np.where(has_prior, scales**-2, 0.0)
+        mean, weight = np.zeros(layout.size), np.where(has_prior, scales**-2, 0.0)
         for name, (value, sigma) in self._constraints.priors.items():
             if name in layout.names:  # one of several recordings may not show a constant
                 k = layout.names.index(name)

@@ -25,8 +25,8 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
     T_w_v = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     heading = np.zeros(count)
     T_v_k = pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k
-    boards = np.broadcast_to(np.eye(4), (data.layout.boards, 4, 4)).copy()
-    known = np.zeros(data.layout.boards, dtype=np.bool_)
+    boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4)).copy()
+    known = np.zeros(data.logs, dtype=np.bool_)
     into = {int(j): leg for leg, (_, j) in enumerate(data.legs)}
     starts = [s for s in range(count) if s not in into or not inliers.legs[into[s]]]
     for start, end in zip(starts, [*starts[1:], count], strict=True):
@@ -34,7 +34,7 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
         driven = [into[s] for s in range(start + 1, end)]
         T_w_v[members], heading[members] = _dead_reckoning(motion.t_m[driven], psi[driven])
         seeing = members[inliers.views[members]]
-        board = data.board[start]
+        board = data.log[start]
         if start in into and known[board] and len(seeing):
             # T_w_v with the board where it is known to be, flattened, at this stretch's start.
             placed = boards[board] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_w_v[seeing])
@@ -50,8 +50,8 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
         if not known[board] and len(seeing):
             boards[board] = _median_pose(T_w_v[seeing] @ T_v_k[seeing])
             known[board] = True
-    for board in np.flatnonzero(~known):
-        boards[board] = _median_pose((T_w_v @ T_v_k)[data.board == board])
+    for board in np.intersect1d(np.flatnonzero(~known), data.log):
+        boards[board] = _median_pose((T_w_v @ T_v_k)[data.log == board])
     base = np.concatenate([T_w_v[:, :2, 3], heading[:, None]], axis=1)
     return State.without_errors(data, parameters, boards, base)
 

@@ -52,7 +52,7 @@ def proposed(lin: Linearization, damping: float = 0.0) -> tuple[Step, float]:
     """
     priors = lin.priors
     normal = lin.eliminated(damping) if damping else lin.normal
-    S = priors.basis.T @ (normal.S + np.diag(priors.information)) @ priors.basis
+    S = priors.basis.T @ (normal.S + np.diag(priors.weight)) @ priors.basis
     s = priors.basis.T @ (normal.s + priors.gradient(lin.state))
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = 1 / np.sqrt(np.diag(S))

@@ -334,7 +334,6 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     jackknife, J = jackknife_covariance(fit), reference_jacobian(fit)
     J[fit.lin.priors.fixed[:9]] = 0.0  # exact, whatever the stereo pair is
     widened = widening(fit, np.sqrt(np.diag(jackknife)[:9]))
-    named = np.s_[: J.shape[1], : J.shape[1]]
     factor = np.ones(len(fit.covariance))
     factor[:9] = widened
     shared = fit.covariance * np.outer(factor, factor)
@@ -343,7 +342,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
-        reference_covariance=J @ shared[named] @ J.T,
+        reference_covariance=J @ shared @ J.T,
         observable=(np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed,
         unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
@@ -354,8 +353,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
             redundancy={name: fit.components[name].redundancy for name in levels},
         ),
         fixed=fixed,
-        jackknife_std=np.sqrt(np.diag(J @ jackknife[named] @ J.T)),
-        noise_std=np.sqrt(np.diag(J @ fit.covariance[named] @ J.T)),
+        jackknife_std=np.sqrt(np.diag(J @ jackknife @ J.T)),
+        noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
         widened=widened,
         at_work=predicted_at(fit.lin, shared),
         budget=budget_of(fit),

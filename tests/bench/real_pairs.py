@@ -302,7 +302,7 @@ class Estimate:
     def std(self) -> dict[str, float]:
         """Name of each constant → its standard deviation."""
         layout = self.fit.data.layout
-        std = np.sqrt(np.diag(self.fit.covariance))[: layout.named]
+        std = np.sqrt(np.diag(self.fit.covariance))[: layout.size]
         return dict(zip(layout.names, std.tolist(), strict=True))
 
     def value(self, name: str) -> float:

@@ -24,30 +24,38 @@ STATIONS = 6
 
 
 class Case:
-    """A linearization at a random state, with dense normal equations in (shared, base blocks, own errors)."""
+    """A linearization at a random state, with dense normal equations in (shared, boards, base blocks, own errors)."""
 
-    def __init__(self, motion, constants=None):
+    def __init__(self, motion, constants=None, logs=1):
         robot = paper_robot()
         constants = table(robot.rig_cameras, robot.chain) if constants is None else constants
         route = plan_route(robot, motion, stations=STATIONS)
         disturbed = ideal.Noise(0.2, 0.003, 0.0, np.radians(0.05))
         extraction = ideal.ideal_extraction(robot, route, disturbed, seed=1)
-        extraction = replace(extraction, observations=extraction.observations[:STATIONS])
+        seen = extraction.observations[:STATIONS]
+        extraction = replace(
+            extraction,
+            observations=tuple(replace(o, log=k * logs // len(seen)) for k, o in enumerate(seen)),
+            wheels=extraction.wheels * logs,
+            joint_tracks=extraction.joint_tracks * logs,
+        )
         # The left wheel's encoder is four times finer.
         steps = {"encoder_step_rad": np.array([0.02, 0.005])}
         self.data = replace(dataset_of(extraction, constants), **steps)
         everything = Inliers.all_of(self.data)
         legs, views, readings = (getattr(everything, name).copy() for name in ("legs", "views", "readings"))
-        legs[2], views[3], readings[4, 0] = False, False, False
+        legs[1 + logs], views[3], readings[4, 0] = False, False, False
         inliers = replace(everything, legs=legs, views=views, readings=readings)
         truth = initial_state(self.data, Parameters(robot.T_h_c, robot.wheels), everything)
         random = np.random.default_rng(0)
         self.width = self.data.base_width
-        self.sizes = (self.data.layout.size, self.width * STATIONS, self.data.own_width * STATIONS)
+        stations = self.width * STATIONS, self.data.own_width * STATIONS
+        self.sizes = (self.data.layout.size, 6 * logs, *stations)
         base = random.normal(size=(STATIONS, self.width)) * 1e-2
         base[self.data.first, :3] = 0.0
         shared = random.normal(size=self.sizes[0]) * 1e-3
-        step = Step(shared, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
+        boards = random.normal(size=(logs, 6)) * 1e-3
+        step = Step(shared, boards, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
         self.lin = Linearization.at(
             self.data,
             truth.plus(self.data, step),
@@ -57,8 +65,12 @@ class Case:
         )
 
     def displaced(self, x):
-        shared, base, own = np.split(x, np.cumsum(self.sizes)[:2])
-        step = Step(shared, base.reshape(STATIONS, -1), own.reshape(STATIONS, -1))
+        shared, boards, base, own = np.split(x, np.cumsum(self.sizes)[:3])
+        parts = (
+            part.reshape(rows, -1)
+            for part, rows in ((boards, self.data.logs), (base, STATIONS), (own, STATIONS))
+        )
+        step = Step(shared, *parts)
         return self.lin.state.plus(self.data, step)
 
     def residuals(self, x):
@@ -92,7 +104,8 @@ class Case:
         parts = []
         for k in range(5):
             at = np.cumsum(self.lin.processes.distance_m[:, k])
-            cut = np.cumsum(np.isin(np.arange(STATIONS), self.data.legs[~self.lin.inliers.legs, 1]))
+            joined = self.data.legs[self.lin.inliers.legs, 1]
+            cut = np.cumsum(~np.isin(np.arange(STATIONS), joined))
             cov = sigma[k] ** 2 * np.exp(-np.abs(at[:, None] - at) / lengths[k]) * (cut[:, None] == cut)
             parts.append(np.linalg.solve(np.linalg.cholesky(cov), values[:, k]))
         return np.concatenate(parts)
@@ -110,16 +123,19 @@ class Case:
             for h, e in zip(step, np.eye(size), strict=True)
         ]
         J = np.stack(columns, axis=1)
-        start = self.sizes[0] + self.width * int(np.flatnonzero(self.data.first)[0])
-        J[:, start : start + 3] = 0.0  # the world is the base at its first station
+        # The world is the base at the first station of its recording.
+        first = self.sizes[0] + self.sizes[1] + self.width * np.flatnonzero(self.data.first)
+        gauge = (first[:, None] + np.arange(3)).ravel()
+        J[:, gauge] = 0.0
         H, g = J.T @ J, J.T @ self.residuals(x)
-        H[range(start, start + 3), range(start, start + 3)] += 1.0
+        H[gauge, gauge] += 1.0
         return H, g
 
 
-@pytest.fixture(scope="module", params=["standard", "moving"])
+@pytest.fixture(scope="module", params=[("standard", 1), ("moving", 1), ("standard", 2)], ids=str)
 def case(request):
-    return Case(request.param)
+    motion, logs = request.param
+    return Case(motion, logs=logs)
 
 
 def reduced(case, H, g):
@@ -159,6 +175,6 @@ def test_back_substitution_solves_the_dense_equations(case):
     other = np.linalg.solve(H[n:, n:], -g[n:] - H[n:, :n] @ step)
     found = case.lin.normal.step(step)
     assert (
-        np.abs(np.concatenate([found.base.ravel(), found.own.ravel()]) - other).max()
+        np.abs(np.concatenate([found.boards.ravel(), found.base.ravel(), found.own.ravel()]) - other).max()
         < 1e-4 * np.abs(other).max()  # in motion, rates are secants over 40 ms
     )
