@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.effects import WheelClock
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
 from mobilecal_cli.likelihood.nuisance import Layout
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State, wheel_clock_s
+from mobilecal_cli.likelihood.state import State, Step, wheel_clock_s
 from mobilecal_cli.model import FloatArray, WheelGeometry
 
 
@@ -33,6 +33,13 @@ class Legs:
     by_end: FloatArray
     by_wheels: FloatArray
     by_clock: FloatArray
+
+    def moved(self, data: Dataset, step: Step) -> Legs:
+        """The same after a step of all unknowns, to first order."""
+        i, j = data.legs.T
+        by_ends = self.by_start @ step.base[i, :, None] + self.by_end @ step.base[j, :, None]
+        change: FloatArray = by_ends[..., 0] + self.by_shared(data.layout) @ step.shared
+        return replace(self, residual=self.residual + change)
 
     def by_shared(self, layout: Layout) -> FloatArray:
         """(L, 3, P) by all parameters that the recordings share."""

@@ -81,9 +81,12 @@ class Linearization:
         return replace(self, state=self.state.plus(self.data, step))
 
     def predicted(self, step: Step) -> Linearization:
-        """The likelihood after a small step: the residuals of the images to first order."""
+        """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
         other = self.after(step)
         other.__dict__["views"] = self.views.moved(step)
+        other.__dict__["legs"] = self.legs.moved(self.data, step)
+        other.__dict__["normal"] = self.normal.after(step.shared)
+        other.__dict__["conditional_covariance"] = self.conditional_covariance
         return other
 
     def under(self, priors: Priors) -> Linearization:
@@ -106,8 +109,10 @@ class Linearization:
 
         The views' rates stay, as the views do; see `renewed`.
         """
-        other = Linearization.at(self.data, self.state, self.inliers, noise, self.priors)
-        other = replace(other, leg_offset=self.leg_offset, rates=self.rates)
+        wheels = self.state.parameters.wheels
+        covariances = leg_covariances(self.data.steps(), wheels, noise, ends_known=True)
+        along = processes_of(self.data, wheels, noise, self.inliers)
+        other = replace(self, noise=noise, leg_covariances=covariances, processes=along)
         if "views" in self.__dict__:
             other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
         same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)

@@ -7,7 +7,7 @@ recording by recording. A small dense system for the shared parameters is left, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +62,11 @@ class NormalEquations:
         base = self._base + self.base_by_shared @ shared
         coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
         return Step(shared, boards, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
+
+    def after(self, shared: FloatArray) -> NormalEquations:
+        """The same after the step of all unknowns that goes with a step (P,) of the shared parameters."""
+        still = {name: np.zeros_like(getattr(self, name)) for name in ("_base", "_board", "_e")}
+        return replace(self, s=self.s + self.S @ shared, gain=0.0, **still)
 
     def onto_shared(
         self,
