@@ -18,18 +18,40 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mobilecal_cli.comparison import difference as compare
     from mobilecal_cli.errors import MobilecalError
+    from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
+    from mobilecal_cli.model import SensorMotion
     from mobilecal_cli.pipeline.evaluating import read_params as load
     from mobilecal_cli.pipeline.exporting import export as export_to
     from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, solve
 
 __version__ = "0.1.0"
-__all__ = ["Data", "Fit", "MobilecalError", "Report", "compare", "export_to", "extract", "load", "solve"]
+__all__ = [
+    "Data",
+    "Drive",
+    "Fit",
+    "MobilecalError",
+    "Report",
+    "SensorMotion",
+    "TargetPose",
+    "compare",
+    "export_to",
+    "extract",
+    "from_motions",
+    "from_poses",
+    "load",
+    "solve",
+]
 
 
 _ELSEWHERE = {
     "compare": ("comparison", "difference"),
     "export_to": ("pipeline.exporting", "export"),
+    "Drive": ("measured", "Drive"),
+    "from_motions": ("measured", "from_motions"),
+    "from_poses": ("measured", "from_poses"),
     "MobilecalError": ("errors", "MobilecalError"),
+    "SensorMotion": ("model", "SensorMotion"),
+    "TargetPose": ("measured", "TargetPose"),
     "load": ("pipeline.evaluating", "read_params"),
 }
 

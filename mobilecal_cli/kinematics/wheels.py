@@ -13,6 +13,8 @@ from mobilecal_cli.model import FloatArray, IntArray, Track, WheelGeometry, Whee
 _ROUNDING_RAD = 1e-9
 _WHOLE_STEPS = 0.01  # a sound change is so near to a whole number of steps
 _ROUNDING_STEPS = 1e-6  # agreement in steps that says no more
+_FEW_READINGS = 10  # of one wheel in one recording
+_SIDES = ("right", "left")
 _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500
@@ -103,9 +105,19 @@ def _adjusted(step: float, changes: FloatArray) -> float:
 
 
 def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
-    """Resolution of the right and left wheel's encoder, the largest over the recordings, (2,)."""
-    steps = [[encoder_step_rad(wheel.value) for wheel in (track.right, track.left)] for track in tracks]
-    return np.asarray(np.array(steps).reshape(-1, 2).max(axis=0, initial=0.0), dtype=np.float64)
+    """Resolution of the right and left wheel's encoder, the largest over the recordings, (2,).
+
+    Recordings with few readings say nothing alone: they count as one.
+    """
+    return np.array([_largest_step([getattr(track, side).value for track in tracks]) for side in _SIDES])
+
+
+def _largest_step(readings: Sequence[FloatArray]) -> float:
+    long = [values for values in readings if len(values) >= _FEW_READINGS]
+    short = [np.diff(values) for values in readings if len(values) < _FEW_READINGS]
+    if short:
+        long.append(np.cumsum(np.concatenate([[0.0], *short])))
+    return max((encoder_step_rad(values) for values in long), default=0.0)
 
 
 def between_steps(track: Track) -> Track:

@@ -121,7 +121,10 @@ def _of_images(lin: Linearization) -> Influence:
         lin.conditional_covariance @ onto,
         (inverse @ views.gradient[..., None])[..., 0],
         np.swapaxes(root, 1, 2) @ lin.marginals.images() @ root,
-        {"pixel_px": np.eye(root.shape[2])},
+        {
+            "pixel_px": ~lin.data.posed[:, None, None] * np.eye(root.shape[2]),
+            "pose_scale": lin.data.posed[:, None, None] * np.eye(root.shape[2]),
+        },
     )
 
 
@@ -144,7 +147,7 @@ def _of_legs(lin: Linearization) -> Influence:
     data, legs = lin.data, lin.legs
     i, j = data.legs.T
     root, _ = _roots(lin.leg_weight)
-    shared = np.swapaxes(legs.by_shared(data.layout), 1, 2) @ root
+    shared = np.swapaxes(legs.by_shared, 1, 2) @ root
     onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, shared=shared)
     onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root)
     transposed = np.swapaxes(root, 1, 2)

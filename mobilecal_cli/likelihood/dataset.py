@@ -28,6 +28,8 @@ _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
+#: A component of a measured pose with a larger standard deviation, rad or m, was not measured.
+NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 
 #: Columns of a station's base block: base pose (x, y, heading), encoder errors (right, left), processes (roll, pitch
@@ -61,6 +63,19 @@ class MotionPairs:
         return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorMotions:
+    """How a planar sensor on the head moved over each leg, in its own frame at the start.
+
+    Attributes:
+        motion: (L, 3) x, y (m) and heading (rad).
+        covariance: (L, 3, 3) as stated.
+    """
+
+    motion: FloatArray
+    covariance: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """The measurements of N stations of one or several recordings.
@@ -72,6 +87,8 @@ class Dataset:
         seen: (N, 2, M) corners that were detected; the others are no measurements.
         whitening: (N, 2, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
             the noise level: the claims of all stations' usual corners have rms 1.
+        pose_weight: (N, 6, 6) inverse covariance of a measured board pose, left perturbation, as stated; 0 where
+            corners were detected.
         T_c_k, T_c_k_cov: (N, 4, 4) and (N, 6, 6) board pose of each station by itself, left perturbation.
         points_c: (N, M, 3) triangulated corners, m.
         joints: (N, J) readings.
@@ -81,6 +98,7 @@ class Dataset:
         log: (N,) the recording of each station. Each recording has a board pose of its own.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
+        motions: of a planar sensor over each leg; None where there is none.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         layout: columns of the parameters that all recordings share.
@@ -92,6 +110,7 @@ class Dataset:
     pixels: FloatArray
     seen: BoolArray
     whitening: FloatArray
+    pose_weight: FloatArray
     T_c_k: FloatArray
     T_c_k_cov: FloatArray
     points_c: FloatArray
@@ -102,6 +121,7 @@ class Dataset:
     log: IntArray
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
+    motions: SensorMotions | None
     times_ns: IntArray
     encoder_step_rad: FloatArray
     layout: Layout
@@ -115,6 +135,11 @@ class Dataset:
     def logs(self) -> int:
         """Number of recordings, also of those without stations."""
         return len(self.tracks)
+
+    @property
+    def posed(self) -> BoolArray:
+        """(N,) stations whose board pose was measured, not its corners."""
+        return np.asarray(~self.seen.any(axis=(1, 2)))
 
     @property
     def base_width(self) -> int:
@@ -236,6 +261,7 @@ class Dataset:
             joint_tracks=self.joint_tracks[log : log + 1],
             log=np.zeros(int(mine.sum()), dtype=np.int64),
             legs=number[self.legs[legs]],
+            motions=self.motions and SensorMotions(self.motions.motion[legs], self.motions.covariance[legs]),
             tracks=self.tracks[log : log + 1],
         )
 
@@ -244,6 +270,7 @@ _BY_STATION = (
     "pixels",
     "seen",
     "whitening",
+    "pose_weight",
     "T_c_k",
     "T_c_k_cov",
     "points_c",
@@ -281,6 +308,10 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
             )
             for t in tracks
         )
+    motions = None
+    if extraction.motions:
+        measured = [(m.motion, m.covariance) for m in extraction.motions]
+        motions = SensorMotions(*(np.stack(part) for part in zip(*measured, strict=True)))
     claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
     return Dataset(
         cameras=extraction.rig.cameras,
@@ -289,6 +320,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
         seen=np.stack([np.stack([o.left.seen, o.right.seen]) for o in seen]),
         whitening=_whitening(seen, claims / np.sqrt(np.mean(claims**2))),
+        pose_weight=np.stack([_pose_weight(o) for o in seen]),
         T_c_k=np.stack([o.T_c_k for o in seen]),
         T_c_k_cov=np.stack([o.T_c_k_cov for o in seen]),
         points_c=np.stack([o.points_c for o in seen]),
@@ -299,10 +331,20 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         log=log,
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
+        motions=motions,
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
         encoder_step_rad=steps,
         layout=Layout(tuple(constants)),
     )
+
+
+def _pose_weight(o: Observation) -> FloatArray:
+    """(6, 6) inverse covariance of a pose that was measured without corners, 0 along what was not measured."""
+    weight = np.zeros((6, 6))
+    if not (o.left.seen.any() or o.right.seen.any()):
+        measured = np.flatnonzero(np.diag(o.T_c_k_cov) < NOT_MEASURED**2)
+        weight[np.ix_(measured, measured)] = np.linalg.inv(o.T_c_k_cov[np.ix_(measured, measured)])
+    return weight
 
 
 def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:

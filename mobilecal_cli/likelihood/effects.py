@@ -266,6 +266,10 @@ class CameraEffect(Effect, ABC):
 
     __slots__ = ()
 
+    def offered(self, data: Dataset) -> bool:
+        """Only corners show it."""
+        return not data.posed.all()
+
     @abstractmethod
     def add(self, change: CameraChange, value: float) -> None:
         """Add a value to the change."""
@@ -401,8 +405,8 @@ class ImageClock(CameraEffect):
     readout: bool
 
     def offered(self, data: Dataset) -> bool:
-        """Only stations in motion show a delay."""
-        return bool(data.moving.any()) and bool(data.joint_tracks)
+        """Only corners in motion show a delay."""
+        return not data.posed.all() and bool(data.moving.any()) and bool(data.joint_tracks)
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the delay or to the read-out time."""
@@ -422,6 +426,10 @@ class BoardEffect(Effect, ABC):
     """Changes the board's shape."""
 
     __slots__ = ()
+
+    def offered(self, data: Dataset) -> bool:
+        """Only corners show it."""
+        return not data.posed.all()
 
     @abstractmethod
     def displacement(self, points_k: FloatArray) -> FloatArray:

@@ -91,7 +91,7 @@ def _parts(lin: Linearization) -> Iterator[tuple[str, _Part]]:
         moved[:, [6 + k for k in pair], range(len(pair))] = 1.0
         yield "right camera", _Part(views=moved)
     for k, side in enumerate(("right", "left")):
-        yield f"{side} wheel", _Part(legs=lin.legs.by_wheels[:, :, k : k + 1])
+        yield f"{side} wheel", _Part(legs=lin.legs.by_shared[:, :, 6 + k : 7 + k])
 
 
 class _Test:
@@ -103,7 +103,7 @@ class _Test:
         self._normal = lin.normal
         self._factor = cholesky_banded(banded(*lin.normal.chain), lower=True, check_finite=False)
         self._C = lin.conditional_covariance
-        self._leg_shared = lin.legs.by_shared(lin.data.layout)
+        self._leg_shared = lin.legs.by_shared
 
     def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, ...]]:
         """For a jump before each of some stations: gradient, information, across, and known.

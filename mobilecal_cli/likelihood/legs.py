@@ -1,4 +1,4 @@
-"""Odometry residual of each leg, and its covariance from the wheels' noise along the arcs."""
+"""Residuals of each leg between two base poses, and their covariance: odometry, and a planar sensor's own motion."""
 
 from __future__ import annotations
 
@@ -7,48 +7,48 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
 from mobilecal_cli.likelihood.effects import WheelClock
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
-from mobilecal_cli.likelihood.nuisance import Layout
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State, Step, wheel_clock_s
+from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
 from mobilecal_cli.model import FloatArray, WheelGeometry
+
+#: Share of the legs' covariance that is no level: what is supposed of every leg.
+SUPPOSED = "slip"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Legs:
-    """Residuals of all legs at a state, not whitened: (x, y, heading) of odometry minus those of the base poses.
+    """Residuals of all legs at a state, not whitened.
+
+    K is 3: (x, y, heading) of odometry minus those of the base poses. Where a sensor measured its own planar motion it
+    is 6: those of the sensor's motion minus those that the base poses say follow.
 
     Attributes:
-        residual: (L, 3) m, m, rad.
-        by_start, by_end: (L, 3, B) by the station's base block.
-        by_wheels: (L, 3, 3) by (rR, rL, b).
-        by_clock: (L, 3) by the offset of the wheels' clock.
+        residual: (L, K) m, m, rad.
+        by_start, by_end: (L, K, B) by the station's base block.
+        by_shared: (L, K, P) by the parameters that all recordings share.
     """
 
     residual: FloatArray
     by_start: FloatArray
     by_end: FloatArray
-    by_wheels: FloatArray
-    by_clock: FloatArray
+    by_shared: FloatArray
 
     def moved(self, data: Dataset, step: Step) -> Legs:
         """The same after a step of all unknowns, to first order."""
         i, j = data.legs.T
         by_ends = self.by_start @ step.base[i, :, None] + self.by_end @ step.base[j, :, None]
-        change: FloatArray = by_ends[..., 0] + self.by_shared(data.layout) @ step.shared
+        change: FloatArray = by_ends[..., 0] + self.by_shared @ step.shared
         return replace(self, residual=self.residual + change)
 
-    def by_shared(self, layout: Layout) -> FloatArray:
-        """(L, 3, P) by all parameters that the recordings share."""
-        shared = np.zeros((len(self.residual), 3, layout.size))
-        shared[:, :, 6:9] = self.by_wheels
-        for column, row in enumerate(layout.constants, 9):
-            if isinstance(row.effect, WheelClock):
-                shared[:, :, column] = self.by_clock
-        return shared
+    def followed_by(self, other: Legs) -> Legs:
+        """The residuals of both, leg by leg."""
+        parts = ("residual", "by_start", "by_end", "by_shared")
+        return Legs(*(np.concatenate([getattr(self, at), getattr(other, at)], axis=1) for at in parts))
 
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
@@ -118,7 +118,54 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
         by_start[:, :, ENCODERS] = by_end[:, :, ENCODERS] = 0.0
     residual = _as_rows(arcs.motion()) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
-    return Legs(residual, by_start, by_end, by_wheels, by_clock)
+    by_shared = np.zeros((count, 3, data.layout.size))
+    by_shared[:, :, 6:9] = by_wheels
+    for column, row in enumerate(data.layout.constants, 9):
+        if isinstance(row.effect, WheelClock):
+            by_shared[:, :, column] = by_clock
+    odometry = Legs(residual, by_start, by_end, by_shared)
+    return odometry if data.motions is None else odometry.followed_by(_of_sensor(data, state, data.motions))
+
+
+def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> Legs:
+    """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
+    i = data.legs[:, 0]
+    X, between = state.parameters.T_h_c, base_legs(data, state)
+    flat = np.concatenate([between[:, :2], np.zeros((len(i), 1))], axis=1)
+    T_b = se3.transform(se3.rotation_z(between[:, 2]), flat)
+    T_v_c = head_at(data, state)[i] @ X
+    T = se3.inverse(T_v_c) @ T_b @ T_v_c
+    # Rows of a left twist of T that move x, y and heading.
+    rows = np.zeros((len(T), 3, 6))
+    rows[:, 0, 3] = rows[:, 1, 4] = rows[:, 2, 2] = 1.0
+    rows[:, 0, 2], rows[:, 1, 2] = -T[:, 1, 3], T[:, 0, 3]
+    into = se3.adjoint(se3.inverse(T_v_c))
+    by_start, by_end = np.zeros((2, len(T), 3, data.base_width))
+    by_start[:, :, BASE] = (rows @ into)[:, :, [3, 4, 2]]
+    by_end[:, :, BASE] = -(rows @ into @ se3.adjoint(T_b))[:, :, [3, 4, 2]]
+    by_start[data.first[i], :, BASE] = 0.0
+    by_shared = np.zeros((len(T), 3, data.layout.size))
+    by_pose = rows @ (np.eye(6) - se3.adjoint(T))
+    by_shared[:, :, :3], by_shared[:, :, 3:6] = (
+        by_pose[:, :, :3] @ X[:3, :3].T,
+        by_pose[:, :, 3:] @ X[:3, :3].T,
+    )
+    heading = np.arctan2(T[:, 1, 0], T[:, 0, 0])
+    residual = motions.motion - np.concatenate([T[:, :2, 3], heading[:, None]], axis=1)
+    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    return Legs(residual, by_start, by_end, by_shared)
+
+
+def all_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
+    """Noise level → its share of the covariance of the legs' residuals, (L, K, K), for known ends; see `Legs`."""
+    of_wheels = leg_covariances(data.steps(), wheels, noise, ends_known=True)
+    if data.motions is None:
+        return of_wheels
+    wide = {name: np.zeros((len(data.legs), 6, 6)) for name in (*of_wheels, "pose_scale")}
+    for name, share in of_wheels.items():
+        wide[name][:, :3, :3] = share
+    wide["pose_scale"][:, 3:, 3:] = noise.pose_scale**2 * data.motions.covariance
+    return wide
 
 
 def leg_covariance(data: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
@@ -162,5 +209,5 @@ def leg_covariances(
     return {
         "wheel_rad_per_sqrt_rad": root,
         "wheel_share": by_radii @ np.swapaxes(by_radii, 1, 2),
-        "slip": slip,
+        SUPPOSED: slip,
     }

@@ -13,7 +13,7 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.legs import Legs, leg_covariances, linearize_legs
+from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
 from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
@@ -51,11 +51,11 @@ class Linearization:
         inliers: the measurements that are used.
         noise: standard deviations of the measurements.
         priors: what is known of the shared parameters.
-        leg_covariances: noise level → its share of the covariance of odometry's (x, y, heading), (L, 3, 3), m and rad,
+        leg_covariances: noise level → its share of the covariance of the legs' residuals, (L, K, K), m and rad,
             for known scale errors of the wheels at the stations.
         processes: prior of the floor and of the wheels' scale errors along the way.
         rates: (N, 6) see `view_rates`.
-        leg_offset: (L, 3) to be added to the legs' residuals, or 0.
+        leg_offset: (L, K) to be added to the legs' residuals, or 0.
     """
 
     data: Dataset
@@ -72,7 +72,7 @@ class Linearization:
     def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
         """The likelihood at a state, with the legs' covariance and the distances for the wheels of this state."""
         wheels = state.parameters.wheels
-        covariances = leg_covariances(data.steps(), wheels, noise, ends_known=True)
+        covariances = all_covariances(data, wheels, noise)
         along = processes_of(data, wheels, noise, inliers)
         return cls(data, state, inliers, noise, priors, covariances, along, view_rates(data, state))
 
@@ -110,11 +110,13 @@ class Linearization:
         The views' rates stay, as the views do; see `renewed`.
         """
         wheels = self.state.parameters.wheels
-        covariances = leg_covariances(self.data.steps(), wheels, noise, ends_known=True)
+        covariances = all_covariances(self.data, wheels, noise)
         along = processes_of(self.data, wheels, noise, self.inliers)
         other = replace(self, noise=noise, leg_covariances=covariances, processes=along)
         if "views" in self.__dict__:
-            other.__dict__["views"] = self.views.scaled(noise.pixel_px / self.noise.pixel_px)
+            levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
+            factor = sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
+            other.__dict__["views"] = self.views.scaled(np.asarray(factor))
         same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
         if "legs" in self.__dict__ and same and noise.wheel_length_m == self.noise.wheel_length_m:
             other.__dict__["legs"] = self.legs
@@ -134,9 +136,10 @@ class Linearization:
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         if "views" in self.__dict__:
-            changed = np.flatnonzero((inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2)))
+            changed = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
+            changed |= inliers.views != self.inliers.views
             other.__dict__["views"] = with_stations(
-                self.views, self.data, self.state, inliers, self.noise, self.rates, changed
+                self.views, self.data, self.state, inliers, self.noise, self.rates, np.flatnonzero(changed)
             )
         return other
 
@@ -169,12 +172,12 @@ class Linearization:
 
     @cached_property
     def leg_covariance(self) -> FloatArray:
-        """(L, 3, 3) covariance of odometry's (x, y, heading), m and rad."""
+        """(L, K, K) covariance of the legs' residuals, m and rad."""
         return np.asarray(sum(self.leg_covariances.values()))
 
     @cached_property
     def leg_weight(self) -> FloatArray:
-        """(L, 3, 3) inverse covariance of each leg, 0 for outliers."""
+        """(L, K, K) inverse covariance of each leg, 0 for outliers."""
         with _solvable():
             inverse = np.linalg.inv(self.leg_covariance)
         return np.asarray(inverse * self.inliers.legs[:, None, None], dtype=np.float64)

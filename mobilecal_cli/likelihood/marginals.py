@@ -51,11 +51,12 @@ class Marginals:
         out: FloatArray = self.processes - mixed - np.swapaxes(mixed, 1, 2)
         return out + rho[:, :, None] * previous * rho[:, None, :]
 
-    def leverage(self, information: FloatArray) -> float:
-        """How much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
-        of_poses = np.einsum("nqr,nrq->", information[:, :6, :6], self.views)
-        of_direct = np.sum(information[:, 6:, 6:].sum(axis=0) * self.direct)
-        return float(of_poses + 2 * np.sum(information[:, :6, 6:] * self.mixed) + of_direct)
+    def leverage(self, information: FloatArray) -> FloatArray:
+        """(N,) how much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
+        of_poses = np.einsum("nqr,nrq->n", information[:, :6, :6], self.views)
+        of_direct = np.einsum("nqr,rq->n", information[:, 6:, 6:], self.direct)
+        mixed = np.einsum("nqr,nqr->n", information[:, :6, 6:], self.mixed)
+        return np.asarray(of_poses + 2 * mixed + of_direct)
 
     def images(self) -> FloatArray:
         """(N, Q, Q) of (delta, direct constants)."""
@@ -103,7 +104,7 @@ def marginals(lin: Linearization) -> Marginals:
     i, j = lin.data.legs.T
     along, before = PROCESSES, np.zeros((len(own), COUNT, COUNT))
     before[j] = cross[i, along, along] + follow[i, along] @ C @ np.swapaxes(follow[j, along], 1, 2)
-    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared(lin.data.layout)
+    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(

@@ -13,7 +13,7 @@ SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm 
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
-FREE_BOARD = 1.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
+FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 EXACT = 1e-6  # rad, m, s: of what has no noise
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
 
@@ -32,6 +32,7 @@ class Noise:
         wheel_share: of each wheel's scale.
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
+        pose_scale: of measured poses, in units of the stated standard deviations.
     """
 
     pixel_px: float
@@ -46,6 +47,7 @@ class Noise:
     wheel_length_m: float = 1.0
     sway_rad: float = EXACT
     sway_m: float = EXACT
+    pose_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

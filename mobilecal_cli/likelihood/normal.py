@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.chain import banded, chain_covariance
 from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP, Dataset
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
@@ -144,12 +144,12 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     h[views.direct] += own.direct_gradient
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
     hK = _by_log(data, Kt @ own.gradient[..., None])
-    HK[_unseen_boards(lin)] += np.eye(6) / FREE_BOARD**2
+    HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
     off = np.zeros((count, B, B))
     i, j = data.legs.T
-    shared = legs.by_shared(data.layout)
+    shared = legs.by_shared
     Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
     Ws = weight @ shared
     We = np.einsum("lab,lb->la", weight, legs.residual)
@@ -279,13 +279,6 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     rows = A.shape[0] * A.shape[1]
     product: FloatArray = A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
     return product
-
-
-def _unseen_boards(lin: Linearization) -> BoolArray:
-    """(logs,) recordings whose board no used image shows."""
-    unseen = np.ones(lin.data.logs, dtype=np.bool_)
-    unseen[lin.data.log[lin.inliers.used_corners.any(axis=(1, 2))]] = False
-    return unseen
 
 
 def _process_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

@@ -113,7 +113,7 @@ class ResidualTests:
     @cached_property
     def small_legs(self) -> BoolArray:
         """(L,) legs whose wheels agree with the base poses to `SMALL_RAD` and `SMALL_M`."""
-        x, y, heading = self._lin.legs.residual.T
+        x, y, heading = self._lin.legs.residual[:, :3].T
         return _small(np.abs(heading), np.hypot(x, y))
 
     @cached_property

@@ -123,6 +123,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         data,
         pixels=np.repeat(data.pixels[-1:], count + 1, axis=0),
         seen=np.ones((count + 1, *data.seen.shape[1:]), dtype=np.bool_),
+        pose_weight=np.zeros((count + 1, 6, 6)),
         whitening=np.broadcast_to(np.eye(2), (count + 1, *data.whitening.shape[1:])),
         joints=np.concatenate([data.joints[-1:], stops.joints]),
         joint_tracks=(),
@@ -130,6 +131,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         approach_direction=np.zeros((count + 1, J)),
         log=np.zeros(count + 1, dtype=np.int64),
         tracks=data.tracks[data.log[-1] :][:1],
+        motions=None,
         legs=np.stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)], axis=1),
         times_ns=np.arange(count + 1),
         T_c_k=np.repeat(
@@ -164,7 +166,7 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     by_start = legs.by_start[0].copy()
     # The start is a station like any other here, not the origin of the world.
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
-    by_shared = legs.by_shared(data.layout)[0]
+    by_shared = legs.by_shared[0]
     rows = np.concatenate([by_shared, by_start, legs.by_end[0]], axis=1)
     H: FloatArray = rows.T @ np.linalg.inv(_covariance(pair, wheels, noise)[0]) @ rows
     before = by_shared.shape[1] + np.arange(PROCESSES.start, PROCESSES.stop)
@@ -224,6 +226,8 @@ def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tu
         covariance: (P, P) of the shared parameters.
         most: how many at most.
     """
+    if lin.data.posed.any():
+        return ()  # no camera says from where the target would be seen
     normal, wheels, last = lin.normal, lin.state.parameters.wheels.vector, int(lin.data.log[-1])
     # Shared parameters, last board and last base block; at a stop, the stamp's error has no effect.
     by_board = np.concatenate([np.zeros((len(covariance), 6)), np.eye(6), normal.base_by_board[-1][:STAMP]])

@@ -87,13 +87,13 @@ class Views:
         cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
         return replace(self, gradient=self.gradient + change, cost=cost)
 
-    def scaled(self, factor: float) -> Views:
-        """The same with a corner noise that is so many times larger."""
+    def scaled(self, factor: FloatArray) -> Views:
+        """The same with a noise of corners or measured poses that is (N,) so many times larger."""
         weight = factor**-2
         return replace(
             self,
-            information=weight * self.information,
-            gradient=weight * self.gradient,
+            information=weight[:, None, None] * self.information,
+            gradient=weight[:, None] * self.gradient,
             cost=weight * self.cost,
         )
 
@@ -259,8 +259,9 @@ def _floor_twists(state: State) -> FloatArray:
 def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
     """Residuals and information of all stations' images; rates: (N, 6) see `view_rates`."""
     T_c_k = board_in_camera(data, state)
-    root_weight = _root_weight(inliers, noise)
-    parts = [_measured(data, state, T_c_k, root_weight, rates, block) for block in blocks_of(data.stations)]
+    parts = [
+        _measured(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
+    ]
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _ in data.layout.direct], dtype=np.int64)
     return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
@@ -276,31 +277,54 @@ def with_stations(
     stations: IntArray,
 ) -> Views:
     """The same with the images of some stations taken anew, for inliers that differ there."""
-    T_c_k, root_weight = board_in_camera(data, state), _root_weight(inliers, noise)
+    T_c_k = board_in_camera(data, state)
     fields = ("residual_px", "information", "gradient", "cost")
     parts = {name: getattr(views, name).copy() for name in fields}
-    for name, values in zip(fields, _measured(data, state, T_c_k, root_weight, rates, stations), strict=True):
+    taken = _measured(data, state, T_c_k, inliers, noise, rates, stations)
+    for name, values in zip(fields, taken, strict=True):
         parts[name][stations] = values
     return replace(views, **parts)
-
-
-def _root_weight(inliers: Inliers, noise: Noise) -> FloatArray:
-    """(N, 2, M) inverse sigma of each corner, 0 for outliers."""
-    return np.where(inliers.used_corners, 1 / noise.pixel_px, 0.0)
 
 
 def _measured(
     data: Dataset,
     state: State,
     T_c_k: FloatArray,
-    root_weight: FloatArray,
+    inliers: Inliers,
+    noise: Noise,
     rates: FloatArray,
     stations: slice | IntArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Residuals, information, gradient and cost of some stations' images, see `Views`."""
+    """Residuals, information, gradient and cost of some stations' images or poses, see `Views`."""
+    if data.posed.any():
+        return _measured_poses(data, T_c_k, inliers, noise, stations)
     residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])
-    W = data.whitening[stations] * root_weight[stations, ..., None, None]
+    root_weight = np.where(inliers.used_corners[stations], 1 / noise.pixel_px, 0.0)
+    W = data.whitening[stations] * root_weight[..., None, None]
     each = math.prod(residual.shape[1:])
     At = whitened(W, J, out=J).reshape(*J.shape[:2], each)
     r = whitened(W, residual).reshape(len(J), each)
     return residual, At @ np.swapaxes(At, 1, 2), (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)
+
+
+def _measured_poses(
+    data: Dataset, T_c_k: FloatArray, inliers: Inliers, noise: Noise, stations: slice | IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
+    off = se3.log(T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
+    by_delta = _by_left_twist(off)
+    used = inliers.views[stations] / noise.pose_scale**2
+    weight = data.pose_weight[stations] * used[:, None, None]
+    pull = (weight @ off[..., None])[..., 0]
+    information = np.swapaxes(by_delta, 1, 2) @ weight @ by_delta
+    gradient = np.einsum("nab,na->nb", by_delta, pull)
+    return np.zeros_like(data.pixels[stations]), information, gradient, np.sum(off * pull, axis=1)
+
+
+def _by_left_twist(twist: FloatArray) -> FloatArray:
+    """(N, 6, 6) derivative of log(exp(delta) exp(twist)) by delta, to second order in the twist."""
+    ad = np.zeros((len(twist), 6, 6))
+    ad[:, :3, :3] = ad[:, 3:, 3:] = se3.skew(twist[:, :3])
+    ad[:, 3:, :3] = se3.skew(twist[:, 3:])
+    out: FloatArray = np.eye(6) - ad / 2 + ad @ ad / 12
+    return out

@@ -31,6 +31,7 @@ from mobilecal_cli.model.observations import (
     Extraction,
     LogSource,
     Observation,
+    SensorMotion,
     Snapshot,
     WheelTrack,
 )
@@ -147,6 +148,7 @@ __all__ = [
     "Rig",
     "RobotDescription",
     "ScaleCheck",
+    "SensorMotion",
     "Setting",
     "Side",
     "Signals",

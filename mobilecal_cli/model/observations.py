@@ -139,6 +139,25 @@ class WheelTrack:
         return self.left.at(self.time_ns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorMotion:
+    """A leg of the base, and how a planar sensor on it moved meanwhile (scan matching, visual odometry).
+
+    Attributes:
+        right_rad, left_rad: rotation of the wheels over the leg, positive when driving forward.
+        motion: (3,) x, y (m) and heading (rad) of the sensor at the end, in its own frame at the start.
+        covariance: (3, 3) of the motion. Its scale is estimated.
+    """
+
+    right_rad: float
+    left_rad: float
+    motion: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, motion=(3,), covariance=(3, 3))
+
+
 @dataclass(frozen=True, slots=True)
 class LogSource:
     """A recording.
@@ -167,6 +186,7 @@ class Extraction:
         counts: "stations" found, "pictures" searched, ...
         joint_tracks: head joints over time, one tuple per log in the order of `HeadChain.joints`; empty if
             unknown, and then clock offset and backlash cannot be estimated.
+        motions: of a planar sensor, one for each log, which is one leg; empty where there are none.
     """
 
     rig: Rig
@@ -178,6 +198,7 @@ class Extraction:
     logs: tuple[LogSource, ...]
     counts: Mapping[str, int]
     joint_tracks: tuple[tuple[Track, ...], ...] = ()
+    motions: tuple[SensorMotion, ...] = ()
 
     def __repr__(self) -> str:
         """One line."""
@@ -192,6 +213,11 @@ class Extraction:
             return tuple(log.path for log in self.logs)
         return tuple(f"recording {number}" for number in range(1, len(self.wheels) + 1))
 
+    @property
+    def measured(self) -> bool:
+        """Whether poses were measured in place of corners."""
+        return not any(o.left.seen.any() or o.right.seen.any() for o in self.observations)
+
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""
         return replace(
@@ -199,6 +225,7 @@ class Extraction:
             observations=tuple(replace(o, log=0) for o in self.observations if o.log == log),
             wheels=(self.wheels[log],),
             joint_tracks=self.joint_tracks[log : log + 1],
+            motions=self.motions[log : log + 1],
         )
 
 

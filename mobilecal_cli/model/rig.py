@@ -401,6 +401,7 @@ class KnownNoise:
         wheel_share: of a wheel's scale.
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
+        pose_scale: of measured poses, in units of the stated standard deviations.
     """
 
     pixel_px: float | None = None
@@ -415,6 +416,7 @@ class KnownNoise:
     wheel_length_m: float | None = None
     sway_rad: float | None = None
     sway_m: float | None = None
+    pose_scale: float | None = None
 
     @property
     def given(self) -> dict[str, float]:

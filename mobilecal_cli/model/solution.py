@@ -98,6 +98,7 @@ class NoiseLevels:
         wheel_share: of each wheel's scale.
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
+        pose_scale: of measured poses, in units of the stated standard deviations.
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.
     """
@@ -114,6 +115,7 @@ class NoiseLevels:
     wheel_length_m: float
     sway_rad: float
     sway_m: float
+    pose_scale: float
     estimated: tuple[str, ...]
     redundancy: Mapping[str, float]
 

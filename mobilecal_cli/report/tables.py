@@ -150,6 +150,7 @@ _LEVELS = {
     "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
     "wheel_share": ("scale of a wheel", "%", 100.0),
+    "pose_scale": ("measured poses, over their stated standard deviation", "", 1.0),
 }
 
 
@@ -165,6 +166,8 @@ def noise(case: Case) -> Rows:
         std = float(getattr(levels, level))
         source = "given" if level in given else "assumed"
         if (level == "stamp_s" and not moving) or (level == "encoder_rad" and not std):
+            continue
+        if level == ("pixel_px" if case.extraction.measured else "pose_scale"):
             continue
         if level in levels.estimated:
             source = f"estimated from {levels.redundancy[level]:.0f} redundant residuals"

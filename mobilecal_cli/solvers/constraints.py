@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
@@ -54,6 +54,11 @@ class Constraints:
 
     def _by_flag(self) -> tuple[tuple[str, Iterable[str]], ...]:
         return (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants))
+
+    def of_planar_sensor(self) -> Constraints:
+        """The same, with all that a planar sensor does not show of itself as stated: roll, pitch and height."""
+        hidden = {name: None for name in ("r_x", "r_y", "t_z") if name not in self.priors}
+        return replace(self, fixed=hidden | dict(self.fixed))
 
     def check(self, constants: Sequence[str], nominal: Nominal) -> None:
         """Check the names against the constants that a robot has, and relative values against its nominal values.

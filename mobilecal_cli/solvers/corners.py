@@ -54,6 +54,8 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
     Returns:
         (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
+    if data.posed.any():
+        return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
     if not state.constants:  # as stated: the derivatives by constants would only take time
         data = data.with_constants(())
     size = np.concatenate([_own_misfit(data, state, block) for block in blocks_of(data.stations)])

@@ -176,9 +176,9 @@ def widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
 
 
 def over_logs(fit: Fit) -> Fit:
-    """The fit with the spread between recordings included; unchanged for a single recording."""
+    """The fit with the spread between recordings included; unchanged for a single recording, or single legs."""
     lin = fit.lin
-    if len(np.unique(lin.data.log)) < 2:
+    if len(np.unique(lin.data.log)) < 2 or lin.data.motions is not None:
         return fit
     pooled = weigh_logs(lin)
     if np.any(pooled.step):

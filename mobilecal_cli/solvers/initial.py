@@ -19,7 +19,7 @@ from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.transfer import point_rms_m
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13
@@ -176,6 +176,8 @@ def linear_estimate(
 def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, seen: MotionSeen) -> Parameters:
     """The linear method with weak priors from nominal values, for motion that does not show all parameters.
 
+    Or the nominal values themselves, where most legs agree better with them.
+
     Raises:
         SolveError: wheels that the motion does not show, and no nominal ones.
     """
@@ -186,17 +188,16 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, seen: MotionSeen
         )
     ratios = ratios_of(prior.wheels) if prior.wheels is not None else np.zeros(2)
     signs = (0,) if seen.tilts or prior.head_eye_fixed else (1, -1)
-    found: list[tuple[float, Parameters]] = []
+    found = [] if prior.T_h_c is None or prior.wheels is None else [Parameters(prior.T_h_c, prior.wheels)]
     for sign in signs:
         try:
-            parameters = Rounds(pairs, prior, sign).after(ratios, _PRIOR_ROUNDS)
+            found.append(Rounds(pairs, prior, sign).after(ratios, _PRIOR_ROUNDS))
         except SolveError:
             continue
-        found.append((point_rms_m(pairs, parameters), parameters))
     if not found:
         raise SolveError(
             f"the linear method found no solution on {len(pairs.legs)} legs between stations",
             "state nominal.wheels and nominal.head_eye in rig.yaml",
         )
-    upright = [item for item in found if item[1].wheels.separation_m > 0]  # upside down is a twin with b < 0
-    return min(upright or found, key=lambda item: item[0])[1]
+    upright = [item for item in found if item.wheels.separation_m > 0]  # upside down is a twin with b < 0
+    return min(upright or found, key=lambda item: float(np.median(leg_rms_m(pairs, item))))

@@ -68,6 +68,6 @@ def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, F
 def _median_pose(T: FloatArray) -> FloatArray:
     """A pose in the middle of several: medians of the twists from one of them."""
     best: FloatArray = T[len(T) // 2]
-    for _ in range(3):
+    for _ in range(3 if len(T) > 2 else 0):
         best = best @ se3.exp(np.median(se3.log(se3.inverse(best) @ T), axis=0))
     return best

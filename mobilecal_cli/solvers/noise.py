@@ -9,6 +9,7 @@ from dataclasses import asdict, astuple, dataclass, replace
 import numpy as np
 
 from mobilecal_cli.likelihood.dataset import STAMP
+from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import EXACT, Noise
 from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
@@ -29,6 +30,7 @@ GUESS = Noise(
     wheel_length_m=1.0,
     sway_rad=float(np.radians(0.02)),
     sway_m=0.0001,
+    pose_scale=1.0,
 )
 LEAST = Noise(
     1e-3,
@@ -43,10 +45,23 @@ LEAST = Noise(
     wheel_length_m=1e-3,
     sway_rad=1e-6,
     sway_m=1e-6,
+    pose_scale=1e-3,
 )
 # Beyond these a level says that the model is wrong, not how noisy a measurement is.
 MOST = Noise(
-    1e3, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1, floor_length_m=1e3, wheel_length_m=1e3, sway_rad=0.1, sway_m=0.1
+    1e3,
+    1.0,
+    1.0,
+    1.0,
+    0.1,
+    0.1,
+    0.1,
+    0.1,
+    floor_length_m=1e3,
+    wheel_length_m=1e3,
+    sway_rad=0.1,
+    sway_m=0.1,
+    pose_scale=1e3,
 )
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).
 _LENGTH_FACTOR = 3.0
@@ -87,9 +102,14 @@ class Component:
 def components(lin: Linearization) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views, marginal, state = lin.views, lin.marginals, lin.state
-    taken = marginal.leverage(views.information)
-    corners = 2 * int(lin.inliers.used_corners.sum())
-    result = {"pixel_px": Component(float(views.cost.sum()), corners - taken)}
+    taken, posed = marginal.leverage(views.information), lin.data.posed
+    measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
+    counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
+    result = {
+        level: Component(float(views.cost[of].sum()), float((count - taken)[of].sum()))
+        for level, of, count in zip(("pixel_px", "pose_scale"), (~posed, posed), counts, strict=True)
+        if of.any()
+    }
 
     processes = lin.processes
     ratio = processes.innovations(_within(lin)) ** 2 / processes.variance
@@ -102,8 +122,9 @@ def components(lin: Linearization) -> dict[str, Component]:
 
     e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
     left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
-    for level in ("wheel_rad_per_sqrt_rad", "wheel_share"):
-        share = lin.leg_covariances[level]
+    for level, share in lin.leg_covariances.items():
+        if level == SUPPOSED:
+            continue
         squares = float(np.einsum("la,lab,lb->", e, share, e))
         of_legs = Component(squares, float(np.einsum("lab,lba->", share, left_over)))
         result[level] = result.get(level, Component(0.0, 0.0)) + of_legs

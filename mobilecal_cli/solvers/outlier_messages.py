@@ -25,7 +25,7 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         return f"{(seen[i].time_ns - begin[seen[i].log]) / 1e9:.1f} s"
 
     found: list[Outlier] = []
-    legs = fit.lin.legs.residual
+    legs = fit.lin.legs.residual[:, :3]
     for leg in np.flatnonzero(~inliers.legs):
         i, j = (int(k) for k in fit.data.legs[leg])
         x, y, psi = legs[leg]

@@ -26,6 +26,14 @@ _APART = 5
 _MUCH = 4.0  # a first fit with statistics beyond this many times their limit calls for a consensus
 
 
+#: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.
+_JUDGED_BY = {
+    "views": ("pose_scale", "joint_rad", "wheel_rad_per_sqrt_rad"),
+    "legs": ("pose_scale", "wheel_rad_per_sqrt_rad"),
+    "readings": ("joint_rad",),
+}
+
+
 class OutlierSearch:
     """Judges fits of one extraction."""
 
@@ -85,7 +93,7 @@ class OutlierSearch:
 
     def _usable(self, inliers: Inliers) -> BoolArray:
         """(N,) stations most of whose corners fit the board's shape."""
-        most = inliers.corners.sum(axis=2) > 0.5 * self._data.seen.sum(axis=2)
+        most = inliers.corners.sum(axis=2) >= 0.5 * self._data.seen.sum(axis=2)
         return np.asarray(most.all(axis=1), dtype=np.bool_)
 
     def _restored_views(self, fit: Fit, redundancy: float) -> Inliers | None:
@@ -117,40 +125,41 @@ class OutlierSearch:
                 continue
             usual = float(chdtri(dof, _STRIKING / values.size))
             striking = np.argwhere(values > usual)
-            places = self._some(striking[np.argsort(-values[values > usual], kind="stable")])
+            places = self._some(kind, striking[np.argsort(-values[values > usual], kind="stable")])
             if places:
                 found.append((float(values[places[0]]) / usual, kind, places))
         return sorted(found, reverse=True)
 
-    def _some(self, places: IntArray) -> list[tuple[int, ...]]:
-        """The first of some places, (n, indices), that are far from one another: one, in long recordings a few."""
-        most, some = 1 + self._data.stations // LONG_RECORDING, list[tuple[int, ...]]()
+    def _some(self, kind: str, places: IntArray) -> list[tuple[int, ...]]:
+        """The first of some places of a kind, (n, indices), that are far from one another.
+
+        One of each recording, of long ones a few.
+        """
+        log = self._data.log[self._data.legs[:, 0]] if kind == "legs" else self._data.log
+        left = 1 + np.bincount(self._data.log) // LONG_RECORDING
+        some: dict[int, list[tuple[int, ...]]] = {}
         for at in places:
-            if len(some) == most:
-                break
-            if all(abs(at[0] - other[0]) > _APART for other in some):
-                some.append(tuple(int(k) for k in at))
-        return some
+            mine = int(log[at[0]])
+            beside = some.setdefault(mine, [])
+            if left[mine] and all(abs(at[0] - other[0]) > _APART for other in beside):
+                beside.append(tuple(int(k) for k in at))
+                left[mine] -= 1
+        return [at for beside in some.values() for at in beside]
 
     def _external(self, fit: Fit, kind: str) -> FloatArray:
         """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-        count, tests = self._data.stations, fit.lin.tests
-        wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
-        if kind == "legs":
-            statistic = tests.predicted_legs
-            redundancy = self._known_by("wheel_rad_per_sqrt_rad", wheels.redundancy)
-        elif kind == "views":
-            statistic, _ = tests.predicted_views
-            redundancy = self._known_by("joint_rad", wheels.redundancy + joints.redundancy)
-        else:
-            statistic = tests.predicted_readings
-            redundancy = self._known_by("joint_rad", joints.redundancy)
-        beyond = statistic / limit(count, _DEGREES[kind], redundancy)
+        tests = fit.lin.tests
+        statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
+        beyond = statistic / limit(self._data.stations, _DEGREES[kind], self._known_by(fit, kind))
         return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
 
-    def _known_by(self, level: str, redundancy: float) -> float:
-        """Number of residuals that a noise level rests on: very many where it is given."""
-        return _MANY if level in self._fitter.given else redundancy + guess_worth(redundancy)
+    def _known_by(self, fit: Fit, kind: str) -> float:
+        """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
+        levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
+        if levels[0] in self._fitter.given:
+            return _MANY
+        redundancy = sum(fit.components[level].redundancy for level in levels)
+        return redundancy + guess_worth(redundancy)
 
     def swapped(self, fit: Fit) -> Fit | None:
         """A fit with a station's images restored and a leg beside it rejected instead: a slip looks like both."""
@@ -179,16 +188,17 @@ class OutlierSearch:
     def decided(self, fit: Fit) -> Fit | None:
         """A fit with measurements restored or rejected; None where all are consistent."""
         inliers = fit.inliers
-        wheels, joints = fit.components["wheel_rad_per_sqrt_rad"], fit.components["joint_rad"]
-        back = self._restored_views(fit, self._known_by("joint_rad", wheels.redundancy + joints.redundancy))
+        back = self._restored_views(fit, self._known_by(fit, "views"))
         if back is not None:
             return self._refitted(fit, back)
         if not inliers.legs.all():
-            agreeing = self._some(np.argwhere(~inliers.legs & (self._external(fit, "legs") < 1)))
+            agreeing = self._some("legs", np.argwhere(~inliers.legs & (self._external(fit, "legs") < 1)))
             if agreeing:
                 return self._refitted(fit, _changed(inliers, kind="legs", places=agreeing, to=True))
         if not inliers.readings.all():
-            agreeing = self._some(np.argwhere(~inliers.readings & (self._external(fit, "readings") < 1)))
+            agreeing = self._some(
+                "readings", np.argwhere(~inliers.readings & (self._external(fit, "readings") < 1))
+            )
             if agreeing:
                 return self._refitted(fit, _changed(inliers, kind="readings", places=agreeing, to=True))
         for _, kind, places in self._candidates(fit):

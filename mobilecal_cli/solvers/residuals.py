@@ -33,26 +33,31 @@ def residuals_of(
         parameters: the prediction's.
         inliers: (L,) legs to compare; all by default.
     """
+    sides: tuple[Side, Side] = ("left", "right")
     kept = np.arange(len(pairs.legs)) if inliers is None else np.flatnonzero(inliers)
     i, j = pairs.legs[kept].T
     cameras = extraction.rig.cameras
     predicted_c = se3.act(camera_motion(pairs, parameters)[kept], pairs.points_c[j])
     predicted_r = se3.act(se3.inverse(cameras.T_c_r), predicted_c)
-    predicted = {"left": project(cameras.left, predicted_c), "right": project(cameras.right, predicted_r)}
+    measured = np.stack([[getattr(o, side).seen for o in extraction.observations] for side in sides])
+    predicted = {side: np.zeros((*predicted_c.shape[:2], 2)) for side in sides}
+    if measured.any():
+        predicted = {"left": project(cameras.left, predicted_c), "right": project(cameras.right, predicted_r)}
     seen = {
         "left": np.stack([o.left.pixels for o in extraction.observations])[i],
         "right": np.stack([o.right.pixels for o in extraction.observations])[i],
     }
-    sides: tuple[Side, Side] = ("left", "right")
-    squares = [np.sum((predicted[side] - seen[side]) ** 2, axis=-1) for side in sides]
-    measured = np.stack([[getattr(o, side).seen for o in extraction.observations] for side in sides])[:, i]
+    squares = np.stack([(predicted[side] - seen[side]) ** 2 for side in sides])
+    counted = measured[:, i, :, None]
     T_w_v = dead_reckoned(pairs, parameters)
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.mean(np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1), axis=-1)),
         predicted_left_px=predicted["left"],
         predicted_right_px=predicted["right"],
-        leg_reprojection_px=np.sqrt(np.mean(np.stack(squares), axis=(0, 2), where=measured)),
+        leg_reprojection_px=np.sqrt(
+            np.sum(squares, axis=(0, 2, 3), where=counted) / np.maximum(counted.sum(axis=(0, 2, 3)), 1)
+        ),
         T_w_v=T_w_v,
         T_w_k=T_w_v @ pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k,
     )
@@ -68,6 +73,8 @@ def triangulated_again(extraction: Extraction, cameras: StereoRig) -> FloatArray
     points = np.stack([o.points_c for o in seen])
     left, right = (np.stack([getattr(o, side).pixels for o in seen]) for side in ("left", "right"))
     both = np.stack([o.left.seen & o.right.seen for o in seen])
+    if not both.any():
+        return points
     T_r_c = se3.inverse(cameras.T_c_r)
     for _ in range(_TRIANGULATION_STEPS):
         at, J = zip(

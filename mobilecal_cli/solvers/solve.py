@@ -111,6 +111,8 @@ def solve(
             or an unobservable parameter has no nominal value.
     """
     constraints = constraints or Constraints()
+    if extraction.motions:
+        constraints = constraints.of_planar_sensor()
     data = dataset_of(extraction)
     legs = len(data.legs)
     if legs < FEWEST_LEGS:
@@ -168,6 +170,8 @@ def _different_cameras(
 
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
+    if extraction.motions:  # mistakes are searched for with a target
+        return error if isinstance(error, SolveError) else _undetermined()
     found = explain(extraction)
     if found is not None:
         return _refusal(found)
@@ -176,6 +180,10 @@ def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction
         return _unexplained(share, extraction)
     if isinstance(error, SolveError):
         return error
+    return _undetermined()
+
+
+def _undetermined() -> SolveError:
     return SolveError(
         "the measurements do not determine all parameters",
         "record more stations, with the whole board in both images",
@@ -236,7 +244,7 @@ def _board_distance_m(extraction: Extraction) -> float:
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     distance_m = _board_distance_m(extraction)
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    return bool(
+    return not extraction.motions and bool(
         solution.point_rms_m > _BAD_SHARE * distance_m
         or gross > _MANY_OUTLIERS * len(extraction.observations)
     )

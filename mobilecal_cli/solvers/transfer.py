@@ -45,6 +45,11 @@ def point_rms_m(pairs: MotionPairs, parameters: Parameters) -> float:
     return rms_m(residuals_m(pairs, parameters))
 
 
+def leg_rms_m(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
+    """(L,) the same of each leg, m."""
+    return np.asarray(np.sqrt(np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=-1)))
+
+
 def residuals_with_jacobian(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
     """`residuals_m` and their derivatives.
 
