@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -86,8 +86,8 @@ def odometry_covariance(
             "calibrate extraction.npz again with this version and --method ml",
         )
     data = dataset_of(extraction)
-    levels = {level.name for level in fields(Noise)} & known.noise.keys()
-    noise = replace(Noise(EXACT, EXACT, 0.0, EXACT), **{name: known.noise[name] for name in levels})
+    none = Noise(EXACT, EXACT, 0.0, EXACT)
+    noise = none.with_levels({name: known.noise[name] for name in none.levels.keys() & known.noise.keys()})
     wheels, C = robot.wheels, known.covariance[6:, 6:]
     moving_s, speed_mps = _motion(data, wheels)
     if moving_s <= 0 or speed_mps <= 0:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
+from mobilecal_cli.likelihood.nuisance import FAMILIES, Constant, family
 from mobilecal_cli.model import Evidence, FloatArray
 
 if TYPE_CHECKING:
@@ -29,36 +30,51 @@ def from_chance(chance: float) -> float:
     return float(-ndtri(max(chance, _LEAST_CHANCE) / 2))
 
 
-def evidence(lin: Linearization) -> Iterator[Evidence]:
+def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
     """Evidence against the stated values of every group of constants at an optimum, one group at a time.
+
+    A group is what one part of the robot has of a kind, or all of a kind together.
 
     With the prior covariance P and the posterior mean m and covariance C of a group, ignoring its stated values
     decreases the cost by m^T (P - C)^-1 m. In units of its prior, P - C has eigenvalues between 0 (the data show
-    nothing) and 1.
+    nothing) and 1. A group whose prior was made wider is tested against the stated one; the others stay as wide.
     """
     layout, C = lin.data.layout, lin.covariance
-    std = np.sqrt(np.diag(C)[:9])
     values = lin.priors.displacement(lin.state)
-    groups: dict[tuple[str, str], list[int]] = {}
+    groups: dict[tuple[str, str], dict[int, Constant]] = {}
     for column, row in enumerate(layout.constants, 9):
         if lin.priors.weight[column] and row.kind != CORNERS:  # patterns stand for others, too
-            groups.setdefault((row.kind, row.part), []).append(column)
-    for (kind, part), columns in groups.items():
-        prior = 1 / np.sqrt(lin.priors.weight[columns])
+            kind = family(row.kind)
+            groups.setdefault((kind, row.part if parts and kind not in FAMILIES else ""), {})[column] = row
+    for (kind, _), members in groups.items():
+        columns, rows = list(members), list(members.values())
+        first = next((row for row in rows if row.kind == kind), rows[0])
+        prior, factors = 1 / np.sqrt(lin.priors.stated_weight[columns]), lin.priors.factors[columns]
         m = (values - lin.priors.mean)[columns] / prior
         own = C[np.ix_(columns, columns)] / np.outer(prior, prior)
+        across = C[:9, columns] / prior @ np.linalg.pinv(own)
+        std = np.sqrt(np.diag(C)[:9])
+        if np.any(factors > 1):
+            precision = np.linalg.inv(own)
+            stated = np.linalg.inv(precision + np.diag(1 - 1 / factors**2))
+            std = np.sqrt(np.maximum(std**2 - np.sum(across @ (own - stated) * across, axis=1), 0.0))
+            own, m = stated, stated @ precision @ m
         chi2, dof, value, wide = _without_prior(m, own)
         names = [layout.names[k] for k in columns]
         found = {
             name: (float(v * s), float(d * s))
             for name, v, d, s in zip(names, value, wide, prior, strict=True)
         }
-        # The nine follow the group as their covariance with it says.
-        follow = C[:9, columns] / prior @ np.linalg.pinv(own) @ (value - m)
-        shift = np.abs(follow[std > 0]) / std[std > 0]
+        # The nine follow as their covariance with the group says; of kinds that show only together, one may be wrong.
+        shifts = [0.0]
+        for kind in {row.kind for row in rows}:
+            of = [k for k, row in enumerate(rows) if row.kind == kind]
+            alone = value if len(of) == len(rows) else _without_prior(m[of], own[np.ix_(of, of)])[2]
+            follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
+            shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
-        stated = dict(zip(names, prior.tolist(), strict=True))
-        yield Evidence(kind, part, found, stated, chi2, dof, sigmas, float(shift.max(initial=0.0)))
+        sigma_of = dict(zip(names, prior.tolist(), strict=True))
+        yield Evidence(first.kind, first.part, found, sigma_of, chi2, dof, sigmas, max(shifts))
 
 
 def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray, FloatArray]:

@@ -74,7 +74,8 @@ class Linearization:
         wheels = state.parameters.wheels
         covariances = all_covariances(data, wheels, noise)
         along = processes_of(data, wheels, noise, inliers)
-        return cls(data, state, inliers, noise, priors, covariances, along, view_rates(data, state))
+        wide = priors.widened(noise.wider)
+        return cls(data, state, inliers, noise, wide, covariances, along, view_rates(data, state))
 
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""
@@ -91,7 +92,7 @@ class Linearization:
 
     def under(self, priors: Priors) -> Linearization:
         """The same point with other priors."""
-        other = replace(self, priors=priors)
+        other = replace(self, priors=priors.widened(self.noise.wider))
         for name in (
             "views",
             "legs",
@@ -112,7 +113,8 @@ class Linearization:
         wheels = self.state.parameters.wheels
         covariances = all_covariances(self.data, wheels, noise)
         along = processes_of(self.data, wheels, noise, self.inliers)
-        other = replace(self, noise=noise, leg_covariances=covariances, processes=along)
+        wide = self.priors.widened(noise.wider)
+        other = replace(self, noise=noise, priors=wide, leg_covariances=covariances, processes=along)
         if "views" in self.__dict__:
             levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
             factor = sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
@@ -278,10 +280,10 @@ class Linearization:
         """Test statistics of all measurements."""
         return ResidualTests(self)
 
-    def evidence(self) -> tuple[Evidence, ...]:
-        """How far the data contradict the stated values of each group of constants."""
+    def evidence(self, parts: bool = True) -> tuple[Evidence, ...]:
+        """How far the data contradict the stated values of each kind of constants, of each part or of all."""
         with _solvable():
-            return tuple(evidence(self))
+            return tuple(evidence(self, parts))
 
     def budget(self) -> Mapping[str, FloatArray]:
         """Source → its share (P, P) of `covariance`: kinds of measurements, and groups of priors. They add up to it."""

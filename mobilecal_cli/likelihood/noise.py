@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -33,6 +34,7 @@ class Noise:
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
         pose_scale: of measured poses, in units of the stated standard deviations.
+        wider: kind of constants → how many times as wide as stated their priors are, at least 1.
     """
 
     pixel_px: float
@@ -48,6 +50,23 @@ class Noise:
     sway_rad: float = EXACT
     sway_m: float = EXACT
     pose_scale: float = 1.0
+    wider: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """Name → level of each kind of measurement."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "wider"}
+
+    @property
+    def all_levels(self) -> dict[str, float]:
+        """`levels` and `wider`."""
+        return self.levels | dict(self.wider)
+
+    def with_levels(self, found: Mapping[str, float]) -> Noise:
+        """With some of `all_levels` changed."""
+        mine = self.levels
+        own = {name: level for name, level in found.items() if name in mine}
+        return replace(self, **own, wider={**self.wider, **{k: s for k, s in found.items() if k not in mine}})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -93,6 +93,9 @@ KINDS: tuple[Kind, ...] = (
 )
 # fmt: on
 _BY_NAME = {kind.name: kind for kind in KINDS}
+_TOGETHER = {"baseline_length": "square_size"}
+#: Kinds that others are judged with, see `family`.
+FAMILIES = frozenset(_TOGETHER.values())
 
 
 def kind(name: str) -> Kind:
@@ -102,6 +105,11 @@ def kind(name: str) -> Kind:
         KeyError: there is none of this name.
     """
     return _BY_NAME[name]
+
+
+def family(name: str) -> str:
+    """The kind that a kind is judged with: only the ratio of the squares' size and the baseline shows."""
+    return _TOGETHER.get(name, name)
 
 
 @dataclass(frozen=True, slots=True)

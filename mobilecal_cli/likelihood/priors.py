@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.nuisance import Layout, family
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, Parameters
 
@@ -22,27 +23,47 @@ class Priors:
         layout: columns.
         anchor: the point that displacements count from.
         mean: (P,) expected displacement.
-        weight: (P,) inverse variance, 0 for no prior.
+        stated_weight: (P,) inverse variance as stated, 0 for no prior.
         fixed: (P,) columns with an exactly known displacement, `mean`.
         scales: (P,) prior sigmas of nominal values: units in which directions are orthonormal.
         unobservable: (K, 9) directions of the nine that the measurements do not show, orthonormal in units of
             `scales`. The displacement keeps its mean along them, and its prior variance.
+        alike: (P,) constants whose priors are made wider with those of their kind, see `wider`.
+        wider: kind of constants → how many times as wide as stated their priors are.
     """
 
     layout: Layout
     anchor: Parameters
     mean: FloatArray
-    weight: FloatArray
+    stated_weight: FloatArray
     fixed: BoolArray
     scales: FloatArray
     unobservable: FloatArray
+    alike: BoolArray
+    wider: Mapping[str, float]
 
     @classmethod
     def none(cls, layout: Layout, anchor: Parameters) -> Priors:
         """No prior: every parameter is free, from the measurements alone."""
         zero = np.zeros(layout.size)
         scales = layout.prior_sigmas(anchor.wheels)
-        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))))
+        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})
+
+    def widened(self, wider: Mapping[str, float]) -> Priors:
+        """The same, so many times as wide as stated."""
+        return replace(self, wider=wider)
+
+    @cached_property
+    def factors(self) -> FloatArray:
+        """(P,) prior sigma over the stated one."""
+        of_kind = [self.wider.get(family(row.kind), 1.0) for row in self.layout.constants]
+        return np.where(self.alike, np.concatenate([np.ones(len(NINE)), of_kind]), 1.0)
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """(P,) inverse variance, 0 for no prior."""
+        out: FloatArray = self.stated_weight / self.factors**2
+        return out
 
     def displacement(self, state: State) -> FloatArray:
         """(P,) rad, m, and the constants' units."""

@@ -99,6 +99,7 @@ class NoiseLevels:
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
         pose_scale: of measured poses, in units of the stated standard deviations.
+        wider: kind of constants → how many times as wide as stated their priors are, at least 1.
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.
     """
@@ -116,6 +117,7 @@ class NoiseLevels:
     sway_rad: float
     sway_m: float
     pose_scale: float
+    wider: Mapping[str, float]
     estimated: tuple[str, ...]
     redundancy: Mapping[str, float]
 

@@ -130,7 +130,7 @@ def _wheel_covariance(solution: Solution, extraction: Extraction) -> FloatArray:
     assert solution.uncertainty is not None
     data, wheels = dataset_of(extraction), solution.parameters.wheels
     noise = solution.uncertainty.noise
-    levels = Noise(**{name: getattr(noise, name) for name in Noise.__dataclass_fields__})
+    levels = Noise(**{name: getattr(noise, name) for name in Noise.__dataclass_fields__ if name != "wider"})
     every = sum(leg_covariances(data.steps(), wheels, levels).values())
     number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
     covariance = np.asarray(every)[[number[a, b] for a, b in solution.residuals.legs.tolist()]]

@@ -28,11 +28,30 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.fit import Fit, Fitter
 
+#: Data that contradict stated constants by more than this are evidence of a wrong description.
+CONTRADICTION_SIGMAS = 4.0
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _STRETCH = 3  # stations that are rejected one after another: something moved
 _STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
+
+
+def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
+    """Stated constants that the data contradict, the strongest first.
+
+    Where the data contradict a kind as a whole, but leave open which part is wrong, it is the likeliest part.
+    """
+    found = {(e.kind, e.part): e for e in fit.lin.evidence()}
+    for whole in fit.lin.evidence(parts=False):
+        mine = [e for e in found.values() if e.kind == whole.kind]
+        worst = max(mine, key=lambda e: e.sigmas)
+        if worst.sigmas < whole.sigmas:
+            found[worst.kind, worst.part] = replace(
+                worst, chi2=whole.chi2, dof=whole.dof, sigmas=whole.sigmas
+            )
+    ranked = sorted(found.values(), key=lambda e: -e.sigmas)
+    return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 
 def scale_of(
@@ -53,13 +72,15 @@ def scale_of(
     apart = np.array([1.0, -1.0])  # a larger board looks like a shorter baseline
     mean = float(apart @ priors.mean[columns])
     value = float(apart @ priors.displacement(fit.lin.state)[columns]) - mean
-    before = float(apart**2 @ (1 / priors.weight[columns]))
+    before, stated = (
+        float(apart**2 @ (1 / weight[columns])) for weight in (priors.weight, priors.stated_weight)
+    )
     after = float(apart @ fit.lin.covariance[np.ix_(columns, columns)] @ apart)
     share = after / before
     if share > _SCALE_SHOWN:
         return None
     ratio, std = mean + value / (1 - share), np.sqrt(after / (1 - share))
-    chi2 = value**2 / (before - after)
+    chi2 = (value / (1 - share)) ** 2 / (stated + after / (1 - share))
     wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
     apart_too_far = wrong or chi2 > _APART_CHI2
     return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, apart_too_far)
@@ -99,7 +120,8 @@ def jumps_of(extraction: Extraction, fitter: Fitter, fit: Fit) -> tuple[Jump, ..
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     """The constants of the robot description as estimated, by name; patterns of corners mean nothing elsewhere."""
     std = np.sqrt(np.diag(fit.covariance)[9:]).tolist()
-    prior = np.where(fit.lin.priors.fixed, 0.0, fit.lin.priors.scales)[9:].tolist()
+    priors = fit.lin.priors
+    prior = np.where(priors.fixed, 0.0, priors.scales * priors.factors)[9:].tolist()
     value = fit.lin.state.value
     return {
         row.name: EstimatedConstant(row.name, row.kind, row.part, row.meaning, value(row.name), s, p)

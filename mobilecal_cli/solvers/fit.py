@@ -13,6 +13,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import motion_seen
 from mobilecal_cli.likelihood import jumps, nuisance
+from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
@@ -35,6 +36,7 @@ from mobilecal_cli.solvers.noise import (
     estimated,
     guess_worth,
     lengths,
+    widths,
 )
 from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
 
@@ -206,11 +208,10 @@ class Fitter:
         T_h_c, wheels = self.nominal.T_h_c, self.nominal.wheels
         return Parameters(found.T_h_c if T_h_c is None else T_h_c, wheels or found.wheels)
 
-    def _user_weight(self) -> FloatArray:
+    def _user_weight(self, priors: Priors) -> FloatArray:
         """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
-        priors = self._constraints.priors
-        nine = [priors[name][1] ** -2 if name in priors else 0.0 for name in NINE]
-        return np.array(nine + [row.sigma**-2 for row in self.data.layout.constants])
+        given = [name in self._constraints.priors for name in NINE]
+        return np.where(given + [True] * len(self.data.layout.constants), priors.weight, 0.0)
 
     def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
@@ -242,10 +243,13 @@ class Fitter:
             exact = self._constraints.fixed[layout.names[k]]
             mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
         mean[: len(NINE)] -= apart
-        none = np.zeros((0, len(NINE)))
-        return Priors(
-            layout, anchor, mean, weight, fixed, scales, none if unobservable is None else unobservable
-        )
+        kinds = {row.name: row.kind for row in layout.constants}
+        alike = [
+            kinds.get(name, CORNERS) != CORNERS and name not in self._constraints.priors
+            for name in layout.names
+        ]
+        kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
+        return Priors(layout, anchor, mean, weight, fixed, scales, kept, np.array(alike), {})
 
     def _require_nominal(self, unobservable: FloatArray) -> None:
         """Refuse to keep the prior of a parameter that has none.
@@ -273,7 +277,7 @@ class Fitter:
 
     def first_noise(self, own_px: FloatArray) -> Noise:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
-        return replace(self._guess, **{"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
+        return self._guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self._levels})
 
     def fit(self, state: State, inliers: Inliers, noise: Noise, tolerances: Tolerances | None = None) -> Fit:
         """Optimize. Unobservable directions keep their prior; repeated until these directions do not change.
@@ -287,8 +291,8 @@ class Fitter:
         return self._fit_from(start, (tolerances or self.coarse).near)
 
     def _fit_from(self, start: Linearization, near: float) -> Fit:
-        user = self._user_weight()
         for _ in range(_OBSERVABILITY_ROUNDS):
+            user = self._user_weight(start.priors)
             unobservable = start.observable_directions(user).unobservable
             self._require_nominal(unobservable)
             priors = self.priors(start.state, unobservable)
@@ -369,7 +373,7 @@ class Fitter:
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(lin.noise, found, given, self._guess)
-            noise = replace(noise, **lengths(lin, given, self._guess))
+            noise = replace(noise, **lengths(lin, given, self._guess), wider=widths(lin))
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.evidence import equivalent_sigmas
 from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Evidence, Extraction, Parameters
+from mobilecal_cli.model import Extraction, Parameters
 from mobilecal_cli.solvers.consensus import consensus
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.corners import gross_corners
@@ -23,13 +21,6 @@ from mobilecal_cli.solvers.outliers import OutlierSearch
 
 _LOG = logging.getLogger(__name__)
 _MOST_DECISIONS = 60
-#: Data that contradict stated constants by more than this are evidence of a wrong description.
-CONTRADICTION_SIGMAS = 4.0
-#: From so many contradictions on, the description as a whole is less exact than its priors say.
-SEVERAL_CONTRADICTIONS = 2
-_MOST_CONTRADICTIONS = 10
-#: A kind of constants, all parts together, that is less probable than this gets the prior that its scatter suggests.
-_DOUBTFUL_SIGMAS = 3.0
 _CORNER_ROUNDS = 4
 
 
@@ -65,53 +56,6 @@ class Solver:
     def initial(self) -> Parameters:
         """Linear parameters from all legs."""
         return self._fitter.initial()
-
-    def solve_with_wider_priors(self, start: Parameters) -> tuple[Fit, tuple[Evidence, ...]]:
-        """A solution whose priors are wide enough for the data, and the stated constants that the data contradict.
-
-        As long as the data contradict the stated values of a group of constants, its priors are widened to what was
-        found, also those of the same kind in other parts, which come from the same drawing or calibration, and
-        everything is solved again. Where several groups are contradicted, the priors of all others are widened too, by
-        the scatter of what the data say of them; at the end, also those of a kind that is improbable as a whole, though
-        none of its parts is contradicted.
-        """
-        found, sigmas = list[Evidence](), dict(self._extraction.rig.prior_sigmas)
-        fit = self.solve(start)
-        while len(found) < _MOST_CONTRADICTIONS:
-            evidence = tuple(fit.lin.evidence())
-            told = {(e.kind, e.part) for e in found if e.values.keys() <= self._constraints.priors.keys()}
-            untold = (e for e in evidence if (e.kind, e.part) not in told)
-            worst = max(untold, key=lambda e: e.sigmas, default=None)
-            if worst is None or worst.sigmas < CONTRADICTION_SIGMAS:
-                break
-            found.append(worst)
-            if worst.values.keys() <= self._constraints.priors.keys():
-                continue  # the user's own priors stay
-            rows = {row.name: row.sigma for row in fit.data.layout.constants}
-            wider = max(math.sqrt(worst.chi2 / len(worst.values)), CONTRADICTION_SIGMAS)
-            alike = (e for e in evidence if e.kind == worst.kind)
-            sigmas |= {name: rows[name] * wider for e in alike for name in e.values}
-            if len(found) >= SEVERAL_CONTRADICTIONS:
-                widened = {e.kind for e in found}
-                others = [e for e in evidence if e.kind not in widened]
-                common = math.sqrt(sum(e.chi2 for e in others) / max(1, sum(e.dof for e in others)))
-                sigmas |= {name: rows[name] * max(1.0, common) for e in others for name in e.values}
-            fit = self._solved_again(fit, sigmas)
-        doubtful = _doubtful(fit.lin.evidence())
-        wide = {
-            row.name: row.sigma * doubtful[row.kind]
-            for row in fit.data.layout.constants
-            if row.kind in doubtful
-        }
-        if wide:
-            fit = self._solved_again(fit, sigmas | wide)
-        return fit, tuple(found)
-
-    def _solved_again(self, fit: Fit, sigmas: Mapping[str, float]) -> Fit:
-        """A solution under other priors, from where an earlier one ended."""
-        rig = replace(self._extraction.rig, prior_sigmas=sigmas)
-        solver = Solver(replace(self._extraction, rig=rig), self._constraints, self._on_step, fit.data)
-        return solver.solve(fit.lin.state.parameters)
 
     def solve(self, start: Parameters | None = None) -> Fit:
         """Initial fit, noise levels, outliers, and a fine fit at the end."""
@@ -197,19 +141,6 @@ class Solver:
         inliers = replace(inliers, legs=legs, views=inliers.views & ~lonely)
         state = initial_state(data, found.parameters, inliers)
         return self._search.restore(fitter.fit(state, inliers, noise))
-
-
-def _doubtful(evidence: Iterable[Evidence]) -> dict[str, float]:
-    """Kind of constants → how much its priors are too narrow, where the data say so."""
-    sums: dict[str, tuple[float, int]] = {}
-    for each in evidence:
-        chi2, dof = sums.get(each.kind, (0.0, 0))
-        sums[each.kind] = (chi2 + each.chi2, dof + each.dof)
-    return {
-        kind: math.sqrt(chi2 / dof)
-        for kind, (chi2, dof) in sums.items()
-        if dof and equivalent_sigmas(chi2, dof) > _DOUBTFUL_SIGMAS
-    }
 
 
 def maximum_likelihood(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from mobilecal_cli.likelihood.dataset import STAMP
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import EXACT, Noise
+from mobilecal_cli.likelihood.nuisance import family
 from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import NINE, FloatArray
 
 # Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor, a
 # base that hardly sways on its wheels.
@@ -67,6 +68,9 @@ MOST = Noise(
 _LENGTH_FACTOR = 3.0
 _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
 _WORTH, _FADES_AT = 2.0, 4.0
+# Stated priors may be too narrow: the chance of more than s times falls as this power of 1 / s. What the data show of
+# a kind's constants by less than the second is not used, see `widths`.
+_TOO_NARROW, _SHOWN, _WIDEST = 2.0, 0.01, 1e3
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
@@ -209,7 +213,30 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
         factor = np.clip(component.factor((supposed / before) ** 2), 1e-4, 1e4)
         level = before * float(np.sqrt(factor))
         changes[name] = min(max(level, getattr(LEAST, name)), getattr(MOST, name))
-    return replace(noise, **changes)
+    return noise.with_levels(changes)
+
+
+def widths(lin: Linearization) -> dict[str, float]:
+    """Kind of constants → how many times as wide as stated its priors are, after one step of the fixed point.
+
+    The same estimate as a noise level's: the constants of a kind, as estimated, are its residuals, of which the data
+    show n directions. The density of the factor is that of Pareto: stated priors are right, or too narrow.
+    """
+    priors = lin.priors
+    off = priors.displacement(lin.state) - priors.mean
+    squares, left = priors.stated_weight * off**2, 1 - priors.weight * np.diag(lin.covariance)
+    used = priors.alike & (priors.weight > 0)
+    columns: dict[str, list[int]] = {}
+    for k, row in enumerate(lin.data.layout.constants, len(NINE)):
+        if used[k]:
+            columns.setdefault(family(row.kind), []).append(k)
+    found = {}
+    for kind, mine in columns.items():
+        shown = float(left[mine].sum())
+        n = shown**2 / max(float(np.sum(left[mine] ** 2)), _SHOWN**2)
+        variance = float(squares[mine].sum()) / (shown + _SHOWN) * n / (n + _TOO_NARROW)
+        found[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
+    return found
 
 
 class LevelSearch:
@@ -228,9 +255,10 @@ class LevelSearch:
 
     def next(self, noise: Noise, found: Noise) -> Noise:
         """Levels for the next round, from those of this round and what its residuals say."""
-        names = [name for name, level in asdict(noise).items() if name not in self._given and level > 0]
-        at = np.log([getattr(noise, name) for name in names])
-        change = np.log([getattr(found, name) for name in names]) - at
+        here, there = noise.all_levels, found.all_levels
+        names = [name for name in there if name not in self._given and here.get(name, 1.0) > 0]
+        at = np.log([here.get(name, 1.0) for name in names])
+        change = np.log([there[name] for name in names]) - at
         if self._changes and np.linalg.norm(change) > 2 * np.linalg.norm(self._changes[-1]):
             self._levels, self._changes = [], []
         self._levels, self._changes = [*self._levels[-_MEMORY:], at], [*self._changes[-_MEMORY:], change]
@@ -239,16 +267,20 @@ class LevelSearch:
             dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
+        kinds = np.array([name in found.wider for name in names])
+        step = np.where(kinds, change, step)  # where two explain the same, neither is preferred
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)
-        levels = dict(zip(names, np.exp(at + step).tolist(), strict=True))
-        inside = {
-            name: min(max(level, getattr(LEAST, name)), getattr(MOST, name)) for name, level in levels.items()
-        }
-        return replace(noise, **inside)
+        least, most = LEAST.levels, MOST.levels
+        return noise.with_levels(
+            {
+                name: min(max(level, least.get(name, 1.0)), most.get(name, _WIDEST))
+                for name, level in zip(names, np.exp(at + step).tolist(), strict=True)
+            }
+        )
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:
     """Whether no level moved by more than a share of itself."""
-    a, b = np.array(astuple(before)), np.array(astuple(after))
-    return bool(np.all(np.abs(b - a) <= tolerance * a))
+    a, b = before.all_levels, after.all_levels
+    return all(abs(level - a.get(name, 1.0)) <= tolerance * a.get(name, 1.0) for name, level in b.items())

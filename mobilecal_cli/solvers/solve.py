@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,7 @@ from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
     budget_of,
     constants_of,
+    contradictions_of,
     jackknife_covariance,
     jumps_of,
     over_logs,
@@ -305,7 +306,8 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         linear = _initial_estimate(
             pairs, solver.initial()
         )  # no sign check: an unobservable scale may have any sign
-    fit, contradictions = solver.solve_with_wider_priors(linear.parameters)
+    fit = solver.solve(linear.parameters)
+    contradictions = contradictions_of(fit)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
     jumps = jumps_of(extraction, solver.fitter, fit)
@@ -328,7 +330,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
-        evidence=tuple(fit.lin.evidence()),
+        evidence=fit.lin.evidence(),
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
@@ -356,7 +358,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         scales=scales,
         singular_values=fit.directions.singular_values,
         noise=NoiseLevels(
-            **asdict(fit.noise),
+            **fit.noise.levels,
+            wider=fit.noise.wider,
             estimated=tuple(levels),
             redundancy={name: fit.components[name].redundancy for name in levels},
         ),

@@ -35,6 +35,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import Constraints
+from mobilecal_cli.solvers.findings import contradictions_of
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.maximum_likelihood import Solver
 from mobilecal_cli.vision import (
@@ -286,7 +287,8 @@ class Estimate:
         assert nominal.T_h_reference is not None
         assert nominal.wheels is not None
         solver = Solver(extraction, Constraints(dict.fromkeys(NINE)))
-        return cls(*solver.solve_with_wider_priors(Parameters(nominal.T_h_reference, nominal.wheels)))
+        fit = solver.solve(Parameters(nominal.T_h_reference, nominal.wheels))
+        return cls(fit, contradictions_of(fit))
 
     @property
     def rows(self) -> tuple[Constant, ...]:

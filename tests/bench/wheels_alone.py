@@ -66,7 +66,13 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- |")
     for run in RUNS:
         legs = legs_of(run)
-        parts = {"all": legs, "first": legs[:3000], "even": legs[::2], "odd": legs[1::2], "a tenth": legs[::10]}
+        parts = {
+            "all": legs,
+            "first": legs[:3000],
+            "even": legs[::2],
+            "odd": legs[1::2],
+            "a tenth": legs[::10],
+        }
         for what, part in parts.items():
             print(row(run, what, part))
             sys.stdout.flush()

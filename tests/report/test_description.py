@@ -209,7 +209,7 @@ def test_no_stated_size_is_named_where_none_is_stated():
     found = next(one for one in solution.contradictions if one.kind == "square_size")
     unstated = replace(extraction, board=replace(extraction.board, square_m=None))
     what, cure = told(found, replace(solution, scale=None), unstated)
-    assert what.startswith("Board: size of the squares differs by ")
+    assert what.startswith("Board: length of the baseline and size of the squares together differ ")
     assert "from the size that the stereo pair measures at each station (prior " in what
     assert cure == "Check that camera_info belongs to these images, and state board.square_m in rig.yaml."
 
