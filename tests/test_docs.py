@@ -55,7 +55,7 @@ def test_every_error_says_what_to_do(catalogue):
     """Except for errors of the readers about a single image, which become rejections with their own cure."""
     lines = [line.split(" | ") for line in catalogue.splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
-    assert without == {"readers/images/pixels", "readers/images/video"}
+    assert without == {"readers/pixels"}
 
 
 def test_the_options_are_up_to_date():
