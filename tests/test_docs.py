@@ -63,6 +63,13 @@ def test_the_options_are_up_to_date():
     assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
 
 
+def test_the_table_of_formats_is_up_to_date():
+    options = generator_of("options")
+    page = options.COMMANDS.read_text(encoding="utf-8")
+    assert page == options.with_formats(page), "run: make docs"
+    assert all(f"| `{name}` |" in page for name in ("urdf", "json"))
+
+
 def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():
     text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
     written, oldest, newest_old = re.search(

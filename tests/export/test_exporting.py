@@ -16,17 +16,13 @@ from mcap.reader import make_reader
 
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError, QualityError
-from mobilecal_cli.export import (
-    camchain_yaml,
-    camera_info_yaml,
-    diff_drive_yaml,
-    extraction_to_npz,
-    foxglove,
-    parameters_from_yaml,
-    patched_urdf,
-    rectified_pair,
-    with_verdict,
-)
+from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.export.formats import foxglove, with_verdict
+from mobilecal_cli.export.formats.camchain import camchain_yaml
+from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline.steps import Data
@@ -197,7 +193,7 @@ def test_an_unobservable_separation_stays_in_the_urdf_and_in_the_controller():
         line for line in made.content.splitlines() if b"continuous" in line
     ]
     assert b'radius="0.101"' in made.content
-    assert any("separation unchanged, it is unobservable" in change for change in made.changes)
+    assert any("separation unchanged, it is unobservable" in change for change in made.notes)
     sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS, None))["diff_drive_controller"]
     assert set(sizes["ros__parameters"]) == {
         "left_wheel_names", "right_wheel_names", "wheel_radius", "left_wheel_radius_multiplier",
@@ -306,7 +302,7 @@ def test_a_report_on_the_data_of_another_robot_is_refused():
 )
 def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
     if said is None:
-        assert patched_urdf(URDF, robot, joints).changes
+        assert patched_urdf(URDF, robot, joints).notes
         return
     with pytest.raises(ConfigError, match=said):
         patched_urdf(URDF, robot, joints)

@@ -20,16 +20,14 @@ from pytransform3d.rotations import matrix_from_quaternion
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    camchain_yaml,
-    camera_info_yaml,
-    diff_drive_yaml,
-    plain_json,
-    rectified_pair,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export.formats.camchain import camchain_yaml
+from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.json import plain_json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import static_transform_launch
+from mobilecal_cli.export.formats.static_transform_yaml import static_transform_yaml
+from mobilecal_cli.export.formats.xacro import xacro_properties
+from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 

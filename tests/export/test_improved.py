@@ -13,13 +13,8 @@ import yourdfpy
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    extraction_to_npz,
-    improved_chain,
-    parameters_from_yaml,
-    params_yaml,
-    patched_urdf,
-)
+from mobilecal_cli.export import extraction_to_npz, improved_chain, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import without_correction
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf

@@ -14,14 +14,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    diff_drive_yaml,
-    patched_urdf,
-    plain_json,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export.formats.json import plain_json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import static_transform_launch
+from mobilecal_cli.export.formats.static_transform_yaml import static_transform_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.formats.xacro import xacro_properties
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, WheelGeometry
 

@@ -9,7 +9,9 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz, odometry, odometry_covariance, odometry_yaml
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.formats import odometry_covariance as odometry
+from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
@@ -171,7 +173,7 @@ def test_refusals(extraction):
 def test_a_note_on_short_legs(extraction, tmp_path, monkeypatch, distance_m, noted):
     """Legs of a few centimeters, as between images in motion, do not represent a robot's drives."""
     monkeypatch.setattr(exporting, "read_params", lambda _: robot_with())
-    monkeypatch.setattr(exporting, "_LEAST_LEG_M", 1.0)
+    monkeypatch.setattr(odometry, "_LEAST_LEG_M", 1.0)
     (tmp_path / "extraction.npz").write_bytes(
         extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),)))
     )

@@ -25,18 +25,13 @@ from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.export import (
-    diff_drive_yaml,
-    extraction_from_npz,
-    extraction_to_npz,
-    parameters_from_yaml,
-    params_yaml,
-    patched_urdf,
-    plain_json,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.formats.json import plain_json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import static_transform_launch
+from mobilecal_cli.export.formats.static_transform_yaml import static_transform_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.formats.xacro import xacro_properties
 from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
 from mobilecal_cli.model import (
     CalibratedRobot,
