@@ -26,12 +26,11 @@ from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline.steps import Data
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run
+from tests.extractions import Noise, ideal_extraction
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]()

@@ -21,13 +21,13 @@ from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.pipeline.exporting import export
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
-from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.imperfect import draw
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.targets import Target
 from tests.export.test_urdf_patch import robot
+from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.report.example import make_provenance
 
 K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])

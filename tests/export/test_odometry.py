@@ -17,10 +17,11 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
 from mobilecal_cli.pipeline import exporting
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
+from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.targets import Target
+from tests.extractions import Noise, ideal_extraction
 
 SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
 LEVELS = {

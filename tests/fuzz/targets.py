@@ -50,12 +50,11 @@ from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, urdf_text
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.uncertainty import motion_gaps, require_stations
+from tests.extractions import Noise, ideal_extraction
 from tests.readers import recordings as r
 
 REPOSITORY = Path(__file__).resolve().parents[2]
