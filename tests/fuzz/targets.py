@@ -26,12 +26,12 @@ from mobilecal_cli.config import load_rig
 from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
-from mobilecal_cli.export.formats.json import plain_json
+from mobilecal_cli.export.formats.json import Json
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
-from mobilecal_cli.export.formats.static_transform_launch import static_transform_launch
-from mobilecal_cli.export.formats.static_transform_yaml import static_transform_yaml
+from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
+from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
-from mobilecal_cli.export.formats.xacro import xacro_properties
+from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
 from mobilecal_cli.model import (
     CalibratedRobot,
@@ -106,7 +106,7 @@ def _rig(path: Path) -> None:
 def _params(path: Path) -> None:
     robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
     comparison_text(["a", "b"], [difference(robot, robot)], history([robot, robot]))
-    for text in (plain_json, static_transform_launch, static_transform_yaml, xacro_properties):
+    for text in (Json().text, StaticTransformLaunch().text, StaticTransformYaml().text, Xacro().text):
         text(robot)
     diff_drive_yaml(robot, robot.wheel_joints, robot.nominal_wheels)
 

@@ -66,10 +66,9 @@ class Request:
 
 
 class Format(ABC):
-    """A format.
+    """A format. The docstring of its class is its row in the table of formats: Markdown.
 
     Attributes:
-        summary: its content, as in the table of formats: Markdown.
         options: those of the command that only some formats use, and this one does.
         second_file: suffix of a second file, "" for none.
         states_verdict: whether its content has fields for the verdict; otherwise comments at its beginning state it.
@@ -78,7 +77,6 @@ class Format(ABC):
 
     of_file: ClassVar[dict[str, type[Format]]] = {}
 
-    summary: ClassVar[str]
     options: ClassVar[frozenset[str]] = frozenset()
     second_file: ClassVar[str] = ""
     states_verdict: ClassVar[bool] = False
@@ -135,6 +133,13 @@ def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
     return content[:at] + "".join(lines).encode() + content[at:]
 
 
-def noted(robot: CalibratedRobot, text: str) -> Exported:
-    """A text with a camera frame, and a note that says which if it is not that of the raw images."""
-    return Exported(text.encode(), (frame_note(robot),) if robot.rectified else ())
+class HeadEyeFormat(Format):
+    """A text with the frames of the head-eye transform."""
+
+    @abstractmethod
+    def text(self, robot: CalibratedRobot) -> str:
+        """The file. It says which frame the camera frame is."""
+
+    def export(self, asked: Request) -> Exported:
+        robot = asked.robot
+        return Exported(self.text(robot).encode(), (frame_note(robot),) if robot.rectified else ())

@@ -16,9 +16,7 @@ _KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equid
 
 
 class Camchain(Format):
-    """See `camchain_yaml`."""
-
-    summary = "the stereo pair as estimated, in the format of Kalibr"
+    """The stereo pair as estimated, in the format of Kalibr"""
 
     def export(self, asked: Request) -> Exported:
         rig = asked.measurements().rig

@@ -14,9 +14,8 @@ from mobilecal_cli.model import Camera, Side
 
 
 class CameraInfoLeft(Format):
-    """See `camera_info_yaml`."""
+    """The camera as estimated, with new R and P; only for raw images"""
 
-    summary = "the camera as estimated, with new R and P; only for raw images"
     side: ClassVar[Side] = "left"
 
     def export(self, asked: Request) -> Exported:

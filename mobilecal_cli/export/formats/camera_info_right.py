@@ -4,6 +4,6 @@ from mobilecal_cli.export.formats.camera_info_left import CameraInfoLeft
 
 
 class CameraInfoRight(CameraInfoLeft):
-    """As `CameraInfoLeft`."""
+    """The camera as estimated, with new R and P; only for raw images"""
 
     side = "right"

@@ -47,12 +47,10 @@ _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannal
 
 
 class Foxglove(Format):
-    """See `foxglove_mcap`."""
+    """[a scene for Foxglove](../how-to/apply-the-result.md#see-it-in-foxglove-or-rerun) as MCAP, and a layout next to
+    it (`--output` is required); `--log RECORDING` adds the images
+    """
 
-    summary = (
-        "[a scene for Foxglove](../how-to/apply-the-result.md#see-it-in-foxglove-or-rerun) as MCAP, and a layout "
-        "next to it (`--output` is required); `--log RECORDING` adds the images"
-    )
     options = frozenset({"--log"})
     second_file = ".layout.json"
     states_verdict = True

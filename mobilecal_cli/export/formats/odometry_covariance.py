@@ -34,13 +34,10 @@ _WHEEL_LEVELS = frozenset({"wheel_rad_per_sqrt_rad", "wheel_share"})
 
 
 class OdometryFormat(Format):
-    """See `odometry_covariance`."""
+    """[covariance of wheel odometry](../how-to/apply-the-result.md#odometry-covariance) for `diff_drive_controller`
+    and robot_localization; `--rate HZ` (default 50), `--distance METERS` (default: the legs of the recording)
+    """
 
-    summary = (
-        "[covariance of wheel odometry](../how-to/apply-the-result.md#odometry-covariance) for "
-        "`diff_drive_controller` and robot_localization; `--rate HZ` (default 50), `--distance METERS` (default: the "
-        "legs of the recording)"
-    )
     options = frozenset({"--rate", "--distance"})
 
     def export(self, asked: Request) -> Exported:

@@ -11,9 +11,8 @@ from mobilecal_cli.model import CalibratedRobot, Side, WheelGeometry
 
 
 class Ros2Control(Format):
-    """See `diff_drive_yaml`."""
+    """Parameters of `diff_drive_controller`"""
 
-    summary = "parameters of `diff_drive_controller`"
     options = frozenset({"--left-joint", "--right-joint"})
 
     def export(self, asked: Request) -> Exported:

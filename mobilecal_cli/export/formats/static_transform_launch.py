@@ -6,18 +6,9 @@ import shlex
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import CONVENTION, Exported, Format, Request, frame_note, noted
+from mobilecal_cli.export.formats import CONVENTION, HeadEyeFormat, frame_note
 from mobilecal_cli.export.text import attribute, comment, decimal
 from mobilecal_cli.model import CalibratedRobot
-
-
-class StaticTransformLaunch(Format):
-    """See `static_transform_launch`."""
-
-    summary = "launch file for tf2"
-
-    def export(self, asked: Request) -> Exported:
-        return noted(asked.robot, static_transform_launch(asked.robot))
 
 
 def transform_fields(robot: CalibratedRobot) -> dict[str, str]:
@@ -28,24 +19,31 @@ def transform_fields(robot: CalibratedRobot) -> dict[str, str]:
     return {name: decimal(float(value)) for name, value in zip(names, values, strict=True)}
 
 
-def static_transform_launch(robot: CalibratedRobot) -> str:
-    """A ROS 2 launch file (XML) that publishes the head-eye transform with tf2_ros.
+class StaticTransformLaunch(HeadEyeFormat):
+    """Launch file for tf2"""
 
-    Raises:
-        ConfigError: a frame has a name that a launch file would change or that XML does not allow.
-    """
-    for frame in (robot.parent_frame, robot.child_frame):
-        if "$(" in frame:
-            raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
-    words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
-    frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
-    return "\n".join(
-        [
-            "<launch>",
-            f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
-            '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
-            f"        args={attribute(f'{words} {frames}')}/>",
-            "</launch>",
-            "",
-        ]
-    )
+    def text(self, robot: CalibratedRobot) -> str:
+        """As the base class.
+
+        Raises:
+            ConfigError: a frame has a name that a launch file would change or that XML does not allow.
+        """
+        for frame in (robot.parent_frame, robot.child_frame):
+            if "$(" in frame:
+                raise ConfigError(
+                    f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame"
+                )
+        words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
+        frames = (
+            f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
+        )
+        return "\n".join(
+            [
+                "<launch>",
+                f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
+                '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
+                f"        args={attribute(f'{words} {frames}')}/>",
+                "</launch>",
+                "",
+            ]
+        )

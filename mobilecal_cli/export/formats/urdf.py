@@ -34,12 +34,10 @@ _DEEPEST = len(_WHEELS[0])
 
 
 class UrdfFormat(Format):
-    """See `patched_urdf`."""
+    """`--urdf FILE` with updated camera joint, wheel joints and wheel radii, with `--with-chain` also with the
+    estimated origins and axes of the head joints; all other bytes are unchanged
+    """
 
-    summary = (
-        "`--urdf FILE` with updated camera joint, wheel joints and wheel radii, with `--with-chain` also with "
-        "the estimated origins and axes of the head joints; all other bytes are unchanged"
-    )
     options = frozenset({"--urdf", "--left-joint", "--right-joint", "--with-chain"})
 
     def export(self, asked: Request) -> Exported:
