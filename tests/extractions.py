@@ -30,8 +30,8 @@ from mobilecal_cli.simulate.imperfect import (
     rolled_as_read,
     station_times_s,
 )
-from mobilecal_cli.simulate.robot import SimulatedRobot, pixels
-from mobilecal_cli.simulate.route import Route
+from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
+from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, board_pose, square_from_points, triangulate
 
 _TRACK_STEP_S = 0.02
@@ -278,6 +278,12 @@ def ideal_extraction(
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
     """
     return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
+
+
+def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3) -> Extraction:
+    """`ideal_extraction` of a planned route; the seed is that of the route and of the noise."""
+    described = ROBOTS[robot]()
+    return ideal_extraction(described, plan_route(described, motion, stations, seed=seed), noise, seed)
 
 
 def imperfect_extraction(

@@ -27,10 +27,9 @@ from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline.steps import Data
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.targets import Target
 from tests.command import run
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]()
@@ -42,7 +41,7 @@ LINES = {
 def recorded(motion, name="paper", seed=3, log="0"):
     """An extraction without images, with nominal wheels."""
     described = ROBOTS[name]()
-    extraction = ideal_extraction(described, plan_route(described, motion, 12, seed=seed), NOISE, seed=seed)
+    extraction = simulated(motion, NOISE, name, seed=seed)
     nominal = Nominal(described.T_h_c @ extraction.rig.cameras.T_c_reference, described.nominal_wheels)
     return replace(
         extraction, rig=replace(extraction.rig, nominal=nominal), logs=(LogSource("log.mcap", log * 64),)
@@ -307,7 +306,6 @@ def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
         patched_urdf(URDF, robot, joints)
 
 
-@pytest.mark.parametrize("target", [Target.ros2_control, Target.urdf])
 @pytest.mark.parametrize(
     ("joints", "said"),
     [
@@ -323,9 +321,9 @@ def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
         ({"left": "a", "right": "a"}, "this joint is that of the right wheel"),
     ],
 )
-def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, target, joints, said):
+def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, joints, said):
     with pytest.raises(ConfigError, match=said):
-        mc.export_to(passed, target, **options(passed, target), wheel_joints=joints)
+        mc.export_to(passed, "ros2_control", wheel_joints=joints)
 
 
 # -- the readers' own rules -----------------------------------------------------------------------

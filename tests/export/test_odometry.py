@@ -19,9 +19,8 @@ from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSourc
 from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.targets import Target
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 
 SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
 LEVELS = {
@@ -39,8 +38,7 @@ ROOT = np.array([[2e-4, 0, 0], [1.5e-4, 1e-4, 0], [4e-4, 3e-4, 1e-3]])
 @pytest.fixture(scope="module")
 def extraction():
     """Eleven legs, with given noise levels: nothing is widened."""
-    robot = paper_robot()
-    made = ideal_extraction(robot, plan_route(robot, "standard", stations=12, seed=4), Noise(pixel_px=0.1))
+    made = simulated(noise=Noise(pixel_px=0.1), seed=4)
     known = KnownNoise(wheel_rad_per_sqrt_rad=SQRT, wheel_share=SHARE)
     return replace(made, rig=replace(made.rig, noise=known))
 
@@ -164,8 +162,7 @@ def test_the_file_has_the_parameters_of_both_nodes(extraction):
 def test_refusals(extraction):
     with pytest.raises(ConfigError, match="does not state the noise of the wheels"):
         odometry_covariance(replace(robot_with(), knowledge=None), extraction, RATE_HZ)
-    robot = paper_robot()
-    still = ideal_extraction(robot, plan_route(robot, "base_fixed", stations=5, seed=1), Noise(pixel_px=0.1))
+    still = simulated("base_fixed", Noise(pixel_px=0.1), stations=5, seed=1)
     with pytest.raises(ConfigError, match="does not drive in the recording"):
         odometry_covariance(robot_with(), still, RATE_HZ)
 
