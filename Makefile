@@ -52,7 +52,7 @@ layers: $(VENV)/.dev
 check: lint types layers test  ## checks that must pass before a commit
 
 logs: $(VENV)/.run  ## generate sample_logs/ again from their seeds
-	$(BIN)/python -m mobilecal_cli.simulate.samples sample_logs
+	$(BIN)/python -m tests.samples sample_logs
 
 docs: $(VENV)/.dev  ## generate the pages made from the code, then build all pages; warnings are errors
 	$(BIN)/python docs/generate/errors.py

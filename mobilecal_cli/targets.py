@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
+from pkgutil import iter_modules
 
 
 class Target(StrEnum):
-    """A format of `mobilecal export`."""
+    """A format of `mobilecal export`: each is a file in export/formats/."""
 
-    urdf = "urdf"
-    xacro = "xacro"
-    ros2_control = "ros2_control"
-    static_transform_launch = "static_transform_launch"
-    static_transform_yaml = "static_transform_yaml"
-    camera_info_left = "camera_info_left"
-    camera_info_right = "camera_info_right"
-    camchain = "camchain"
-    odometry_covariance = "odometry_covariance"
-    foxglove = "foxglove"
-    json = "json"
-
-
-#: Option of `mobilecal export` → the formats that use it.
-OPTIONS: dict[str, tuple[Target, ...]] = {
-    "--urdf": (Target.urdf,),
-    "--left-joint": (Target.urdf, Target.ros2_control),
-    "--right-joint": (Target.urdf, Target.ros2_control),
-    "--with-chain": (Target.urdf,),
-    "--rate": (Target.odometry_covariance,),
-    "--distance": (Target.odometry_covariance,),
-    "--log": (Target.foxglove,),
-}
+    _ignore_ = "_module"
+    for _module in iter_modules([str(Path(__file__).parent / "export" / "formats")]):
+        vars()[_module.name] = _module.name
 
 
 class Paper(StrEnum):

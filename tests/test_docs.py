@@ -55,12 +55,19 @@ def test_every_error_says_what_to_do(catalogue):
     """Except for errors of the readers about a single image, which become rejections with their own cure."""
     lines = [line.split(" | ") for line in catalogue.splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
-    assert without == {"readers/images/pixels", "readers/images/video"}
+    assert without == {"readers/pixels"}
 
 
 def test_the_options_are_up_to_date():
     options = generator_of("options")
     assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
+
+
+def test_the_table_of_formats_is_up_to_date():
+    options = generator_of("options")
+    page = options.COMMANDS.read_text(encoding="utf-8")
+    assert page == options.with_formats(page), "run: make docs"
+    assert all(f"| `{name}` |" in page for name in ("urdf", "json"))
 
 
 def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():

@@ -30,8 +30,7 @@ PAGES = sorted(
 @pytest.fixture(scope="module")
 def bench(sample_logs, tmp_path_factory):
     """A directory with the files that the pages use: recordings, a URDF, a fleet, and an earlier result."""
-    from mobilecal_cli.simulate.robot import ROBOTS
-    from mobilecal_cli.simulate.urdf import urdf_text
+    from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 
     folder = tmp_path_factory.mktemp("bench")
     shutil.copy(sample_logs / "paper_robot.mcap", folder / "log.mcap")

@@ -6,10 +6,10 @@ import pytest
 
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Rejection
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.uncertainty import motion_gaps, require_observable, require_stations
+from tests.extractions import Noise, ideal_extraction
 
 
 def extraction(motion, noise=None):

@@ -1,4 +1,4 @@
-"""All commands with their options, from the code: `docs/generate/options.py` writes docs/reference/options.md."""
+"""From the code: `docs/generate/options.py` writes docs/reference/options.md and the table of formats of cli.md."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from typing import Any
 import typer
 
 from mobilecal_cli.cli import app
+from mobilecal_cli.export.formats import format_of
+from mobilecal_cli.targets import Target
 
 TARGET = Path(__file__).resolve().parents[1] / "reference" / "options.md"
+COMMANDS = TARGET.with_name("cli.md")
+BEGIN, END = "<!-- formats: begin -->\n", "<!-- formats: end -->"
 HEAD = """\
 # Options
 
@@ -52,6 +56,15 @@ def _help(item: Any) -> str:  # noqa: ANN401
     return text
 
 
+def with_formats(page: str) -> str:
+    """A page with the table of export formats between its marks."""
+    texts = {name: " ".join((type(format_of(name)).__doc__ or "").split()) for name in Target}
+    rows = [f"| `{name}` | {text.rstrip('.')} |" for name, text in texts.items()]
+    table = "\n".join(["| format | content |", "| --- | --- |", *rows, ""])
+    return page[: page.index(BEGIN) + len(BEGIN)] + table + page[page.index(END) :]
+
+
 if __name__ == "__main__":
     TARGET.write_text(page(), encoding="utf-8")
+    COMMANDS.write_text(with_formats(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
     print(f"written: {TARGET.relative_to(TARGET.parents[2])}")

@@ -134,7 +134,7 @@ def main() -> None:
             source = REPOSITORY / entry
             copy = shutil.copytree if source.is_dir() else shutil.copy
             copy(source, folder / entry)
-        drawn = "from mobilecal_cli.simulate.robot import ROBOTS; from mobilecal_cli.simulate.urdf import urdf_text"
+        drawn = "from mobilecal_cli.simulate.robot import ROBOTS; from mobilecal_cli.simulate.robot import urdf_text"
         text = subprocess.run(
             [sys.executable, "-c", f"{drawn}; print(urdf_text(ROBOTS['paper']()), end='')"],
             capture_output=True, text=True, check=True,

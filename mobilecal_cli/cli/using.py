@@ -122,7 +122,8 @@ def export(
 
     For a controller: mobilecal export out/params.yaml --to ros2_control
     """
-    from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.export.formats import format_of
+    from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
     from mobilecal_cli.pipeline import exporting
 
@@ -131,10 +132,10 @@ def export(
     if output is not None:
         check_file(output, force, inputs)
     layout = None
-    if to == Target.foxglove:
+    if second := format_of(to).second_file:
         if output is None:
-            raise ConfigError("--to foxglove writes two files", "name the first with --output scene.mcap")
-        layout = output.with_suffix(".layout.json")
+            raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
+        layout = output.with_suffix(second)
         check_file(layout, force, inputs)
     joints = {side: name for side, name in given.items() if name is not None}
     made = exporting.export(

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint
 from mobilecal_cli.likelihood.effects import (
     CameraEffect,
     ChainChange,
@@ -18,8 +22,10 @@ from mobilecal_cli.likelihood.effects import (
     JointZero,
 )
 from mobilecal_cli.likelihood.nuisance import Constant, camera_change, table
-from mobilecal_cli.model import Camera, FloatArray, HeadChain, Rig, StereoRig
+from mobilecal_cli.model import Camera, FixedLink, FloatArray, HeadChain, JointLink, Rig, Side, StereoRig
 
+#: Largest acceptable difference between a distortion model and the estimated lens.
+_LENS_PX = 0.1
 #: Distance of the points of the image at which distortion models are compared, in shares of its width.
 _STEP = 1 / 40
 
@@ -76,6 +82,23 @@ def improved_cameras(rig: Rig, constants: Mapping[str, float], kalibr: bool = Fa
     largest = max(float(off.max(initial=0.0)) for off in (off_left, off_right))
     usual = max(float(np.sqrt(np.mean(off**2))) for off in (off_left, off_right))
     return Improved(replace(cameras, left=left, right=right), largest, usual)
+
+
+def cameras_with_notes(
+    rig: Rig, changed: Mapping[str, float], kalibr: bool = False
+) -> tuple[StereoRig, tuple[str, ...]]:
+    """The stereo pair for other programs, and sentences on it; `changed` is of `camera_constants`."""
+    improved = improved_cameras(rig, changed, kalibr)
+    if not changed:
+        return improved.cameras, ("The stereo pair is as stated in the recording.",)
+    notes: tuple[str, ...] = ("The stereo pair is as estimated by the calibration.",)
+    largest, usual = improved.residual_px, improved.residual_rms_px
+    if largest:
+        note = f"The distortion model differs from the estimated lens by {usual:.2g} px rms and at most"
+        note += f" {largest:.2g} px"
+        limit = f" (limit {_LENS_PX:g} px). To describe the lens better, calibrate the camera with a richer model."
+        notes += (f"{note}." if largest <= _LENS_PX else f"{note}{limit}",)
+    return improved.cameras, notes
 
 
 def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, FloatArray]:
@@ -140,3 +163,119 @@ def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
 def _shown(row: Constant, value: float) -> str:
     kind = row.of_kind
     return f"{row.name} {value * kind.shown:+.3g} {kind.shown_unit}"
+
+
+_SAME = 1e-6  # m, and the elements of rotation matrices
+_HINT = "give the URDF that the calibration read"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointOrigin:
+    """What a joint of the URDF becomes.
+
+    Attributes:
+        name: of the joint in the URDF.
+        T_parent_child: (4, 4) at the joint's zero, m.
+        axis: (3,) unit vector in the joint's frame.
+    """
+
+    name: str
+    T_parent_child: FloatArray
+    axis: FloatArray
+
+
+def joint_origins(urdf: Urdf, chain: ImprovedChain) -> tuple[JointOrigin, ...]:
+    """New origins and axes of the moving joints between base and head.
+
+    A zero offset turns (or shifts) the origin about the axis, so the joint's readings keep their meaning.
+
+    Raises:
+        ConfigError: the chain of the URDF is not the one that the calibration read.
+    """
+    stated = chain.stated
+    path = urdf.path(stated.base_frame, stated.head_frame)
+    moving = [joint for joint in path if joint.kind != "fixed"]
+    _check(path, stated)
+    links = [link for link in chain.improved.links if isinstance(link, JointLink)]
+    return tuple(_origin(joint, link, chain) for joint, link in zip(moving, links, strict=True))
+
+
+def _origin(joint: UrdfJoint, link: JointLink, chain: ImprovedChain) -> JointOrigin:
+    offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
+    if link.kind == "revolute":
+        change = se3.transform(se3.exp_so3(offset), link.shift_m)
+    else:
+        change = se3.transform(np.eye(3), link.shift_m + offset)
+    return JointOrigin(joint.name, joint.T_parent_child @ change, link.axis)
+
+
+def _check(path: tuple[UrdfJoint, ...], chain: HeadChain) -> None:
+    """Compare the moving joints with those of the chain, and the transforms between them.
+
+    The first transform may differ: the chain starts between the wheels, the URDF at its base link.
+    """
+    drawn = _parts([FixedLink(joint.T_parent_child) if joint.kind == "fixed" else joint for joint in path])
+    known = _parts(chain.links)
+    for number, ((T, joint), (T_known, link)) in enumerate(zip(drawn, known, strict=False)):
+        assert isinstance(joint, UrdfJoint)
+        assert isinstance(link, JointLink)
+        kind = "prismatic" if joint.kind == "prismatic" else "revolute"
+        read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
+        same = (kind, read, multiplier, offset) == (link.kind, link.joint, link.multiplier, link.offset)
+        same = same and np.allclose(joint.axis, link.axis, rtol=0, atol=_SAME)
+        if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=_SAME)):
+            raise ConfigError(f"URDF: joint {joint.name!r} is not as in the calibrated robot's chain", _HINT)
+    if len(drawn) != len(known):
+        raise ConfigError(
+            f"URDF: {len(drawn)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "
+            "calibrated robot's chain",
+            _HINT,
+        )
+
+
+def _parts(
+    links: tuple[FixedLink | JointLink, ...] | list[FixedLink | UrdfJoint],
+) -> list[tuple[FloatArray, JointLink | UrdfJoint]]:
+    """Each moving joint, with the transform from the frame of the joint before it to its own, (4, 4)."""
+    parts: list[tuple[FloatArray, JointLink | UrdfJoint]] = []
+    T = np.eye(4)
+    for link in links:
+        if isinstance(link, FixedLink):
+            T = T @ link.T_parent_child
+            continue
+        if isinstance(link, UrdfJoint):
+            T = T @ link.T_parent_child
+        parts.append((T, link))
+        T = np.eye(4)
+    return parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RectifiedPair:
+    """Rectification of a stereo pair.
+
+    Attributes:
+        R: side → (3, 3) raw to rectified coordinates.
+        P: side → (3, 4) projection of rectified coordinates, px.
+    """
+
+    R: Mapping[Side, FloatArray]
+    P: Mapping[Side, FloatArray]
+
+
+def rectified_pair(cameras: StereoRig) -> RectifiedPair:
+    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels)."""
+    T_r_c = se3.inverse(cameras.T_c_r)
+    R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
+    left, right = cameras.left, cameras.right
+    size = (left.width, left.height)
+    if left.distortion == "equidistant":
+        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
+            left.K, left.D, right.K, right.D, size, R, t, cv2.CALIB_ZERO_DISPARITY
+        )
+    else:
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
+    as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
+    return RectifiedPair(
+        {"left": as_float[0], "right": as_float[1]}, {"left": as_float[2], "right": as_float[3]}
+    )

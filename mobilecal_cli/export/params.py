@@ -24,7 +24,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.config import WheelsNominal, checked_settings
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.yaml_text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.likelihood.nuisance import kind
 from mobilecal_cli.model import (
     NINE,

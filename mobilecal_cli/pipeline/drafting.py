@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobilecal_cli.config import RigConfig, read_urdf
 from mobilecal_cli.discovery import draft_rig, may_be_a_reading, survey_rig
-from mobilecal_cli.export.single_file import check_file, write_file
+from mobilecal_cli.export.outputs import check_file, write_file
 from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS, Draft
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.sampling import sample_board

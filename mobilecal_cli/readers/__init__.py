@@ -5,16 +5,13 @@ the robot, `read_signals` reads everything except image contents in one pass, an
 images.
 """
 
-from mobilecal_cli.readers.containers.hashing import sha256_of
-from mobilecal_cli.readers.containers.opening import join_splits, looks_recorded, open_recording
+from mobilecal_cli.readers.containers import join_splits, looks_recorded, open_recording, sha256_of
 from mobilecal_cli.readers.containers.recording import Message, Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.images.pixels import decode_image
-from mobilecal_cli.readers.images.selection import pictures_near, read_images
-from mobilecal_cli.readers.robot_description import read_description
-from mobilecal_cli.readers.signals.numbers import number_fields
-from mobilecal_cli.readers.signals.pictures import Pictures, find_pictures, read_stamps
-from mobilecal_cli.readers.signals.reading import read_signals
+from mobilecal_cli.readers.description import number_fields, read_description
+from mobilecal_cli.readers.pictures import Pictures, find_pictures, pictures_near, read_images, read_stamps
+from mobilecal_cli.readers.pixels import decode_image
+from mobilecal_cli.readers.signals import read_signals
 
 __all__ = [
     "Extent",

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Board, Camera, FloatArray, Side, StereoRig
-from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector, pose
-from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.stereo import Lens
+from mobilecal_cli.simulate.robot import Lens, RobotJoint, SimulatedRobot, Vector, pose
+from mobilecal_cli.simulate.route import Route, base_in_world
 
 DISTORTIONS = ("radial_1", "radial_2", "tangential_x", "tangential_y")
 _MOVED_RAD = 1e-9
@@ -38,27 +37,6 @@ def joint_key(robot: SimulatedRobot, joint: str) -> str:
     return {robot.pan: "pan", robot.tilt: "tilt"}.get(joint, joint)
 
 
-@dataclass(frozen=True, slots=True)
-class Outside:
-    """Imperfections for which the estimator has no constant; none by default.
-
-    Attributes:
-        sag_rad: the head tilts further by sag sin(tilt), rad.
-        gravity_play_rad: whole play of the tilt joint, whose weight keeps it on the side it tilts to, rad.
-        heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
-        print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
-        print_seed: see there.
-        sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
-    """
-
-    sag_rad: float = 0.0
-    gravity_play_rad: float = 0.0
-    heavy_tails: bool = False
-    print_m: float = 0.0
-    print_seed: int = 0
-    sheet_m: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardShape:
     """A board as it is: its corners in its own frame, and its surface.
@@ -68,14 +46,12 @@ class BoardShape:
         scale: (2,) true over stated size along x and y.
         bends_m: (3,) z of the surface is (1 - xi^2) and (1 - eta^2) and xi eta times these, m.
         shear_rad: angle by which columns and rows are off the right angle.
-        off_m: (M, 2) displacement of every corner in the plane, m; None for none.
     """
 
     board: Board
     scale: FloatArray = field(default_factory=lambda: np.ones(2))
     bends_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     shear_rad: float = 0.0
-    off_m: FloatArray | None = None
 
     def height_m(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Height z of the surface at positions on the print, in squares: arrays of equal shape → m."""
@@ -83,15 +59,6 @@ class BoardShape:
         (middle_x, middle_y), (half_x, half_y) = (grid.max(0) + grid.min(0)) / 2, np.ptp(grid, axis=0) / 2
         xi, eta = (x - middle_x) / half_x, (y - middle_y) / half_y
         return np.asarray(bend_x * (1 - xi**2) + bend_y * (1 - eta**2) + twist * xi * eta)
-
-    def corners_k(self) -> FloatArray:
-        """(M, 3) corners in the board frame, m."""
-        grid, square = self.board.grid(), self.board.square_m or 0.0
-        plane = grid[:, :2] * square * self.scale
-        plane[:, 0] += np.tan(self.shear_rad) * plane[:, 1]
-        if self.off_m is not None:
-            plane += self.off_m
-        return np.column_stack([plane, self.height_m(*grid.T[:2])])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,17 +68,10 @@ class ActualRobot:
     Attributes:
         stated: the description; its `T_h_c` and `wheels` are true.
         constants: name → true minus stated value, see `imperfect`; a missing one is zero.
-        outside: what no constant describes.
     """
 
     stated: SimulatedRobot
     constants: Mapping[str, float]
-    outside: Outside = Outside()
-
-    @property
-    def as_stated(self) -> bool:
-        """Whether cameras, chain and board are as stated."""
-        return not any(self.constants.values()) and self.outside == Outside()
 
     def _of(self, name: str) -> float:
         return self.constants.get(name, 0.0)
@@ -150,27 +110,13 @@ class ActualRobot:
         aspect = self._of("square_aspect") / 2
         scale = (1 + self._of("square_scale")) * np.array([1 + aspect, 1 - aspect])
         bends = [self._of("board_bend_x"), self._of("board_bend_y"), self._of("board_twist")]
-        outside, random = self.outside, np.random.default_rng([self.outside.print_seed, 11])
-        x = board.grid()[:, 0]
-        off_m = outside.print_m * random.normal(size=(len(x), 2))
-        off_m += outside.sheet_m * (x > (x.min() + x.max()) / 2)[:, None]
-        return BoardShape(board, scale, np.array(bends), self._of("board_shear"), off_m)
+        return BoardShape(board, scale, np.array(bends), self._of("board_shear"))
 
     @property
     def lean(self) -> FloatArray:
         """(4, 4) the base as it leans, in a frame along the floor's normal."""
         turn = [self._of("lean_roll"), self._of("lean_pitch"), 0.0]
         return pose((0.0, 0.0, 0.0), Rotation.from_rotvec(turn))
-
-    @property
-    def right_late_s(self) -> float:
-        """Delay of the right camera's exposure, s."""
-        return self._of("time_right")
-
-    @property
-    def rolling_shutter_s(self) -> float:
-        """Time from the first to the last row of an image, centered on its stamp, s."""
-        return self._of("readout")
 
     @property
     def joints(self) -> tuple[RobotJoint, ...]:
@@ -184,27 +130,34 @@ class ActualRobot:
         x, y, z = (float(value) for value in np.array(joint.xyz_m) + shift)
         return replace(joint, xyz_m=(x, y, z), axis=(float(axis[0]), float(axis[1]), float(axis[2])))
 
-    def readings(self, route: Route, times_s: FloatArray) -> FloatArray:
-        """(n, J) noise-free joint readings at given times, rad: the route's joint positions are true.
+    def _of_each(self, name: str) -> FloatArray:
+        """(J,) a constant of every joint."""
+        return np.array(
+            [self._of(name.format(joint_key(self.stated, joint))) for joint in self.stated.joint_names]
+        )
 
-        position = reading (1 + scale) + zero - approach_direction * backlash / 2; the clock of the joints stamps
-        a measurement `time_joints` after it.
+    def positions(self, route: Route, times_s: FloatArray) -> FloatArray:
+        """(n, J) what the encoders measure at given times, rad: the route's joint positions, within the backlash.
+
+        position + approach_direction * backlash / 2; the clock of the joints stamps a measurement `time_joints`
+        after it.
         """
         late_s = self._of("time_joints")
         times_s = np.clip(times_s - late_s, 0, route.duration_s) if late_s else times_s
-        position = route.joints(times_s)
-        keys = [joint_key(self.stated, name) for name in self.stated.joint_names]
-        scale, zero, play = (
-            np.array([self._of(name.format(key)) for key in keys])
-            for name in ("{}_scale", "{}_zero", "backlash_{}")
-        )
-        if np.any(play):
-            position = position + approach_directions(route, times_s) * play / 2
-        tilt = self.stated.joint_names.index(self.stated.tilt)
-        beyond = np.zeros(position.shape)
-        beyond[:, tilt] = self.outside.sag_rad * np.sin(position[:, tilt])
-        beyond[:, tilt] += self.outside.gravity_play_rad / 2 * np.sign(position[:, tilt])
-        return np.asarray((position - beyond - zero) / (1 + scale))
+        position, play = route.joints(times_s), self._of_each("backlash_{}")
+        return position + approach_directions(route, times_s) * play / 2 if np.any(play) else position
+
+    def readings(self, route: Route, times_s: FloatArray) -> FloatArray:
+        """(n, J) noise-free joint readings at given times, rad: (position - zero) / (1 + scale)."""
+        zero, scale = self._of_each("{}_zero"), self._of_each("{}_scale")
+        return np.asarray((self.positions(route, times_s) - zero) / (1 + scale))
+
+
+def camera_in_world(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> FloatArray:
+    """T_w_c of the left camera at given times, (N, 4, 4); `floor` as from `imperfect.floor_in_base`."""
+    robot = replace(actual.stated, joints=actual.joints)
+    heads = np.array([robot.head_pose(joints) for joints in route.joints(times_s)])
+    return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ actual.lean @ heads @ robot.T_h_c)
 
 
 def approach_directions(route: Route, times_s: FloatArray) -> FloatArray:

@@ -7,14 +7,14 @@ A constant is the true minus the stated value; the description, the head-eye tra
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from mobilecal_cli.model import Extraction
-from mobilecal_cli.simulate.actual import DISTORTIONS, ActualRobot, Outside, crosswise, joint_key
-from mobilecal_cli.simulate.ideal import Noise, extraction_of
-from mobilecal_cli.simulate.robot import SimulatedRobot
+from mobilecal_cli.model import FloatArray, IntArray
+from mobilecal_cli.simulate.actual import DISTORTIONS, crosswise, joint_key
+from mobilecal_cli.simulate.robot import SimulatedRobot, pose
 from mobilecal_cli.simulate.route import Route
 
 #: Kind of constant → standard deviation of its prior: rad, m, s, or a share.
@@ -44,23 +44,29 @@ PRIORS: dict[str, float] = {
 NOT_RENDERED = {"stereo_clock", "readout"}
 #: Kinds that only moving recordings show.
 _OF_MOTION = {"clock", *NOT_RENDERED}
-#: First guesses of the noise at each station or leg; the other levels depend on the robot.
-STATION_NOISE = Noise(floor_rad=np.radians(0.1), floor_m=0.0005, stamp_s=0.0005, wheel_share=0.001)
+START_NS = 1_700_000_000_000_000_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Imperfection:
-    """What is not as stated.
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of the wheels, the floor and the stamps; zero by default.
 
     Attributes:
-        constants: name → true minus stated value; a missing one is zero.
-        noise: levels of the noise.
-        outside: what no constant describes.
+        wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
+        floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
+        stamp_s: sigma of each image stamp in motion, s.
+        wheel_share: sigma of each wheel's relative scale error.
     """
 
-    constants: Mapping[str, float] = field(default_factory=dict)
-    noise: Noise = field(default_factory=Noise)
-    outside: Outside = field(default_factory=Outside)
+    wheel_rad_per_sqrt_rad: float = 0.0
+    floor_rad: float = 0.0
+    floor_m: float = 0.0
+    stamp_s: float = 0.0
+    wheel_share: float = 0.0
+
+
+#: First guesses of the noise at each station or leg; the other levels depend on the robot.
+STATION_NOISE = Noise(floor_rad=np.radians(0.1), floor_m=0.0005, stamp_s=0.0005, wheel_share=0.001)
 
 
 def constant_kinds(robot: SimulatedRobot) -> dict[str, str]:
@@ -122,39 +128,66 @@ def draw(
     }
 
 
-def actual_robot(robot: SimulatedRobot, imperfection: Imperfection) -> ActualRobot:
-    """The physical robot behind a description.
+def checked_constants(robot: SimulatedRobot, constants: Mapping[str, float]) -> Mapping[str, float]:
+    """Constants of a robot as they are given.
 
     Raises:
         ValueError: a constant that the robot does not have.
     """
-    if unknown := set(imperfection.constants) - set(constant_kinds(robot)):
+    if unknown := set(constants) - set(constant_kinds(robot)):
         raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
-    return ActualRobot(robot, imperfection.constants, imperfection.outside)
+    return constants
 
 
-def imperfect_extraction(
-    robot: SimulatedRobot,
-    route: Route,
-    imperfection: Imperfection,
-    seed: int = 0,
-    nominal: bool = True,
-    camera_late_s: float = 0.0,
-    images: int = 40,
-) -> Extraction:
-    """Extraction of a drive of a robot that is not as stated; see `ideal_extraction`.
+def station_times_s(route: Route, stations: int = 40) -> FloatArray:
+    """Middle of every rest; on a route without rests, equally spaced times."""
+    if len(route.rests_s):
+        return np.asarray(route.rests_s.mean(axis=1))
+    return np.linspace(0.5, route.duration_s - 0.5, stations)
+
+
+def nanoseconds(times_s: FloatArray) -> IntArray:
+    """Header stamps for times of a recording, int64 ns."""
+    return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
+
+
+def floor_in_base(noise: Noise, count: int, random: np.random.Generator, still: bool = False) -> FloatArray:
+    """Roll, pitch and height of the base on an uneven floor, at each of some stations: (N, 4, 4), base axes."""
+    return floor_poses(noise, random.normal(size=(count, 2)), random.normal(size=count), still)
+
+
+def floor_poses(noise: Noise, turns: FloatArray, lifts: FloatArray, still: bool) -> FloatArray:
+    """Poses (N, 4, 4) of the base from unit random numbers; the same at all stations of a base that stands still.
 
     Args:
-        robot: the description, with the true head-eye transform and wheels.
-        route: the true motion of base and joints; readings follow from it.
-        imperfection: what is not as stated, and the noise.
-        seed: of the noise.
-        nominal: whether nominal values are known.
-        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
-        images: their number where the robot never rests.
-
-    Raises:
-        ConfigError: the cameras' images are too inconsistent to be triangulated.
+        noise: its levels.
+        turns, lifts: (N, 2) and (N,).
+        still: whether the base never moves.
     """
-    actual = actual_robot(robot, imperfection)
-    return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
+    poses = np.array(
+        [
+            pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
+            for (roll, pitch), lift in zip(noise.floor_rad * turns, noise.floor_m * lifts, strict=True)
+        ]
+    )
+    return np.repeat(poses[:1], len(poses), axis=0) if still else poses
+
+
+def rolled_as_read(
+    angles: FloatArray, leg: IntArray, noise: Noise, random: np.random.Generator
+) -> FloatArray:
+    """Wheel rotations with noise, before the encoders' steps.
+
+    Args:
+        angles: (n, 2) true rotations of the right and left wheel, rad.
+        leg: (n - 1,) leg of each change, from 0.
+        noise: their levels.
+        random: source of the noise.
+    """
+    change = np.diff(angles, axis=0)
+    error = np.zeros(change.shape)
+    if noise.wheel_rad_per_sqrt_rad:
+        error += random.normal(size=change.shape) * noise.wheel_rad_per_sqrt_rad * np.sqrt(np.abs(change))
+    if noise.wheel_share:
+        error += noise.wheel_share * random.normal(size=(int(leg.max()) + 1, 2))[leg] * change
+    return np.asarray(angles + np.concatenate([np.zeros((1, 2)), np.cumsum(error, axis=0)]))

@@ -1,35 +1,37 @@
-"""Messages published by the simulated robot, the same for every container."""
+"""Messages published by the simulated robot, and their writers for every container."""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.model import CameraInfo, FloatArray, Side
-from mobilecal_cli.simulate.actual import ActualRobot
-from mobilecal_cli.simulate.ideal import (
+from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
+from mobilecal_cli.simulate.imperfect import (
     START_NS,
     Noise,
-    driven_m,
     floor_in_base,
     nanoseconds,
     rolled_as_read,
     station_times_s,
 )
-from mobilecal_cli.simulate.imperfect import actual_robot
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import SimulatedRobot
+from mobilecal_cli.simulate.robot import SimulatedRobot, urdf_text
 from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.scenario import Scenario
-from mobilecal_cli.simulate.urdf import urdf_text
-from mobilecal_cli.simulate.views import camera_in_world
+from mobilecal_cli.simulate.scenario import Container, Scenario
 
 Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
@@ -118,8 +120,8 @@ class World:
     @classmethod
     def of(cls, scenario: Scenario, robot: SimulatedRobot, route: Route) -> World:
         """The world of a planned scenario."""
-        imperfection = scenario.imperfection(robot)
-        return cls(scenario, route, actual_robot(robot, imperfection), imperfection.noise)
+        constants, noise = scenario.imperfections(robot)
+        return cls(scenario, route, ActualRobot(robot, constants), noise)
 
 
 def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -180,9 +182,8 @@ def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, Fl
     if len(rests_s):
         rest = np.searchsorted(rests_s[:, 0], times_s) - 1
         still = world.route.motion == "base_fixed"
-        path_m = driven_m(world.actual, world.route, rests_s[:, 0])
-        return floor_in_base(world.noise, path_m, random, still)[rest], np.zeros(len(times_s))
-    floor = floor_in_base(world.noise, driven_m(world.actual, world.route, times_s), random)
+        return floor_in_base(world.noise, len(rests_s), random, still)[rest], np.zeros(len(times_s))
+    floor = floor_in_base(world.noise, len(times_s), random)
     return floor, world.noise.stamp_s * random.normal(size=len(times_s))
 
 
@@ -235,3 +236,78 @@ def published(
         _picture_messages(publisher, world, drawn),
         key=lambda m: m.time_ns,
     )
+
+
+Write = Callable[[Path, Iterable[Published], Publisher], None]
+
+
+def ros_of(container: Container) -> Ros:
+    """ROS version of a container's messages."""
+    return 1 if container.startswith("bag") or container == "mcap-ros1" else 2
+
+
+def _serialized(publisher: Publisher, published: Published) -> bytes:
+    serialize = publisher.store.serialize_ros1 if publisher.ros == 1 else publisher.store.serialize_cdr
+    return bytes(serialize(published.message, published.type))
+
+
+def _mcap(compression: CompressionType) -> Write:
+    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
+        profile, encoding = ("ros1", "ros1") if publisher.ros == 1 else ("ros2", "cdr")
+        with path.open("wb") as stream:
+            writer = McapWriter(stream, compression=compression)
+            writer.start(profile=profile, library="mobilecal simulate")
+            channels: dict[str, int] = {}
+            for published in messages:
+                if published.topic not in channels:
+                    definition, _ = publisher.store.generate_msgdef(published.type, ros_version=publisher.ros)
+                    name = published.type.replace("/msg/", "/") if publisher.ros == 1 else published.type
+                    schema = writer.register_schema(name, f"{profile}msg", definition.encode())
+                    channels[published.topic] = writer.register_channel(published.topic, encoding, schema)
+                time_ns = published.time_ns
+                data = _serialized(publisher, published)
+                writer.add_message(channels[published.topic], time_ns, data, time_ns)
+            writer.finish()  # type: ignore[no-untyped-call]
+
+    return write
+
+
+def _connected(writer: Any, messages: Iterable[Published], publisher: Publisher) -> None:  # noqa: ANN401
+    connections: dict[str, Any] = {}
+    for published in messages:
+        topic = published.topic
+        if topic not in connections:
+            connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
+        writer.write(connections[topic], published.time_ns, _serialized(publisher, published))
+
+
+def _rosbag2(plugin: StoragePlugin) -> Write:
+    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
+        with Rosbag2Writer(path, version=9, storage_plugin=plugin) as writer:
+            _connected(writer, messages, publisher)
+
+    return write
+
+
+def _bag(compression: BagWriter.CompressionFormat | None) -> Write:
+    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
+        writer = BagWriter(path)
+        if compression is not None:
+            writer.set_compression(compression)
+        with writer:
+            _connected(writer, messages, publisher)
+
+    return write
+
+
+WRITERS: dict[Container, Write] = {
+    "mcap": _mcap(CompressionType.NONE),
+    "mcap-lz4": _mcap(CompressionType.LZ4),
+    "mcap-zstd": _mcap(CompressionType.ZSTD),
+    "mcap-ros1": _mcap(CompressionType.NONE),
+    "rosbag2": _rosbag2(StoragePlugin.SQLITE3),
+    "rosbag2-mcap": _rosbag2(StoragePlugin.MCAP),
+    "bag": _bag(None),
+    "bag-lz4": _bag(BagWriter.CompressionFormat.LZ4),
+    "bag-bz2": _bag(BagWriter.CompressionFormat.BZ2),
+}

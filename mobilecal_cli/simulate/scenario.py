@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -9,8 +10,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers
-from mobilecal_cli.simulate.ideal import Noise
-from mobilecal_cli.simulate.imperfect import NOT_RENDERED, PRIORS, STATION_NOISE, Imperfection, draw
+from mobilecal_cli.simulate.imperfect import NOT_RENDERED, PRIORS, STATION_NOISE, Noise, draw
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 
@@ -71,13 +71,13 @@ class Scenario:
     camera_late_s: float = 0.0
     imperfect: bool = False
 
-    def imperfection(self, robot: SimulatedRobot) -> Imperfection:
-        """What is not as the robot's description says."""
+    def imperfections(self, robot: SimulatedRobot) -> tuple[Mapping[str, float], Noise]:
+        """What is not as the robot's description says: constants, true minus stated value, and additional noise."""
         if not self.imperfect:
-            return Imperfection()
+            return {}, Noise()
         kinds = {*PRIORS} - NOT_RENDERED if self.motion == "moving" else None
         constants = draw(robot, np.random.default_rng([self.seed, 5]), kinds=kinds)
-        return Imperfection(constants, Noise() if self.exact else STATION_NOISE)
+        return constants, Noise() if self.exact else STATION_NOISE
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
         """The robot and its route.
@@ -117,15 +117,15 @@ def _row(values: object) -> str:
 
 def _imperfect_lines(scenario: Scenario, robot: SimulatedRobot) -> list[str]:
     """Levels of the additional noise, continuing "scenario", and the constants."""
-    imperfection = scenario.imperfection(robot)
+    constants, noise = scenario.imperfections(robot)
     if not scenario.imperfect:
         return []
-    levels = {name: getattr(imperfection.noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
-    levels["stamp_s"] = imperfection.noise.stamp_s if scenario.motion == "moving" else 0.0
+    levels = {name: getattr(noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
+    levels["stamp_s"] = noise.stamp_s if scenario.motion == "moving" else 0.0
     return [
         *(f"  {name}: {_plain(level)}" for name, level in levels.items()),
         "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)",
-        *(f"  {name}: {_plain(value)}" for name, value in imperfection.constants.items()),
+        *(f"  {name}: {_plain(value)}" for name, value in constants.items()),
     ]
 
 

@@ -16,7 +16,6 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import (
@@ -28,6 +27,7 @@ from tests.bench.simulated import (
     map_runs,
     route_of,
 )
+from tests.extractions import ideal_extraction
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
 _CASES = (

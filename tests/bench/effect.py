@@ -11,11 +11,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Corners, Extraction
 from mobilecal_cli.simulate.actual import BoardShape
-from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, station_times_s
+from mobilecal_cli.simulate.imperfect import station_times_s
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.stereo import pixels
+from mobilecal_cli.simulate.robot import paper_robot, pixels
+from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.vision import Miss, board_pose, triangulate
 from mobilecal_cli.vision.corner_model import fit_corners
@@ -23,6 +22,7 @@ from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import DEGREES_MM, HEADER, JOINT_RAD, WHEEL, errors, map_runs, route_of, row
 from tests.bench.tables import paragraph
+from tests.extractions import Noise, ideal_extraction
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3

@@ -16,26 +16,20 @@ from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers, Noise
 from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Parameters, Solution
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate import ideal
-from mobilecal_cli.simulate.imperfect import (
-    PRIORS,
-    STATION_NOISE,
-    Imperfection,
-    Outside,
-    draw,
-    imperfect_extraction,
-)
+from mobilecal_cli.simulate.imperfect import PRIORS, draw
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.fit import Fitter
 from mobilecal_cli.solvers.initial_state import initial_state
+from tests import extractions
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
+from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
 
 ROBOTS = {"paper": paper_robot, "pan-tilt": tick_robot}
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
 #: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
-PERFECT, USUAL = ideal.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
+PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
 _APART_NS = 100_000_000
@@ -64,7 +58,7 @@ class Case:
     images: int = 40
     kinds: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
-    noise: ideal.Noise = PERFECT
+    noise: extractions.Noise = PERFECT
     outside: Outside = _NOTHING
     twice: bool = False
     lengths_drawn: bool = False
@@ -115,7 +109,7 @@ def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
     return plan_route(ROBOTS[robot](), motion, stations=stations, seed=number)
 
 
-def given(noise: ideal.Noise) -> KnownNoise:
+def given(noise: extractions.Noise) -> KnownNoise:
     """All levels of a simulation as known."""
     names = (*_DEVICES, "floor_rad", "floor_m", "stamp_s", "wheel_share")
     return KnownNoise(**{name: getattr(noise, name) for name in names})
@@ -130,7 +124,7 @@ def with_noise(extraction: Extraction, known: KnownNoise) -> Extraction:
 def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArray:
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
     true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
-    extraction = ideal.ideal_extraction(true, route)
+    extraction = extractions.ideal_extraction(true, route)
     data = Fitter(extraction, Constraints()).data
     parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
     fitter = Fitter(extraction, Constraints())

@@ -13,14 +13,13 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTrack
-from mobilecal_cli.simulate.actual import ActualRobot
-from mobilecal_cli.simulate.ideal import extraction_of
 from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import FIVE_SIGMA, USUAL, Case, all_kinds, judged, level_counts, refused
 from tests.bench.imperfect import Run as Result
 from tests.bench.simulated import conditions, map_runs
+from tests.extractions import OutsideRobot, extraction_of
 
 _NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 RECORDINGS = {
@@ -148,7 +147,7 @@ def changed(
     after = CHANGES[part](robot, route, known, unit / np.linalg.norm(unit), factor)
     now = {**constants, **{n: constants.get(n, 0.0) + more for n, more in after.constants.items()}}
     head = replace(after.robot, wheels=robot.wheels)
-    other = extraction_of(ActualRobot(head, now), after.route, case.noise, seed, images=case.images)
+    other = extraction_of(OutsideRobot(head, now), after.route, case.noise, seed, images=case.images)
     before = case.extraction(seed)
     first = round(MOMENTS[seed % len(MOMENTS)] * len(before.observations))
     ratio = robot.wheels.radius_right_m / after.robot.wheels.radius_right_m

@@ -9,7 +9,6 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import KnownNoise, Method
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
@@ -27,6 +26,7 @@ from tests.bench.simulated import (
     route_of,
     row,
 )
+from tests.extractions import ideal_extraction
 
 _LEVELS = {"ml, noise levels given": GIVEN, "ml, noise levels estimated": KnownNoise()}
 _PAPER_EVERY = 10  # Powell's method takes longer than all the others together

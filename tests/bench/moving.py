@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DISTURBED, HEADER, as_described, conditions, errors, map_runs, route_of, row
+from tests.extractions import ideal_extraction
 
 _LATE_S = 0.025
 _CLOCKS = ("time_joints", "time_wheels")

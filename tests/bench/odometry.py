@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.export import OdometryCovariance, odometry_covariance, parameters_from_yaml, params_yaml
+from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.formats.odometry_covariance import OdometryCovariance, odometry_covariance
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.model import CalibratedRobot, FloatArray, Provenance
-from mobilecal_cli.simulate import ideal
-from mobilecal_cli.simulate.drive import Drive, Stretch
+from mobilecal_cli.simulate.route import Drive, Stretch
 from mobilecal_cli.solvers import solve
+from tests import extractions
 from tests.bench.drawn import drawn
 from tests.bench.imperfect import ROBOTS, Case, route_of
 from tests.bench.simulated import RUNS_PER_ROUTE, conditions, map_runs
@@ -67,7 +68,7 @@ def held_out(
     times_s = times_s[(times_s >= ends_s[0]) & (times_s <= ends_s[-1])]
     leg = np.searchsorted(ends_s, times_s[:-1], side="right") - 1
     angles = drive.wheel_angles(times_s, true.wheels)
-    rolled = ideal.rolled_as_read(angles, leg, case.noise, np.random.default_rng([seed, 13]))
+    rolled = extractions.rolled_as_read(angles, leg, case.noise, np.random.default_rng([seed, 13]))
     step = case.noise.encoder_step_rad
     if step:
         rolled = np.floor(rolled / step) * step
@@ -127,7 +128,7 @@ def inside(drive: HeldOut, found: OdometryCovariance) -> FloatArray:
 def drives(case: Case, seed: int) -> dict[str, tuple[Drive, FloatArray, float | None]]:
     """Name → another drive of the robot, the times that end its legs (s), and the distance to export for (m)."""
     route = route_of(case.robot, case.motion, case.stations, _OTHER_ROUTES + seed // RUNS_PER_ROUTE)
-    stops_s = ideal.station_times_s(route)
+    stops_s = extractions.station_times_s(route)
     lasts_s = STRAIGHT_M / SPEED_MPS
     ahead = Drive((Stretch(lasts_s, SPEED_MPS),) * 10)
     return {

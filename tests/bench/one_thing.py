@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.simulate.actual import Outside
-from mobilecal_cli.simulate.imperfect import PRIORS, STATION_NOISE
+from mobilecal_cli.simulate.imperfect import PRIORS
 from mobilecal_cli.simulate.route import Motion
 from tests.bench.imperfect import (
     PERFECT,
@@ -22,6 +21,7 @@ from tests.bench.imperfect import (
     summary,
 )
 from tests.bench.simulated import conditions, map_runs
+from tests.extractions import STATION_NOISE, Outside
 
 _FLOOR = {"floor_rad": float(np.radians(0.05)), "floor_m": 0.0005}
 _STEREO = {f"stereo_r_{axis}": float(np.radians(0.02)) for axis in "xyz"}

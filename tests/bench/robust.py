@@ -11,9 +11,9 @@ from scipy.stats import chi2
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from tests import extractions
 from tests.bench.simulated import (
     DISTURBED,
     HEADER,
@@ -34,7 +34,7 @@ _FALSE = float(chi2.isf(1e-6, 9)) / 9
 def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, str, float]:
     """Error, sigma of the good data's bound, NEES / 9, what was found, seconds."""
     robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
-    sound = ideal.ideal_extraction(robot, route, DISTURBED, seed)
+    sound = extractions.ideal_extraction(robot, route, DISTURBED, seed)
     extraction, bad, slip = spoiled(sound, route, np.random.default_rng(seed))
     good = Inliers.all_of(dataset_of(sound))
     views, legs = good.views.copy(), good.legs.copy()

@@ -22,15 +22,14 @@ from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack
-from mobilecal_cli.simulate import ideal
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
-from mobilecal_cli.simulate.stereo import pixels
 from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.vision import Miss, board_pose, triangulate
+from tests import extractions
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
-DISTURBED = ideal.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
+DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
 TRUE_NOISE = Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
 GIVEN = KnownNoise(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 RUNS_PER_ROUTE = 10
@@ -71,7 +70,7 @@ def as_described(extraction: Extraction) -> Extraction:
 
 def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:
     """(P, P) Fisher information about the shared numbers at the truth, from readings without any noise."""
-    extraction = ideal.ideal_extraction(robot, route)
+    extraction = extractions.ideal_extraction(robot, route)
     data, true = dataset_of(extraction), Parameters(robot.T_h_c, robot.wheels)
     everything = Inliers.all_of(data)
     state, priors = initial_state(data, true, everything), Priors.none(data.layout, true)

@@ -15,11 +15,11 @@ from mobilecal_cli import __version__
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.pipeline.extracting import extract
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import errors
+from tests.extractions import Noise, ideal_extraction
 
 _RUNS = 40
 _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"

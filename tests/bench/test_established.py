@@ -8,12 +8,12 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import Parameters
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial_state import initial_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
 from tests.bench.simulated import DISTURBED, route_of
+from tests.extractions import ideal_extraction
 
 
 @pytest.fixture(scope="module")

@@ -25,12 +25,12 @@ from mobilecal_cli.pipeline import fleet as batch_module
 from mobilecal_cli.pipeline.calibrating import calibrate
 from mobilecal_cli.pipeline.cluster import run_on
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text, standing_out
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.cli.dask_cluster import local_cluster
 from tests.cli.dying import die_or_answer
 from tests.command import run
+from tests.extractions import Noise, ideal_extraction
 from tests.report.schema import validated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mobilecal_cli.pipeline import drafting, inspecting
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.cli.edited import edited
 from tests.command import run
 from tests.golden import assert_golden

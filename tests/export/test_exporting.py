@@ -16,26 +16,20 @@ from mcap.reader import make_reader
 
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError, QualityError
-from mobilecal_cli.export import (
-    camchain_yaml,
-    camera_info_yaml,
-    diff_drive_yaml,
-    extraction_to_npz,
-    foxglove,
-    parameters_from_yaml,
-    patched_urdf,
-    rectified_pair,
-    with_verdict,
-)
+from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.export.formats import foxglove, with_verdict
+from mobilecal_cli.export.formats.camchain import camchain_yaml
+from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.pipeline.steps import Data
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run
+from tests.extractions import Noise, simulated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]()
@@ -47,7 +41,7 @@ LINES = {
 def recorded(motion, name="paper", seed=3, log="0"):
     """An extraction without images, with nominal wheels."""
     described = ROBOTS[name]()
-    extraction = ideal_extraction(described, plan_route(described, motion, 12, seed=seed), NOISE, seed=seed)
+    extraction = simulated(motion, NOISE, name, seed=seed)
     nominal = Nominal(described.T_h_c @ extraction.rig.cameras.T_c_reference, described.nominal_wheels)
     return replace(
         extraction, rig=replace(extraction.rig, nominal=nominal), logs=(LogSource("log.mcap", log * 64),)
@@ -197,7 +191,7 @@ def test_an_unobservable_separation_stays_in_the_urdf_and_in_the_controller():
         line for line in made.content.splitlines() if b"continuous" in line
     ]
     assert b'radius="0.101"' in made.content
-    assert any("separation unchanged, it is unobservable" in change for change in made.changes)
+    assert any("separation unchanged, it is unobservable" in change for change in made.notes)
     sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS, None))["diff_drive_controller"]
     assert set(sizes["ros__parameters"]) == {
         "left_wheel_names", "right_wheel_names", "wheel_radius", "left_wheel_radius_multiplier",
@@ -306,13 +300,12 @@ def test_a_report_on_the_data_of_another_robot_is_refused():
 )
 def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
     if said is None:
-        assert patched_urdf(URDF, robot, joints).changes
+        assert patched_urdf(URDF, robot, joints).notes
         return
     with pytest.raises(ConfigError, match=said):
         patched_urdf(URDF, robot, joints)
 
 
-@pytest.mark.parametrize("target", [Target.ros2_control, Target.urdf])
 @pytest.mark.parametrize(
     ("joints", "said"),
     [
@@ -328,9 +321,9 @@ def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
         ({"left": "a", "right": "a"}, "this joint is that of the right wheel"),
     ],
 )
-def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, target, joints, said):
+def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, joints, said):
     with pytest.raises(ConfigError, match=said):
-        mc.export_to(passed, target, **options(passed, target), wheel_joints=joints)
+        mc.export_to(passed, "ros2_control", wheel_joints=joints)
 
 
 # -- the readers' own rules -----------------------------------------------------------------------

@@ -20,16 +20,14 @@ from pytransform3d.rotations import matrix_from_quaternion
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    camchain_yaml,
-    camera_info_yaml,
-    diff_drive_yaml,
-    plain_json,
-    rectified_pair,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export.formats.camchain import camchain_yaml
+from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.json import Json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
+from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
+from mobilecal_cli.export.formats.xacro import Xacro
+from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 
@@ -55,13 +53,11 @@ DIFF_DRIVE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "written", [plain_json, static_transform_launch, static_transform_yaml, xacro_properties]
-)
-def test_formats_with_frames_state_the_images(written):
+@pytest.mark.parametrize("kind", [Json, StaticTransformLaunch, StaticTransformYaml, Xacro])
+def test_formats_with_frames_state_the_images(kind):
     """`child_frame` means another frame for rectified images: each file says which."""
-    raw, rectified = written(ROBOT), written(replace(ROBOT, rectified=True))
-    if written is plain_json:
+    raw, rectified = kind().text(ROBOT), kind().text(replace(ROBOT, rectified=True))
+    if kind is Json:
         assert json.loads(raw)["child_frame_images"] == "raw"
         assert json.loads(rectified)["child_frame_images"] == "rectified"
         return
@@ -83,15 +79,15 @@ def from_quaternion(x, y, z, w):
 
 
 def test_json():
-    data = json.loads(plain_json(ROBOT))
+    data = json.loads(Json().text(ROBOT))
     assert data["T_parent_child"] == T.tolist()
     assert data["order"] == list(NINE)
     assert from_quaternion(*data["quaternion_xyzw"]) == pytest.approx(T[:3, :3])
-    assert json.loads(plain_json(replace(ROBOT, knowledge=None)))["covariance"] is None
+    assert json.loads(Json().text(replace(ROBOT, knowledge=None)))["covariance"] is None
 
 
 def test_static_transform_yaml():
-    data = yaml.safe_load(static_transform_yaml(ROBOT))
+    data = yaml.safe_load(StaticTransformYaml().text(ROBOT))
     assert (data["header"]["frame_id"], data["child_frame_id"]) == ("head", "camera's eye")
     move, turn = data["transform"]["translation"], data["transform"]["rotation"]
     assert [move[k] for k in "xyz"] == pytest.approx(T[:3, 3])
@@ -100,7 +96,7 @@ def test_static_transform_yaml():
 
 def test_static_transform_launch():
     """As launch would: an XML reader, then the words of a shell."""
-    node = ElementTree.fromstring(static_transform_launch(ROBOT)).find("node")
+    node = ElementTree.fromstring(StaticTransformLaunch().text(ROBOT)).find("node")
     assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
     words = shlex.split(node.get("args"))
     args = {name.removeprefix("--"): value for name, value in zip(words[::2], words[1::2], strict=True)}
@@ -111,7 +107,7 @@ def test_static_transform_launch():
 
 def test_xacro_reads_the_properties(tmp_path):
     properties = tmp_path / "calibration.xacro"
-    properties.write_text(xacro_properties(replace(ROBOT, child_frame="a--b")), encoding="utf-8")
+    properties.write_text(Xacro().text(replace(ROBOT, child_frame="a--b")), encoding="utf-8")
     robot = f"""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
       <xacro:include filename="{properties}"/>
       <origin xyz="${{mobilecal_head_eye_xyz}}" rpy="${{mobilecal_head_eye_rpy}}"/>
@@ -204,10 +200,10 @@ def test_camera_info_makes_rows_of_one_height(distortion):
 
 def test_every_format_names_its_frames():
     texts = {
-        "launch": static_transform_launch(ROBOT),
-        "yaml": static_transform_yaml(ROBOT),
-        "xacro": xacro_properties(ROBOT),
-        "json": plain_json(ROBOT),
+        "launch": StaticTransformLaunch().text(ROBOT),
+        "yaml": StaticTransformYaml().text(ROBOT),
+        "xacro": Xacro().text(ROBOT),
+        "json": Json().text(ROBOT),
         "camchain": camchain_yaml(CAMERAS, {"left": "", "right": ""}),
     }
     for name, text in texts.items():

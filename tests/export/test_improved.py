@@ -13,26 +13,21 @@ import yourdfpy
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    extraction_to_npz,
-    improved_chain,
-    parameters_from_yaml,
-    params_yaml,
-    patched_urdf,
-)
+from mobilecal_cli.export import extraction_to_npz, improved_chain, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import without_correction
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.pipeline.exporting import export
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
-from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.imperfect import draw
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.targets import Target
 from tests.export.test_urdf_patch import robot
+from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.report.example import make_provenance
 
 K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])

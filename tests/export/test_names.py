@@ -14,14 +14,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import (
-    diff_drive_yaml,
-    patched_urdf,
-    plain_json,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export.formats.json import Json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
+from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, WheelGeometry
 
@@ -43,14 +41,14 @@ def robot(parent: str, child: str) -> CalibratedRobot:
 @example("]]>", "<!--")
 def test_any_frame_name(parent, child):
     named = robot(parent, child)
-    assert json.loads(plain_json(named))["child_frame"] == child
-    parseString(xacro_properties(named))
-    message = yaml.safe_load(static_transform_yaml(named))
+    assert json.loads(Json().text(named))["child_frame"] == child
+    parseString(Xacro().text(named))
+    message = yaml.safe_load(StaticTransformYaml().text(named))
     assert (message["header"]["frame_id"], message["child_frame_id"]) == (parent, child)
     drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}, None))
     assert drive["diff_drive_controller"]["ros__parameters"]["left_wheel_names"] == [parent]
     with suppress(ConfigError):
-        node = parseString(static_transform_launch(named)).getElementsByTagName("node")[0]
+        node = parseString(StaticTransformLaunch().text(named)).getElementsByTagName("node")[0]
         words = shlex.split(node.getAttribute("args"))
         assert words[-4:] == ["--frame-id", parent, "--child-frame-id", child]
         assert "$(" not in node.getAttribute("args")

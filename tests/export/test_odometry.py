@@ -9,16 +9,18 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz, odometry, odometry_covariance, odometry_yaml
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.formats import odometry_covariance as odometry
+from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
 from mobilecal_cli.pipeline import exporting
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
+from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.targets import Target
+from tests.extractions import Noise, simulated
 
 SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0
 LEVELS = {
@@ -36,8 +38,7 @@ ROOT = np.array([[2e-4, 0, 0], [1.5e-4, 1e-4, 0], [4e-4, 3e-4, 1e-3]])
 @pytest.fixture(scope="module")
 def extraction():
     """Eleven legs, with given noise levels: nothing is widened."""
-    robot = paper_robot()
-    made = ideal_extraction(robot, plan_route(robot, "standard", stations=12, seed=4), Noise(pixel_px=0.1))
+    made = simulated(noise=Noise(pixel_px=0.1), seed=4)
     known = KnownNoise(wheel_rad_per_sqrt_rad=SQRT, wheel_share=SHARE)
     return replace(made, rig=replace(made.rig, noise=known))
 
@@ -161,8 +162,7 @@ def test_the_file_has_the_parameters_of_both_nodes(extraction):
 def test_refusals(extraction):
     with pytest.raises(ConfigError, match="does not state the noise of the wheels"):
         odometry_covariance(replace(robot_with(), knowledge=None), extraction, RATE_HZ)
-    robot = paper_robot()
-    still = ideal_extraction(robot, plan_route(robot, "base_fixed", stations=5, seed=1), Noise(pixel_px=0.1))
+    still = simulated("base_fixed", Noise(pixel_px=0.1), stations=5, seed=1)
     with pytest.raises(ConfigError, match="does not drive in the recording"):
         odometry_covariance(robot_with(), still, RATE_HZ)
 
@@ -171,7 +171,7 @@ def test_refusals(extraction):
 def test_a_note_on_short_legs(extraction, tmp_path, monkeypatch, distance_m, noted):
     """Legs of a few centimeters, as between images in motion, do not represent a robot's drives."""
     monkeypatch.setattr(exporting, "read_params", lambda _: robot_with())
-    monkeypatch.setattr(exporting, "_LEAST_LEG_M", 1.0)
+    monkeypatch.setattr(odometry, "_LEAST_LEG_M", 1.0)
     (tmp_path / "extraction.npz").write_bytes(
         extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),)))
     )

@@ -13,7 +13,6 @@ from mobilecal_cli.export import (
     check_output,
     outputs,
     placing,
-    single_file,
     write_file,
     write_outputs,
 )
@@ -203,8 +202,7 @@ def appears_during(monkeypatch, appear):
             appear()
             yield partial
 
-    for module in (outputs, single_file):
-        monkeypatch.setattr(module, "partial_of", slow)
+    monkeypatch.setattr(outputs, "partial_of", slow)
 
 
 @pytest.mark.usefixtures("renames")

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
-from mobilecal_cli.export.yaml_text import decimal, dump, quoted
+from mobilecal_cli.export.text import decimal, dump, quoted
 from mobilecal_cli.model import (
     AtWork,
     Budget,

@@ -16,7 +16,7 @@ from pytransform3d.urdf import UrdfTransformManager
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import patched_urdf
+from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, WheelGeometry
 
@@ -75,7 +75,7 @@ def test_both_parsers_find_the_camera_and_the_wheels(tmp_path):
         for T in two_readers(tmp_path, made.content, side, "base_link"):
             assert T[:3, 3] == pytest.approx([0.1, y, 0.05], abs=1e-10)
     assert made.content.count(b'radius = "0.102"') == made.content.count(b"radius='0.102'") == 1
-    assert any("'r': no cylinder or sphere" in told for told in made.changes)
+    assert any("'r': no cylinder or sphere" in told for told in made.notes)
 
 
 def test_every_other_byte_stays():
@@ -106,7 +106,7 @@ def test_wheel_joints_over_the_ground_follow_the_radius(tmp_path):
     )
     made = patched_urdf(content, robot(), JOINTS)
     assert heights(made, tmp_path, "base_link") == pytest.approx([0.1015] * 4, abs=1e-10)
-    assert any("height 0.1015 m, the mean wheel radius" in change for change in made.changes)
+    assert any("height 0.1015 m, the mean wheel radius" in change for change in made.notes)
     assert patched_urdf(made.content, robot(), JOINTS).content == made.content
 
 
@@ -127,13 +127,13 @@ def test_a_base_footprint_is_named_with_both_numbers(tmp_path, upward):
         "link 'base_footprint': the axle is 0.1 m above it, and the mean wheel radius is now 0.1015 m; "
         "its joint 'down' is unchanged"
     )
-    assert said in made.changes
+    assert said in made.notes
 
 
 def test_an_axle_height_of_its_own_is_stated(tmp_path):
     made = patched_urdf(GROUNDED, robot(), JOINTS)
     assert heights(made, tmp_path, "base_link") == pytest.approx([0.0] * 4, abs=1e-10)
-    (said,) = [change for change in made.changes if "does not follow from the wheel radius" in change]
+    (said,) = [change for change in made.notes if "does not follow from the wheel radius" in change]
     assert "height 0 m over 'axle' is unchanged" in said
     assert "0.1 m before, 0.1015 m now" in said
 
@@ -255,5 +255,5 @@ def test_large_files_take_linear_time(more):
     begin = time.process_time()
     made, usual = patched_urdf(large, robot(), JOINTS), patched_urdf(ROUND, robot(), JOINTS)
     assert time.process_time() - begin < 4
-    assert made.changes == usual.changes
+    assert made.notes == usual.notes
     assert made.content.replace(more, b"") == usual.content

@@ -25,18 +25,13 @@ from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.config import load_rig
 from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.export import (
-    diff_drive_yaml,
-    extraction_from_npz,
-    extraction_to_npz,
-    parameters_from_yaml,
-    params_yaml,
-    patched_urdf,
-    plain_json,
-    static_transform_launch,
-    static_transform_yaml,
-    xacro_properties,
-)
+from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.formats.json import Json
+from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
+from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
 from mobilecal_cli.model import (
     CalibratedRobot,
@@ -55,12 +50,11 @@ from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, urdf_text
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.uncertainty import motion_gaps, require_stations
+from tests.extractions import Noise, ideal_extraction
 from tests.readers import recordings as r
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -112,7 +106,7 @@ def _rig(path: Path) -> None:
 def _params(path: Path) -> None:
     robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
     comparison_text(["a", "b"], [difference(robot, robot)], history([robot, robot]))
-    for text in (plain_json, static_transform_launch, static_transform_yaml, xacro_properties):
+    for text in (Json().text, StaticTransformLaunch().text, StaticTransformYaml().text, Xacro().text):
         text(robot)
     diff_drive_yaml(robot, robot.wheel_joints, robot.nominal_wheels)
 

@@ -30,13 +30,13 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.uncertainty import require_stations
 from mobilecal_cli.vision import Miss, board_pose, triangulate
 from tests.bench.simulated import errors
+from tests.extractions import Noise, ideal_extraction
 
 SIGMAS = 4.0
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))

@@ -21,11 +21,11 @@ from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import LogSource
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.cli.edited import STORE, edited
 from tests.conftest import REPOSITORY
+from tests.extractions import Noise, ideal_extraction
 
 LOGS = REPOSITORY / "sample_logs"
 LOG = LOGS / "paper_robot.mcap"

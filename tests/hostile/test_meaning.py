@@ -9,10 +9,10 @@ import pytest
 
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.report.wording import words
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
 
 

@@ -21,8 +21,8 @@ from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description, sha256_of
-from mobilecal_cli.readers.images.selection import decode_image
-from mobilecal_cli.readers.messages.channels import Channel
+from mobilecal_cli.readers.messages import Channel
+from mobilecal_cli.readers.pictures import decode_image
 from tests.readers import recordings as r
 
 MEMORY_BYTES = 2**30

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.likelihood.backlash import approach_direction
 from mobilecal_cli.model import Track
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from tests.extractions import ideal_extraction
 
 ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
 EXTRACTION = ideal_extraction(paper_robot(), ROUTE)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import Noise, ideal_extraction
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
 ROUTE = plan_route(ROBOT, "standard", stations=STATIONS, seed=2)

@@ -14,10 +14,10 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals
 from mobilecal_cli.model import Parameters
-from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial_state import initial_state
+from tests import extractions
 
 NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002)
 STATIONS = 6
@@ -30,8 +30,8 @@ class Case:
         robot = paper_robot()
         constants = table(robot.rig_cameras, robot.chain) if constants is None else constants
         route = plan_route(robot, motion, stations=STATIONS)
-        disturbed = ideal.Noise(0.2, 0.003, 0.0, np.radians(0.05))
-        extraction = ideal.ideal_extraction(robot, route, disturbed, seed=1)
+        disturbed = extractions.Noise(0.2, 0.003, 0.0, np.radians(0.05))
+        extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)
         seen = extraction.observations[:STATIONS]
         extraction = replace(
             extraction,

@@ -8,11 +8,11 @@ import pytest
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.effects import JointEffect
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from tests.extractions import Noise, ideal_extraction
 from tests.likelihood.test_normal import Case, reduced
 from tests.report.example import made, rows_of
 

@@ -18,10 +18,10 @@ from mobilecal_cli.pipeline.evaluating import evaluate
 from mobilecal_cli.pipeline.exporting import export
 from mobilecal_cli.pipeline.loading import read_extraction
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.command import run
+from tests.extractions import Noise, ideal_extraction
 from tests.report.example import make_extraction, make_solution
 
 

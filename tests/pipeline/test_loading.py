@@ -16,10 +16,10 @@ from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.overrides import with_settings
 from mobilecal_cli.pipeline.progress import silent
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 
 
 @pytest.fixture(scope="module")

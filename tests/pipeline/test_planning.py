@@ -20,7 +20,7 @@ from mobilecal_cli.pipeline import planning
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.planning import plan_recording
 from mobilecal_cli.readers import open_recording, read_images
-from mobilecal_cli.readers.messages.channels import Channel
+from mobilecal_cli.readers.messages import Channel
 from mobilecal_cli.solvers import solve
 
 from ..readers import recordings as r

@@ -13,10 +13,10 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
 from mobilecal_cli.pipeline.extracting import extract
 from mobilecal_cli.pipeline.repeated import refuse_equal_files, refuse_equal_recordings
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.cli.edited import edited
+from tests.extractions import Noise, ideal_extraction
 
 ROBOT = paper_robot()
 

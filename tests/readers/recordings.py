@@ -24,8 +24,8 @@ from mobilecal_cli import readers
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Sources, WheelSource
 from mobilecal_cli.readers import read_signals
-from mobilecal_cli.readers.images.video import codec_of
-from mobilecal_cli.readers.messages.stamps import stamp_of
+from mobilecal_cli.readers.messages import stamp_of
+from mobilecal_cli.readers.pixels import codec_of
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 20_000_000

@@ -3,7 +3,7 @@
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mobilecal_cli.readers.messages.definitions import agrees
+from mobilecal_cli.readers.messages.types import agrees
 
 ROS2 = (Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY)
 

@@ -18,10 +18,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_signals
-from mobilecal_cli.readers.messages.channels import LARGEST_JOINT_STATE, Channel
-from mobilecal_cli.readers.messages.joint_state import JointStateDecoder
-from mobilecal_cli.readers.robot_description import read_description
-from mobilecal_cli.readers.signals.joints import JointStates
+from mobilecal_cli.readers.description import read_description
+from mobilecal_cli.readers.messages import LARGEST_JOINT_STATE, Channel
+from mobilecal_cli.readers.signals.joints import JointStateDecoder, JointStates
 
 from . import recordings as r
 

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.model import NumberField
 from mobilecal_cli.readers import number_fields, open_recording
-from mobilecal_cli.readers.signals.numbers import _wraps
+from mobilecal_cli.readers.description import _wraps
 
 
 def counter(span, step, count=400, start=None):

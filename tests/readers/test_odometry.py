@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.odometry import rotations
+from mobilecal_cli.readers.signals.wheels import rotations
 from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
 

@@ -8,7 +8,7 @@ import pytest
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.containers.mcap import McapStorage
-from mobilecal_cli.readers.messages.camera_info import camera_info
+from mobilecal_cli.readers.signals.camera_infos import camera_info
 
 from . import recordings as r
 

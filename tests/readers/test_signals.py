@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.messages.field_path import FieldPath
-from mobilecal_cli.readers.signals.clocks import in_order
-from mobilecal_cli.readers.signals.series import Series
+from mobilecal_cli.readers.messages import FieldPath
+from mobilecal_cli.readers.signals.series import Series, in_order
 from mobilecal_cli.readers.signals.wheels import Counter, from_positions
 
 from . import recordings as r

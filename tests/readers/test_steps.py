@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mobilecal_cli.readers.signals.series import Samples
-from mobilecal_cli.readers.signals.steps import cut, pause_notes, steps_of
+from mobilecal_cli.readers.signals.series import Samples, cut, pause_notes, steps_of
 
 S = 10**9
 MS = 10**6

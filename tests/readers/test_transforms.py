@@ -10,7 +10,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.transforms import reading
+from mobilecal_cli.readers.signals.joints import reading
 from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
 

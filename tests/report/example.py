@@ -27,10 +27,10 @@ from mobilecal_cli.report.drawn import draw_all
 from mobilecal_cli.report.html import report_html
 from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import Noise, ideal_extraction
 
 ROBOT = tick_robot()
 WHEELS = ROBOT.wheels

@@ -11,10 +11,10 @@ import pytest
 from mobilecal_cli.model import FleetRow, LogSource, Outlier, Rejection
 from mobilecal_cli.report.changes import Change
 from mobilecal_cli.report.fleet import fleet_html
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
+from tests.extractions import Noise, ideal_extraction
 from tests.report.browser import CHROMIUM, Browser
 from tests.report.example import HOSTILE, make_snapshots, page_of
 

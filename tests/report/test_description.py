@@ -25,11 +25,11 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.budget import FAMILIES, SOURCES, limiting_sentence
 from mobilecal_cli.report.wording.findings import jackknife_sentence
-from mobilecal_cli.simulate.ideal import Noise
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
+from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
+from tests.extractions import STATION_NOISE, Imperfection, Noise, imperfect_extraction
 from tests.report.example import made, make_extraction, make_provenance, make_solution, page_of, rows_of
 from tests.report.schema import validated
 

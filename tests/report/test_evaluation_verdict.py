@@ -12,10 +12,10 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
 from mobilecal_cli.pipeline.evaluating import evaluate
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import Noise, ideal_extraction
 
 ROBOT = ROBOTS["paper"]()
 NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)

@@ -17,10 +17,10 @@ from mobilecal_cli.report.junit import junit_error_xml, junit_xml
 from mobilecal_cli.report.values import json_text
 from mobilecal_cli.report.verdict import Verdict, judge, verdict_data
 from mobilecal_cli.report.wording import words
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import Noise, ideal_extraction
 from tests.report.example import make_extraction, make_solution
 
 EVALUATION = Evaluation(

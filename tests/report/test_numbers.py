@@ -8,10 +8,10 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.report.numbers import reference_pose, rotation_of
 from mobilecal_cli.report.parameters import decimals_of, std_text
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from tests.extractions import Noise, ideal_extraction
 
 
 @pytest.mark.parametrize("name", ["tick", "paper"])

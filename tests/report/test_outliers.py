@@ -4,9 +4,9 @@ from mobilecal_cli.model import Outlier
 from mobilecal_cli.report.check import Check
 from mobilecal_cli.report.wording import words
 from mobilecal_cli.report.wording.findings import outlier_sentences
-from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from tests.extractions import ideal_extraction
 
 EXTRACTION = ideal_extraction(paper_robot(), plan_route(paper_robot(), stations=8))
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mobilecal_cli.model import WheelGeometry
-from mobilecal_cli.simulate.drive import Drive, Stretch, base_in_world, moved, wheel_speeds
+from mobilecal_cli.simulate.route import Drive, Stretch, base_in_world, moved, wheel_speeds
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
 QUARTER = math.pi / 2

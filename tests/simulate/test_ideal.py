@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import MOTIONS, plan_route
+from tests.extractions import Noise, ideal_extraction
 
 
 @cache

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from mobilecal_cli.simulate.actual import ActualRobot, approach_directions, crosswise
-from mobilecal_cli.simulate.ideal import START_NS, Noise, ideal_extraction, station_times_s
-from mobilecal_cli.simulate.imperfect import (
-    PRIORS,
-    Imperfection,
-    Outside,
-    constant_kinds,
-    draw,
-    imperfect_extraction,
-)
+from mobilecal_cli.simulate.actual import approach_directions, crosswise
+from mobilecal_cli.simulate.imperfect import PRIORS, START_NS, constant_kinds, draw, station_times_s
 from mobilecal_cli.simulate.robot import ROBOTS, tick_robot
 from mobilecal_cli.simulate.route import plan_route
+from tests.extractions import (
+    Imperfection,
+    Noise,
+    Outside,
+    OutsideRobot,
+    ideal_extraction,
+    imperfect_extraction,
+)
 
 JOINT_KEYS = {
     "tick": {"pan_joint": "pan", "tilt_joint": "tilt"},
@@ -444,7 +444,7 @@ def test_heavy_tails_keep_the_variance_of_the_wheels_noise():
 def test_the_half_of_a_board_on_another_sheet_is_displaced():
     board = plan_route(tick_robot(), "standard", stations=4, seed=0).board
     whole, halves = (
-        ActualRobot(tick_robot(), {}, outside).shape(board).corners_k()
+        OutsideRobot(tick_robot(), {}, outside).corners_k(board)
         for outside in (Outside(), Outside(sheet_m=0.0003))
     )
     beyond = board.grid()[:, 0] > (board.columns - 1) / 2

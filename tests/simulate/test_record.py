@@ -16,12 +16,12 @@ from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate import record
-from mobilecal_cli.simulate.drive import base_in_world
-from mobilecal_cli.simulate.ideal import START_NS, Noise
-from mobilecal_cli.simulate.imperfect import PRIORS, Imperfection, constant_kinds, imperfect_extraction
+from mobilecal_cli.simulate.imperfect import PRIORS, START_NS, Noise, constant_kinds
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import CONTAINERS, Scenario
+from tests.extractions import Imperfection, imperfect_extraction
 
 SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
@@ -213,7 +213,7 @@ def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path)
     truth = truth_of(recorded(tmp_path, IMPERFECT))
     of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
     assert set(truth["constants"]) == set(constant_kinds(robot)) - of_motion
-    drawn = IMPERFECT.imperfection(robot).constants
+    drawn = IMPERFECT.imperfections(robot)[0]
     assert truth["constants"] == pytest.approx(drawn, rel=1e-12)
     ratios = [drawn[name] / PRIORS[kind] for name, kind in constant_kinds(robot).items() if name in drawn]
     assert 0.7 < np.std(ratios) < 1.3
@@ -232,7 +232,7 @@ def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, re
     for (name, value), (_, stated) in zip(flat(description.infos), flat(reference[0].infos), strict=True):
         assert np.array_equal(value, stated), name
     robot, route = IMPERFECT.plan()
-    constants = IMPERFECT.imperfection(robot).constants
+    constants = IMPERFECT.imperfections(robot)[0]
     pan = signals.joints[robot.pan]
     true = route.joints((pan.time_ns - START_NS) / 1e9)[:, 2]
     expected = (true - constants["pan_zero"]) / (1 + constants["pan_scale"])
@@ -245,10 +245,10 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     """The corners in the images are where the actual cameras, board and joints put them."""
     scenario = replace(IMPERFECT, robot="tick", exact=True, pictures="mono8")
     robot, route = scenario.plan()
-    imperfection = scenario.imperfection(robot)
-    assert imperfection.noise == Noise()
+    constants, noise = scenario.imperfections(robot)
+    assert noise == Noise()
     _, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
-    expected = imperfect_extraction(robot, route, imperfection)
+    expected = imperfect_extraction(robot, route, Imperfection(constants))
     stated = imperfect_extraction(robot, route, Imperfection())
     for i, o in enumerate(expected.observations):
         for side, corners in (("left", o.left), ("right", o.right)):

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.simulate.actual import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.stereo import Lens
+from mobilecal_cli.simulate.robot import Lens, paper_robot
 
 BOARD = Board(9, 6, 0.08)
 CORNERS_K = BOARD.grid() * BOARD.square_m

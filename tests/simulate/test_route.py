@@ -10,9 +10,8 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Board
-from mobilecal_cli.simulate.drive import base_in_world
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import MOTIONS, Planner, plan_route
+from mobilecal_cli.simulate.route import MOTIONS, Planner, base_in_world, plan_route
 
 STATIONS = 6
 

@@ -11,10 +11,10 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
+from tests.extractions import Noise, ideal_extraction
 
 ROBOT = ROBOTS["paper"]()
 TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)

@@ -9,11 +9,11 @@ import pytest
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import WheelGeometry, WheelTrack
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import explain, misfit
+from tests.extractions import Noise, ideal_extraction
 from tests.hostile.meaning import HALF, WRONG, after, both, from_middle, measured, same, wheels
 from tests.hostile.meaning import recorded as recorded_twenty
 from tests.solvers.test_several_logs import joined

@@ -11,13 +11,14 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Nominal, Track, WheelTrack
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, nanoseconds
+from mobilecal_cli.simulate.imperfect import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import OutlierSearch
 from tests.bench.simulated import as_described, errors, spoiled
+from tests.extractions import Noise, ideal_extraction
 from tests.solvers.test_several_logs import joined
 
 ROBOT = paper_robot()

@@ -13,8 +13,7 @@ from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters,
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, actual_robot, imperfect_extraction
+from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
@@ -23,6 +22,7 @@ from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
+from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
@@ -243,7 +243,7 @@ def test_fixed_values_are_those_of_the_reference_camera(fixed):
     pair = Imperfection({"stereo_r_y": 0.005, "baseline_scale": 0.02}, pair_noise)
     ideal = imperfect_extraction(robot, plan_route(robot, stations=12, seed=3), pair, seed=3)
     cameras = replace(ideal.rig.cameras, reference="right")
-    true_pair = actual_robot(robot, pair).rig_cameras
+    true_pair = ActualRobot(robot, pair.constants).rig_cameras
     T_h_right = robot.T_h_c @ true_pair.T_c_r
     nominal = replace(ideal.rig.nominal, T_h_reference=T_h_right)
     extraction = replace(ideal, rig=replace(ideal.rig, cameras=cameras, nominal=nominal))

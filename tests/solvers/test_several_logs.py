@@ -11,14 +11,12 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
 from mobilecal_cli.report.values import json_text
-from mobilecal_cli.simulate.drive import Drive, Stretch
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
-from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.uncertainty import motion_gaps
 from tests.bench.simulated import errors
+from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.report.example import made, rows_of
 
 ROBOT = paper_robot()

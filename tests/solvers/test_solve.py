@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import errors
+from tests.extractions import Noise, ideal_extraction
 
 
 @pytest.mark.parametrize("method", ["linear", "lm", "paper"])

@@ -11,9 +11,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers, Observation, Station
 from mobilecal_cli.simulate.actual import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.scenario import PRINTED
-from mobilecal_cli.simulate.stereo import pixels
 from mobilecal_cli.vision import Detection, Miss, find_board
 from tests.vision.test_observing import observe
 

@@ -1,1 +1,314 @@
-"""Containers: bytes, channels and log times of recorded files."""
+"""Opening of recordings: the format is detected from the contents, never from the suffix."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path, PurePath
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.readers.containers import mcap, rosbag1, sqlite
+from mobilecal_cli.readers.containers.recording import Recording, boundary
+from mobilecal_cli.readers.containers.storage import LATEST_NS, ZSTD_MAGIC, Storage, expand
+from mobilecal_cli.scratch import enter_scratch, full_disk_told
+from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
+
+#: First bytes of a file → its reader.
+CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
+    mcap.MAGIC: mcap.McapStorage,
+    rosbag1.MAGIC: rosbag1.BagStorage,
+    sqlite.MAGIC: sqlite.SqliteStorage,
+}
+#: Suffixes of recorded files.
+SUFFIXES = frozenset({".mcap", ".bag", ".db3", ".zstd", ".zst"})
+KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
+
+
+def open_recording(paths: Sequence[Path]) -> Recording:
+    """Open files or directories as one recording.
+
+    Args:
+        paths: MCAP files, ROS 1 bags, .db3 files (each also as a zstd-compressed file), or rosbag2
+            directories with or without metadata.yaml. Several paths are parts of one recording, in any order.
+
+    Raises:
+        RecordingError: no usable data: missing, empty, not a recording, or damaged.
+    """
+    if not paths:
+        raise RecordingError("no recording given", "give one: mobilecal calibrate LOG")
+    with ExitStack() as stack:
+        opened = _Opened(stack)
+        for path in paths:
+            with boundary(path):
+                opened.add(path)
+        if not opened.parts:
+            raise RecordingError("; ".join(opened.notes), KNOWN)
+        undo_steps(opened.parts)
+        recording = Recording(paths, opened.parts, opened.stated, opened.notes, stack.pop_all())
+    if recording.damage and not any(info.count is None or info.count for info in recording.topics):
+        recording.close()
+        raise RecordingError(
+            f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
+            "copy the recording again, or record a new one",
+        )
+    return recording
+
+
+@dataclass
+class _Opened:
+    """What has been opened so far."""
+
+    stack: ExitStack
+    parts: list[Storage] = field(default_factory=list)
+    stated: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, path: Path) -> None:
+        """Open a file or a directory."""
+        if not path.exists():
+            raise RecordingError(f"{path}: no such file or directory", "check the path")
+        if path.is_dir():
+            self._directory(path)
+        elif path.name == METADATA:
+            self._directory(path.parent)
+        else:
+            self.parts.append(self._file(path))
+
+    def _file(self, path: Path) -> Storage:
+        magic = _magic(path)
+        trouble = ""
+        source = path
+        if magic == ZSTD_MAGIC:
+            folder = enter_scratch(self.stack)
+            source = folder / path.stem
+            with path.open("rb") as packed, full_disk_told():
+                trouble = expand(packed, source)
+            magic = _magic(source, path)
+        if magic not in CONTAINERS:
+            raise RecordingError(f"{path}: not a recording", KNOWN)
+        storage = CONTAINERS[magic](source)
+        self.stack.callback(storage.close)
+        if trouble:
+            storage.note(
+                f"the compressed file is truncated or damaged ({trouble}); the decompressed part is used"
+            )
+        return storage
+
+    def _directory(self, folder: Path) -> None:
+        listed = self._listed(folder) if (folder / METADATA).is_file() else []
+        names = {_unpacked(path.name) for path in listed}
+        entries = sorted(folder.iterdir())
+        inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
+        # The player unpacks a compressed file next to it.
+        files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
+        if listed:
+            if files or inside:
+                self._refuse(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
+            for path in listed:
+                try:
+                    with boundary(path):
+                        self.parts.append(self._file(path))
+                except RecordingError as error:  # the other parts may suffice
+                    self.notes.append(f"{error.message}; this part is skipped")
+            return
+        if not files and not inside:
+            raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
+        storages = [self._file(path) for path in files]
+        groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
+        if len(groups) > 1 or inside:
+            self._refuse(folder, [*groups, *inside])
+        self.parts.extend(storages)
+
+    def _refuse(self, folder: Path, recordings: Sequence[str]) -> None:
+        """Refuse a directory with several recordings, or with one in a directory of its own.
+
+        Raises:
+            RecordingError: always.
+        """
+        count = f"{len(recordings)} recordings" if len(recordings) > 1 else "a directory with a recording"
+        raise RecordingError(
+            f"{folder}: contains {count}: {'; '.join(recordings)}",
+            "give the recording to use, or give all recordings of one robot to calibrate them together",
+        )
+
+    def _listed(self, folder: Path) -> list[Path]:
+        """Files listed in metadata.yaml, and its message counts; empty if it cannot be used."""
+        try:
+            information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))[
+                "rosbag2_bagfile_information"
+            ]
+            names = dict.fromkeys(PurePath(name).name for name in information["relative_file_paths"])
+            stated = {
+                str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+                for entry in information.get("topics_with_message_count") or ()
+            }
+        except Exception as error:  # a damaged YAML file may raise anything
+            self.notes.append(
+                f"{folder / METADATA}: cannot be used ({type(error).__name__}: {error}); "
+                "the files in the directory are read instead"
+            )
+            return []
+        for topic, count in stated.items():
+            self.stated[topic] = self.stated.get(topic, 0) + count
+        return [folder / name for name in names]
+
+
+def _magic(path: Path, name: Path | None = None) -> bytes:
+    """Which known first bytes a file has, b"" for none.
+
+    Raises:
+        RecordingError: the file is missing or empty.
+    """
+    name = name or path
+    if not path.is_file():
+        what = "not a regular file" if path.exists() else "no such file"
+        raise RecordingError(f"{name}: {what}", "check the path")
+    with path.open("rb") as stream:
+        head = stream.read(16)
+    if not head:
+        raise RecordingError(
+            f"{name}: the file is empty (0 bytes)", "copy the recording again, or record a new one"
+        )
+    if head.startswith(b"#ROSBAG V") and not head.startswith(rosbag1.MAGIC):
+        raise RecordingError(
+            f"{name}: ROS 1 bag of format {head[9:12].decode(errors='replace')}, only 2.0 is supported",
+            "convert it with rosbag fix or rosbag filter",
+        )
+    known = (*CONTAINERS, ZSTD_MAGIC)
+    return next((magic for magic in known if head.startswith(magic)), b"")
+
+
+def _unpacked(name: str) -> str:
+    """Name of a recorded file without the suffix of its compression."""
+    return name.removesuffix(".zstd").removesuffix(".zst")
+
+
+def looks_recorded(path: Path) -> bool:
+    """Whether a file or directory is a recording by its contents or its name: it may be empty or damaged."""
+    if not path.is_dir():
+        return path.suffix in SUFFIXES or recognised(path)
+    with suppress(OSError):
+        return any(p.is_file() and (p.suffix in SUFFIXES or p.name == METADATA) for p in path.iterdir())
+    return False
+
+
+def recognised(path: Path) -> bool:
+    """Whether a file begins like a recording."""
+    try:
+        return _magic(path) != b""
+    except (RecordingError, OSError):
+        return False
+
+
+def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
+    """Group the user's paths into recordings.
+
+    See `splits.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
+
+    Returns:
+        Groups of paths, in order of their first path; each in order of time.
+
+    Raises:
+        RecordingError: a path cannot be opened.
+    """
+    if len(paths) < 2:
+        return [list(paths)] if paths else []
+    ranges = []
+    for path in paths:
+        with open_recording([path]) as recording:
+            ranges.append(recording)
+    return [[paths[i] for i in group] for group in group_splits(ranges)]
+
+
+#: A recorder that splits files continues at once; a longer pause means a new recording.
+LARGEST_GAP_NS = 5 * 10**9
+#: Messages wait in the recorder's queue while it changes files, so neighboring parts may overlap a little.
+LARGEST_OVERLAP_NS = 10**9
+
+
+def group_splits(files: Sequence[Storage | Recording]) -> list[list[int]]:
+    """Indices of the files, grouped into recordings.
+
+    Two files belong together if the later one begins within 5 s after the end of the earlier one (or up to 1 s before
+    it) and they share a topic, as from a recorder that splits files; or if they overlap in time and share no topic, as
+    from two recorders that run side by side. Empty files form their own group.
+
+    Returns:
+        Groups in order of their first file; each in order of time.
+    """
+    groups: list[list[int]] = []
+    for index in sorted(range(len(files)), key=lambda i: (files[i].start_ns or 0, i)):
+        home = next((g for g in reversed(groups) if _continues([files[i] for i in g], files[index])), None)
+        if home is None:
+            groups.append([index])
+        else:
+            home.append(index)
+    return sorted(groups, key=min)
+
+
+def _continues(group: Sequence[Storage | Recording], file: Storage | Recording) -> bool:
+    ends = [member.end_ns for member in group if member.end_ns is not None]
+    if file.start_ns is None or not ends:
+        return False
+    gap_ns = file.start_ns - max(ends)
+    topics = {channel.topic for channel in file.channels.values()}
+    shared = any(topics & {channel.topic for channel in member.channels.values()} for member in group)
+    if shared:
+        return -LARGEST_OVERLAP_NS <= gap_ns < LARGEST_GAP_NS
+    return gap_ns < 0
+
+
+def undo_steps(files: Sequence[Storage]) -> None:
+    """Let log times go on from file to file where the recorder's clock stepped back in one of them, or between two.
+
+    Args:
+        files: parts of one recording, in the order of writing. Other files may be among them, in any order.
+    """
+    for before, file in pairwise(files):
+        if before.start_ns is None or before.end_ns is None or file.start_ns is None or file.end_ns is None:
+            continue
+        start_ns, end_ns = before.start_ns - before.shift_ns, before.end_ns - before.shift_ns
+        topics = [{channel.topic for channel in one.channels.values()} for one in (before, file)]
+        if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
+            continue
+        shift_ns = before.shift_ns
+        if file.start_ns < end_ns - LARGEST_OVERLAP_NS and file.end_ns > start_ns + LARGEST_OVERLAP_NS:
+            shift_ns += end_ns - file.start_ns
+            file.note_steps([end_ns - file.start_ns])
+        if shift_ns and file.end_ns + shift_ns < LATEST_NS:
+            file.delay(shift_ns)
+
+
+#: File of a rosbag2 directory that lists its other files.
+METADATA = "metadata.yaml"
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file; of a directory: of the bytes of its files, concatenated in order of name.
+
+    The metadata.yaml of a rosbag2 stands for its directory.
+
+    Raises:
+        RecordingError: a file does not exist, is a device or a pipe, or cannot be read.
+    """
+    digest = hashlib.sha256()
+    if path.name == METADATA:
+        path = path.parent
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or directory", "check the path")
+    if not path.is_dir() and not path.is_file():  # reading a pipe would wait forever
+        raise RecordingError(f"{path}: not a regular file", "give a recording: a file or a directory")
+    try:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        for file in files:
+            with file.open("rb") as stream:
+                while piece := stream.read(2**20):
+                    digest.update(piece)
+    except OSError as error:
+        raise RecordingError(
+            f"{error.filename or path}: cannot be read: {error.strerror}", "check its permissions"
+        ) from error
+    return digest.hexdigest()

@@ -16,12 +16,16 @@ from mcap.reader import SeekingReader
 from mcap.summary import Summary
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
-from mobilecal_cli.readers.containers.compression import ZSTD_MAGIC, decompress, message_payload
-from mobilecal_cli.readers.containers.reindex import Reindex
-from mobilecal_cli.readers.containers.storage import LATEST_NS, SIZE_LIMIT
-from mobilecal_cli.readers.messages.channels import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.messages.definitions import DefinitionFormat
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
+from mobilecal_cli.readers.containers.storage import (
+    LATEST_NS,
+    SIZE_LIMIT,
+    ZSTD_MAGIC,
+    decompress,
+    message_payload,
+)
+from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.messages.types import DefinitionFormat
 
 MAGIC = b"\x89MCAP0\r\n"
 

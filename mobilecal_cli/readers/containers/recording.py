@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, RawMessage, Storage
-from mobilecal_cli.readers.messages.channels import Channel, Payload
+from mobilecal_cli.readers.messages import Channel, Payload
 
 
 @dataclass(frozen=True, slots=True)

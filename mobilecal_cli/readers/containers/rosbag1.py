@@ -15,10 +15,9 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
-from mobilecal_cli.readers.containers.compression import decompress
-from mobilecal_cli.readers.containers.reindex import Reindex
-from mobilecal_cli.readers.messages.channels import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
+from mobilecal_cli.readers.containers.storage import decompress
+from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
 
 MAGIC = b"#ROSBAG V2.0\n"
 

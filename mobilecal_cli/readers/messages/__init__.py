@@ -1,1 +1,273 @@
-"""Messages: one payload decoded, in one form for all encodings and equivalent types."""
+"""Channels of a container: decoding of their messages, and what every message has."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import JOINT_STATE, listed
+from mobilecal_cli.readers.messages.types import (
+    Decoder,
+    DefinitionFormat,
+    fields_of,
+    like_ros,
+    ros_decoder,
+    ros_type,
+)
+
+Payload = bytes | memoryview
+
+#: Exceptions raised by a message without the fields of its type: JSON may contain anything.
+NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
+#: Bytes of a joint state; ten thousand joints need a third. Longer names would fill the memory, and every message.
+LARGEST_JOINT_STATE = 2**20
+_ENCODINGS = ("cdr", "ros1", "protobuf", "json")
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One message stream in one container.
+
+    Attributes:
+        id: number of the channel in the container.
+        topic: the topic.
+        type: message type; ROS's in ROS 2 spelling.
+        encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or another value from the container.
+        definition: message definition with its dependencies, "" if the container has none; bytes for protobuf.
+        definition_format: language of the definition.
+    """
+
+    id: int
+    topic: str
+    type: str
+    encoding: str
+    definition: str | bytes = ""
+    definition_format: DefinitionFormat = ""
+
+    @property
+    def ros_type(self) -> str:
+        """ROS type that the messages are read as; the type's own name if no ROS type is equivalent."""
+        return ros_type(self.type)
+
+    def check(self) -> None:
+        """Check that payloads can be decoded.
+
+        Raises:
+            RecordingError: unknown encoding, or no definition of the message type.
+        """
+        if self.encoding not in _ENCODINGS:
+            raise RecordingError(
+                f"{self.topic}: messages of type {self.type or '(none)'} are encoded as "
+                f"{self.encoding or '(nothing stated)'!r}; supported encodings: {', '.join(_ENCODINGS)}",
+                "record the topic with ROS, or set another topic in rig.yaml",
+            )
+        try:
+            _decoder(self.encoding, self.type, self.definition, self.definition_format)
+        except RecordingError as error:
+            raise RecordingError(f"{self.topic}: {error.message}", error.hint) from error
+
+    def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+        """The message as an object with the fields of its definition; arrays are views of the payload.
+
+        Raises:
+            RecordingError: the payload does not match the definition, or is a joint state that no robot has.
+        """
+        if self.type == JOINT_STATE and len(payload) > LARGEST_JOINT_STATE:
+            raise RecordingError(
+                f"{self.topic}: a joint state of {len(payload)} bytes (limit {LARGEST_JOINT_STATE})",
+                "check the driver that publishes it",
+            )
+        decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
+        try:
+            return decoder(payload)
+        except MemoryError:
+            raise
+        except Exception as error:  # damaged payloads may raise anything
+            raise RecordingError(
+                f"{self.topic}: a message does not match its type {self.type}: {error}",
+                "copy the recording again; if the error remains, record the topic with its current message definition",
+            ) from error
+
+
+def ros2_spelling(name: str) -> str:
+    """A message type in ROS 2 spelling: "sensor_msgs/Image" becomes "sensor_msgs/msg/Image"."""
+    package, _, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if rest and "/" not in rest else name
+
+
+@lru_cache(maxsize=256)
+def _decoder(
+    encoding: str, type_name: str, definition: str | bytes, definition_format: DefinitionFormat
+) -> Callable[[Payload], object]:
+    if isinstance(definition, str) and encoding in ("cdr", "ros1"):
+        decode = ros_decoder(encoding, type_name, definition, definition_format)
+        if ros_type(type_name) == type_name:
+            return decode
+    elif encoding == "json":
+        decode = _from_json
+    else:
+        decode = _protobuf_decoder(type_name, definition)
+    return like_ros(decode, type_name)
+
+
+def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
+    """Decoder of messages of one type in a `FileDescriptorSet`.
+
+    Raises:
+        RecordingError: the set is damaged or lacks the type.
+    """
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    try:
+        stored = definition.encode() if isinstance(definition, str) else definition
+        pool = descriptor_pool.DescriptorPool()
+        waiting = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
+        while waiting:
+            ready = [file for file in waiting.values() if not waiting.keys() & set(file.dependency)]
+            if not ready:
+                raise ValueError(f"circular dependencies between files: {', '.join(waiting)}")
+            for file in ready:
+                pool.Add(file)
+                del waiting[file.name]
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(type_name))
+    except MemoryError:
+        raise
+    except Exception as error:  # a damaged definition may raise anything
+        raise RecordingError(
+            f"the definition of the protobuf type {type_name} cannot be used: {error}",
+            "copy the recording again; if the error remains, record it with all dependencies of the definition",
+        ) from error
+    return lambda payload: _from_protobuf(kind.FromString(bytes(payload)))
+
+
+def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
+    if message.DESCRIPTOR.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
+        return SimpleNamespace(sec=message.seconds, nanosec=message.nanos)
+    result = SimpleNamespace()
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.message_type is None:
+            value = list(value) if field.is_repeated else value
+        elif field.message_type.GetOptions().map_entry:
+            value = None  # no reader uses a map
+        elif field.is_repeated:
+            value = [_from_protobuf(item) for item in value]
+        else:
+            value = _from_protobuf(value) if message.HasField(field.name) else None
+        setattr(result, field.name, value)
+    return result
+
+
+def _from_json(payload: Payload) -> Any:  # noqa: ANN401
+    """A JSON object; NaN and Infinity are allowed."""
+    value = json.loads(bytes(payload), object_hook=lambda fields: SimpleNamespace(**fields))
+    if not isinstance(value, SimpleNamespace):
+        raise TypeError(f"expected a JSON object, got {type(value).__name__}")
+    return value
+
+
+def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is the recording's
+    """Header stamp of a message, ns; of a TFMessage, that of its first transform. None without a header."""
+    if getattr(message, "transforms", None):
+        message = message.transforms[0]
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
+    """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
+    return header_stamp_ns(message) or log_ns
+
+
+def content_of(message: Any) -> bytes:  # noqa: ANN401
+    """Pixels of an image message, as encoded; b"" without any."""
+    try:
+        return bytes(memoryview(message.data))
+    except (AttributeError, TypeError):  # no data, or not bytes
+        return b""
+
+
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)")
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPath:
+    """A parsed path.
+
+    Attributes:
+        text: as given by the user.
+        steps: attribute names and list indices, in order.
+    """
+
+    text: str
+    steps: tuple[str | int, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> FieldPath:
+        """Parse a path.
+
+        Raises:
+            RecordingError: not a valid path.
+        """
+        steps: list[str | int] = []
+        for part in text.split("."):
+            match = _STEP.fullmatch(part.strip())
+            if match is None:
+                raise RecordingError(
+                    f"{text!r} is not a field path", 'use a path such as "data", "left.ticks" or "values[0]"'
+                )
+            steps.append(match[1])
+            steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
+        return cls(text, tuple(steps))
+
+    def number(self, message: Any, topic: str, setting: str) -> int | float:  # noqa: ANN401 - the type is the recording's
+        """The number at the path.
+
+        Args:
+            message: any decoded message.
+            topic, setting: topic of the message and key in rig.yaml, for error messages.
+
+        Raises:
+            RecordingError: a step is missing, or the value is not a number; the message lists the fields present.
+        """
+        value = message
+        for step in self.steps:
+            try:
+                value = value[step] if isinstance(step, int) else getattr(value, step)
+            except (AttributeError, IndexError, TypeError, KeyError) as error:
+                raise RecordingError(
+                    f"{topic}: no field {self.text} ({step!r} is missing); "
+                    f"fields present: {listed(_field_names(message))}",
+                    f"correct {setting} in rig.yaml",
+                ) from error
+        if isinstance(value, (bool, int, np.integer)):
+            return int(value)
+        if isinstance(value, (float, np.floating)):
+            return float(value)
+        raise RecordingError(
+            f"{topic}: field {self.text} is a {type(value).__name__}, not a number; "
+            f"fields present: {listed(_field_names(message))}",
+            f"correct {setting} in rig.yaml",
+        )
+
+
+def _field_names(value: Any, prefix: str = "") -> list[str]:  # noqa: ANN401
+    """Paths to the numbers and lists in a message."""
+    found: list[str] = []
+    for item, inner in fields_of(value).items():
+        name = f"{prefix}{item}"
+        if fields_of(inner):
+            found += _field_names(inner, f"{name}.")
+        elif isinstance(inner, (list, np.ndarray)):
+            found.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
+        elif isinstance(inner, (int, float, np.number)):
+            found.append(name)
+    return found

@@ -1,1 +1,421 @@
-"""Signals: joints, wheels and image times of a recording."""
+"""Joints, wheels and images of a recording over time: what is read from each topic, and the pass that reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import (
+    IMAGES,
+    JOINT_STATE,
+    JointField,
+    JointTransform,
+    PictureIndex,
+    Side,
+    Signals,
+    Sources,
+    Track,
+    WheelSource,
+    listed,
+)
+from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload, content_of, header_stamp_ns
+from mobilecal_cli.readers.pixels import codec_of
+from mobilecal_cli.readers.signals.camera_infos import InfoChanges
+from mobilecal_cli.readers.signals.joints import FieldSeries, JointStateDecoder, JointStates, Transforms
+from mobilecal_cli.readers.signals.series import (
+    Clock,
+    Samples,
+    Series,
+    clock_notes,
+    cut,
+    order_notes,
+    pause_notes,
+)
+from mobilecal_cli.readers.signals.wheels import Counter, Odometry, from_positions, from_velocities, gap_notes
+
+#: Takes a message, its time (stamp or log time) and its log time.
+Taker = Callable[[Any, int, int], None]
+
+
+def _unchecked(notes: list[str]) -> None:
+    """Of a quantity without further conditions."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quantity:
+    """A joint or a wheel.
+
+    Attributes:
+        series: its readings.
+        track: makes a track from one piece of them; the second argument receives notes.
+        check: raises or notes what is wrong with them, after the pass.
+    """
+
+    series: Series
+    track: Callable[[Samples, list[str]], Track]
+    check: Callable[[list[str]], None] = _unchecked
+
+
+class Subscriptions:
+    """Decodes each message of a recording once, and passes it to all that read its topic.
+
+    Attributes:
+        clocks: statistics of the stamps of each topic.
+        video: topics with video.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.clocks: dict[str, Clock] = {}
+        self.video: set[str] = set()
+        self._takers: dict[str, list[Taker]] = {}
+        self._joints: dict[str, JointStates] = {}
+        self._decoders: dict[Channel, JointStateDecoder] = {}
+        self._elsewhere: dict[str, Quantity] = {}
+        self._wheels: dict[Side, Quantity] = {}
+        self._odometry: dict[str, Odometry] = {}
+        self._broken: dict[str, int] = {}
+
+    def _subscribe(self, topic: str, taker: Taker) -> None:
+        self._takers.setdefault(topic, []).append(taker)
+        self.clocks.setdefault(topic, Clock(topic))
+
+    def _of_type(self, topic: str, types: Sequence[str], hint: str) -> None:
+        info = self.recording.topic(topic)
+        if info.type not in types:
+            wanted = " or ".join(types)
+            raise RecordingError(
+                f"{self.recording.name}: {topic} has the type {info.type}, expected {wanted}", hint
+            )
+
+    def images(self, side: Side, topic: str) -> Series:
+        """Collect the stamps of a side's images; the value is 1 for an image that is identical to the one before it."""
+        self._of_type(topic, IMAGES, f"correct cameras.{side}.image in rig.yaml")
+        stamps = Series(topic, topic)
+        before = b""
+
+        def take(message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
+            nonlocal before
+            if codec_of(message) is not None:
+                self.video.add(topic)
+                stamps.add(time_ns, log_ns, 0.0)
+                return
+            content = content_of(message)
+            stamps.add(time_ns, log_ns, float(content == before != b""))
+            before = content
+
+        self._subscribe(topic, take)
+        return stamps
+
+    def joints(self, topic: str, names: Sequence[str], *, velocity: bool = False) -> None:
+        """Collect joints of a topic."""
+        self._of_type(topic, (JOINT_STATE,), "set a JointState topic in rig.yaml (a wheel may use a field)")
+        group = self._joints.setdefault(topic, JointStates(topic))
+        for name in names:
+            group.want(name, velocity=velocity)
+        self.clocks.setdefault(topic, Clock(topic))
+
+    def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> None:
+        """Collect joints from messages other than JointState."""
+        moved: dict[str, dict[str, JointTransform]] = {}
+        for name, source in sources.items():
+            self.recording.topic(source.topic)
+            if isinstance(source, JointTransform):
+                moved.setdefault(source.topic, {})[name] = source
+                continue
+            series = Series(source.topic, f"joint {name} ({source.topic} {source.field})")
+            field = FieldSeries(source.field, "joints.fields", series, source.scale.__mul__)
+            self._subscribe(source.topic, field.take)
+            self._elsewhere[name] = Quantity(series, _plain_track, field.check)
+        for topic, joints in moved.items():
+            transforms = Transforms(topic, joints)
+            self._subscribe(topic, transforms.take)
+            for name, series in transforms.series.items():
+                track, check = partial(transforms.track, name), partial(transforms.check, name)
+                self._elsewhere[name] = Quantity(series, track, check)
+
+    def wheel(self, side: Side, source: WheelSource) -> None:
+        """Collect a wheel's readings."""
+        topic = source.topic
+        if source.joint is not None:
+            self.joints(topic, [source.joint], velocity=True)
+            return
+        if source.baked_in is not None:
+            if topic not in self._odometry:
+                self._odometry[topic] = Odometry(topic, source.baked_in)
+                self._subscribe(topic, self._odometry[topic].take)
+            odometry = self._odometry[topic]
+            self._wheels[side] = Quantity(odometry.series, partial(odometry.track, side))
+            return
+        if source.field is None:
+            raise RecordingError(
+                f"{side} wheel: neither joint nor field is set for {topic}",
+                f"set wheels.{side}.joint or wheels.{side}.field in rig.yaml",
+            )
+        self.recording.topic(topic)
+        series = Series(topic, f"{side} wheel ({topic} {source.field})")
+        counter = Counter(series.label, source.bits)
+        field = FieldSeries(source.field, f"wheels.{side}.field", series, counter.since_first)
+        self._subscribe(topic, field.take)
+
+        def check(notes: list[str]) -> None:
+            counter.check()
+            field.check(notes)
+
+        self._wheels[side] = Quantity(series, partial(from_positions, source), check)
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """All topics that are read."""
+        return frozenset(self.clocks)
+
+    def run(self, extent: Extent, infos: InfoChanges | None = None) -> None:
+        """Run the pass, which may also compare the cameras' calibrations."""
+        compared = infos.topics - self.topics if infos is not None else frozenset()
+        for channel, log_ns, payload in self.recording.raw(self.topics | compared, extent):
+            if infos is not None and channel.topic in compared:
+                infos.add(channel, log_ns, payload)
+            else:
+                self._take(channel, log_ns, payload)
+
+    def _take(self, channel: Channel, log_ns: int, payload: Payload) -> None:
+        """Pass on one message."""
+        topic = channel.topic
+        stamp_ns: int | None = None
+        try:
+            if topic in self._joints:
+                if channel not in self._decoders:
+                    self._decoders[channel] = JointStateDecoder(channel)
+                reading = self._decoders[channel](payload)
+                stamp_ns = reading.stamp_ns
+                self._joints[topic].take(reading, stamp_ns or log_ns, log_ns)
+            if topic in self._takers:
+                message = channel.decode(payload)
+                stamp_ns = header_stamp_ns(message)
+                for take in self._takers[topic]:
+                    take(message, stamp_ns or log_ns, log_ns)
+            self.clocks[topic].count(stamp_ns, log_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
+            self._broken[topic] = self._broken.get(topic, 0) + 1
+
+    def undecodable(self) -> list[str]:
+        """Notes on messages that do not match their type."""
+        return [
+            f"{topic}: {self._broken[topic]} of {self._broken[topic] + clock.messages} messages do not match their "
+            "type; ignored"
+            for topic, clock in self.clocks.items()
+            if topic in self._broken
+        ]
+
+    def check_images(self, side: Side, series: Series) -> None:
+        """Check that a side has images.
+
+        Raises:
+            RecordingError: it has none.
+        """
+        if not len(series):
+            broken = self._broken.get(series.topic, 0)
+            fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
+            raise RecordingError(
+                f"{self.recording.name}: no images of the {side} camera on {series.topic}: {fact}",
+                "record both cameras, or set other topics in rig.yaml",
+            )
+
+    def joint_quantity(self, name: str, topics: Sequence[str], notes: list[str]) -> Quantity:
+        """A head joint from its own field or the JointState topic with most of its readings."""
+        if name in self._elsewhere:
+            return self._checked(self._elsewhere[name], notes)
+        found = [self._joints[topic].position[name] for topic in topics]
+        best = max(found, key=len, default=None)
+        if best is None or not (len(best) or any(series.not_finite for series in found)):
+            where = ", ".join(topics) or "any topic"
+            raise RecordingError(
+                f"{self.recording.name}: no position of joint {name} on {where}; "
+                f"joints present: {self._present(topics)}",
+                "correct joints in rig.yaml, or the URDF's joint names",
+            )
+        if not len(best):
+            best = max(found, key=lambda series: series.not_finite)
+        return Quantity(best, _plain_track)
+
+    def wheel_quantity(self, side: Side, source: WheelSource, notes: list[str]) -> Quantity:
+        """A wheel, from its own messages or a JointState topic: positions, or velocities if there are none."""
+        if side in self._wheels:
+            return self._checked(self._wheels[side], notes)
+        group, name = self._joints[source.topic], source.joint or ""
+        if name not in group.present:
+            if not self.clocks[source.topic].messages:
+                raise self._empty(source.topic)
+            raise RecordingError(
+                f"{self.recording.name}: no joint {name} on {source.topic}; "
+                f"joints present: {self._present([source.topic])}",
+                f"correct wheels.{side}.joint in rig.yaml",
+            )
+        position, velocity = group.position[name], group.velocity[name]
+        if len(velocity) and not len(position):
+            if position.not_finite:
+                notes.append(f"{position.label}: all {position.not_finite} positions are NaN or infinite")
+            notes.append(f"{position.label}: no positions; velocities are integrated")
+            return Quantity(velocity, partial(from_velocities, source))
+        if not len(position) and not position.not_finite:
+            raise RecordingError(
+                f"{position.label}: neither positions nor velocities in its messages",
+                "set another source for the wheel in rig.yaml",
+            )
+        return Quantity(position, partial(from_positions, source))
+
+    def _present(self, topics: Sequence[str]) -> str:
+        return listed(dict.fromkeys(name for topic in topics for name in self._joints[topic].present))
+
+    def _checked(self, quantity: Quantity, notes: list[str]) -> Quantity:
+        topic = quantity.series.topic
+        if not self.clocks[topic].messages:
+            raise self._empty(topic)
+        quantity.check(notes)
+        return quantity
+
+    def _empty(self, topic: str) -> RecordingError:
+        broken = self._broken.get(topic, 0)
+        fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
+        return RecordingError(
+            f"{self.recording.name}: {topic}: {fact}", "record the topic, or set another one in rig.yaml"
+        )
+
+
+def _plain_track(samples: Samples, notes: list[str]) -> Track:
+    time_ns, value = samples.ordered(notes)
+    return Track(time_ns, value[:, 0])
+
+
+SIDES: tuple[Side, Side] = ("left", "right")
+
+
+def read_signals(
+    recording: Recording,
+    sources: Sources,
+    joints: Sequence[str],
+    extent: Extent = EVERYTHING,
+    clocks: Sequence[Clock] = (),
+) -> tuple[Signals, ...]:
+    """Read everything except image contents, in one pass.
+
+    Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
+    of order the longest run in order is kept (`stamps.in_order`). Readings that are not finite and undecodable messages
+    are dropped, and so are images recorded while a camera info differs from most of its topic. Notes give the counts.
+
+    Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
+
+    Args:
+        recording: the open recording.
+        sources: the topics to read; without image topics, no images are read.
+        joints: names of the head's joints.
+        extent: how much of the recording is read.
+        clocks: clocks of topics that are read elsewhere, to be compared with the others.
+
+    Returns:
+        The pieces of the recording between the steps of its clocks (see `steps`), usually one; notes on all of it are
+        in the first. A piece without readings of a joint or wheel, or without images, is left out and noted.
+
+    Raises:
+        RecordingError: a topic, joint or field is missing (the message lists what is present), a topic has the wrong
+            type, a side has no images, or a joint or wheel has no finite reading.
+    """
+    read = Subscriptions(recording)
+    images = {side: read.images(side, topic) for side, topic in sources.image.items()}
+    for topic in sources.joints:
+        read.joints(topic, [name for name in joints if name not in sources.elsewhere])
+    read.joints_elsewhere(sources.elsewhere)
+    for side in SIDES:
+        read.wheel(side, sources.wheels[side])
+    infos = InfoChanges(recording, sources.info.values())
+    together = extent is EVERYTHING and infos.cheap_with(read.topics)
+    read.run(extent, infos if together else None)
+    if not together:
+        infos.sample()
+
+    notes: list[str] = []
+    for side, series in images.items():
+        read.check_images(side, series)
+    turning = {side: read.wheel_quantity(side, sources.wheels[side], notes) for side in SIDES}
+    moving = {name: read.joint_quantity(name, sources.joints, notes) for name in joints}
+    every = dict.fromkeys([*images.values(), *(one.series for one in (*moving.values(), *turning.values()))])
+    samples = [series.samples(notes) for series in every]
+    pieces, steps = cut(samples)
+    notes = [
+        *clock_notes([*read.clocks.values(), *clocks]),
+        *read.undecodable(),
+        *steps,
+        *pause_notes(samples),
+        *infos.notes,
+        *notes,
+    ]
+
+    def signals_of(samples: Mapping[Series, Samples]) -> Signals:
+        some: list[str] = []
+        tracks = {name: _track(one, samples, some) for name, one in moving.items()}
+        wheels = {side: _track(one, samples, some) for side, one in turning.items()}
+        found: dict[Side, PictureIndex] = {}
+        for side, series in images.items():
+            index = _index(samples[series], series.topic in read.video, some)
+            found[side] = index.rows(infos.usual_at(sources.info.get(side, ""), index.log_ns))
+            if not len(found[side].time_ns):
+                raise RecordingError(
+                    f"{series.topic}: no usable images", "record both cameras the whole time"
+                )
+        for side, track in wheels.items():
+            some += gap_notes(f"{side} wheel", track)
+        return Signals(tracks, wheels, found, tuple(some), infos.corrected)
+
+    return _usable([dict(zip(every, piece, strict=True)) for piece in pieces], signals_of, notes)
+
+
+def _track(quantity: Quantity, samples: Mapping[Series, Samples], notes: list[str]) -> Track:
+    own = samples[quantity.series]
+    if not len(own):
+        raise RecordingError(f"{own.label}: no readings", "record the topic during the whole recording")
+    return quantity.track(own, notes)
+
+
+def _index(samples: Samples, sequential: bool, notes: list[str]) -> PictureIndex:
+    keep, found = order_notes(samples.label, samples.stamp_ns)
+    notes += found
+    new = samples.value[:, 0] == 0
+    since = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+    if repeated := int(np.sum(keep & ~new)):
+        notes.append(
+            f"{samples.label}: {repeated} of {len(new)} images are identical to the image before them; each picture "
+            "is used once, and only until the robot moves"
+        )
+    arrays = (samples.time_ns[keep], samples.stamp_ns[keep], samples.log_ns[keep])
+    return PictureIndex(*arrays, sequential, samples.time_ns[since][keep])
+
+
+def _usable(
+    pieces: Sequence[Mapping[Series, Samples]],
+    signals_of: Callable[[Mapping[Series, Samples]], Signals],
+    notes: list[str],
+) -> tuple[Signals, ...]:
+    """Signals of the pieces that have all readings; the notes are added to the first of them.
+
+    Raises:
+        RecordingError: that of the first piece, if none has.
+    """
+    usable: list[Signals] = []
+    problems: list[RecordingError] = []
+    for number, piece in enumerate(pieces, 1):
+        try:
+            usable.append(signals_of(piece))
+        except RecordingError as error:
+            problems.append(error)
+            notes.append(f"piece {number} of {len(pieces)} of the recording is not used: {error.message}")
+    if not usable:
+        raise problems[0]
+    first, *others = usable
+    return (replace(first, notes=tuple(dict.fromkeys([*notes, *first.notes]))), *others)

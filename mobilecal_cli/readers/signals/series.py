@@ -1,16 +1,18 @@
-"""Readings over time: collected during the pass, put in order after it."""
+"""Readings over time, put in order after the pass; clocks that are wrong, and where they step."""
 
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.ranges import READING
-from mobilecal_cli.readers.signals.clocks import in_order
+from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, steps_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,3 +114,220 @@ def order_notes(label: str, time_ns: IntArray) -> tuple[BoolArray, list[str]]:
             "are out of order and dropped"
         )
     return keep, notes
+
+
+#: Two topics whose lags between stamp and log time differ by more use different clocks.
+CLOCKS_DIFFER_S = 1.0
+#: Lags stored per topic, enough for a median.
+_LAGS = 101
+
+
+@dataclass(slots=True)
+class Clock:
+    """Statistics of the stamps of one topic.
+
+    Attributes:
+        topic: the topic.
+        messages, unstamped: number of messages, and of those without a header or with a zero stamp.
+        has_header: whether the type has a header stamp.
+        lag_s: log time minus stamp of the first few stamped messages.
+    """
+
+    topic: str
+    messages: int = 0
+    unstamped: int = 0
+    has_header: bool = True
+    lag_s: list[float] = field(default_factory=list)
+
+    def count(self, stamp_ns: int | None, log_ns: int) -> int:
+        """Count a message with a header stamp (None: without a header); returns its stamp, or the log time."""
+        self.messages += 1
+        self.has_header = stamp_ns is not None
+        if not stamp_ns:
+            self.unstamped += 1
+            return log_ns
+        if len(self.lag_s) < _LAGS:
+            self.lag_s.append((log_ns - stamp_ns) * 1e-9)
+        return stamp_ns
+
+    def notes(self) -> list[str]:
+        """Sentences on missing and zero stamps."""
+        if not self.unstamped:
+            return []
+        if not self.has_header:
+            return [f"{self.topic}: messages have no header stamp; the log time is used"]
+        if self.unstamped == self.messages:
+            return [f"{self.topic}: all {self.messages} header stamps are zero; the log time is used"]
+        return [
+            f"{self.topic}: {self.unstamped} of {self.messages} header stamps are zero; "
+            "the log time is used for those"
+        ]
+
+
+def clock_notes(clocks: list[Clock]) -> list[str]:
+    """Notes of all topics, and on topics with stamps from different clocks."""
+    notes = [note for clock in clocks for note in clock.notes()]
+    # A topic without stamps uses the log time, so its lag is zero.
+    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages}
+    if len(lags) > 1:
+        low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
+        if lags[high] - lags[low] > CLOCKS_DIFFER_S:
+            notes.append(
+                f"clocks differ: the stamps of {high} are {lags[high]:.3f} s before the log time, those of "
+                f"{low} {lags[low]:.3f} s"
+            )
+    return notes
+
+
+def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
+    """Which samples make time strictly increase.
+
+    Of equal stamps the first is kept. Where a clock steps back, the longest increasing run is kept and the rest is
+    dropped. A single stray stamp costs one sample. After a step back, samples at times already covered are dropped, so
+    two stretches of time are never mixed.
+
+    Args:
+        time_ns: (n,) in order of arrival.
+
+    Returns:
+        (n,) True to keep; number of duplicates; number dropped for order; largest step back, s.
+    """
+    steps = np.diff(time_ns)
+    keep = np.ones(len(time_ns), dtype=np.bool_)
+    if np.all(steps > 0):
+        return keep, 0, 0, 0.0
+    _, first = np.unique(time_ns, return_index=True)
+    keep[:] = False
+    keep[first] = True
+    candidates = np.flatnonzero(keep)
+    if np.any(np.diff(time_ns[candidates]) < 0):
+        keep[:] = False
+        keep[candidates[_longest_increasing(time_ns[candidates])]] = True
+    duplicates = len(time_ns) - len(first)
+    return keep, duplicates, len(first) - int(keep.sum()), float(max(-int(steps.min()), 0) * 1e-9)
+
+
+def _longest_increasing(values: IntArray) -> IntArray:
+    """Indices of the longest strictly increasing subsequence (patience sorting)."""
+    tails: list[int] = []
+    ends: list[int] = []
+    before = np.full(len(values), -1, dtype=np.int64)
+    for index, value in enumerate(values.tolist()):
+        place = bisect_left(tails, value)
+        before[index] = ends[place - 1] if place else -1
+        if place == len(tails):
+            tails.append(value)
+            ends.append(index)
+        else:
+            tails[place] = value
+            ends[place] = index
+    chain = []
+    index = ends[-1] if ends else -1
+    while index >= 0:
+        chain.append(index)
+        index = int(before[index])
+    return np.array(chain[::-1], dtype=np.int64)
+
+
+_NS = 1_000_000_000
+#: A pause of all topics is this many times their usual interval.
+_LONG_PAUSE = 10
+#: Messages on each side that give its size.
+_MEASURED = 101
+#: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
+_TOGETHER_NS, _SAME_NS = 2 * _NS, _NS // 2
+
+#: The samples of one piece, in the order of all series.
+Piece = tuple[Samples, ...]
+
+
+def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
+    """The pieces of a recording in order of time, and a note for each place where it is cut.
+
+    Args:
+        series: everything that is read, each with increasing log times.
+    """
+    steps = [steps_of(one.stamp_ns, one.log_ns) for one in series]
+    starts = [[0] for _ in series]
+    shifts = [[0] for _ in series]
+    notes = []
+    for group in _together(series, steps):
+        at_ns = min(int(series[k].log_ns[index]) for k, index in group.items())
+        begins = [group.get(k, int(np.searchsorted(one.log_ns, at_ns))) for k, one in enumerate(series)]
+        sizes = [_size(one, starts[k][-1], begins[k]) for k, one in enumerate(series)]
+        known = [size for size in sizes if size is not None]
+        alike = bool(known) and max(known) - min(known) < _SAME_NS
+        for k, (begin, size) in enumerate(zip(begins, sizes, strict=True)):
+            starts[k].append(max(begin, starts[k][-1]))
+            shifts[k].append(shifts[k][-1] + (0 if alike or size is None else _common(size, known)))
+        notes.append(_note(series, group, [_common(size, known) for size in sizes if size]))
+    ends = [[*begins[1:], len(one)] for begins, one in zip(starts, series, strict=True)]
+    return [
+        tuple(one.part(starts[k][p], ends[k][p], shifts[k][p]) for k, one in enumerate(series))
+        for p in range(len(notes) + 1)
+    ], notes
+
+
+def pause_notes(series: Sequence[Samples]) -> list[str]:
+    """A note on pauses of all topics at once, which a clock that is set forward looks like.
+
+    Args:
+        series: everything that is read, each with increasing log times.
+    """
+    log_ns = np.sort(np.concatenate([one.log_ns for one in series]))
+    gap_ns = np.diff(log_ns)
+    usual_ns = float(np.median(gap_ns)) if len(gap_ns) else 0.0
+    pauses = np.flatnonzero(gap_ns > max(LEAST_STEP_NS, _LONG_PAUSE * usual_ns))
+    if not len(pauses):
+        return []
+    worst = pauses[np.argmax(gap_ns[pauses])]
+    return [
+        f"{len(pauses)} pause{'s' if len(pauses) > 1 else ''} of all topics; the longest lasts "
+        f"{gap_ns[worst] * 1e-9:.3f} s, {(log_ns[worst] - log_ns[0]) * 1e-9:.1f} s after the start: the recorder "
+        "paused, or its clock was set forward"
+    ]
+
+
+def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict[int, int]]:
+    """Steps of several series at about one time, as number of the series → index of its message."""
+    every = sorted((int(series[k].log_ns[i]), k, int(i)) for k, found in enumerate(steps) for i in found)
+    groups: list[dict[int, int]] = []
+    last_ns = 0
+    for log_ns, k, index in every:
+        if not groups or k in groups[-1] or log_ns - last_ns > _TOGETHER_NS:
+            groups.append({})
+        groups[-1][k] = index
+        last_ns = log_ns
+    return groups
+
+
+def _size(one: Samples, start: int, begin: int) -> int | None:
+    """Change of the lag at the begin of a piece, ns; 0 if it is no step, None without messages on one side.
+
+    Args:
+        one: a series.
+        start, begin: first index of the piece before, and of the piece.
+    """
+    lag = one.log_ns - one.stamp_ns
+    before, after = lag[max(begin - _MEASURED, start) : begin], lag[begin : begin + _MEASURED]
+    if not len(before) or not len(after):
+        return None
+    size = int(np.median(after)) - int(np.median(before))
+    return size if abs(size) > LEAST_STEP_NS else 0
+
+
+def _common(size: int, known: Sequence[int]) -> int:
+    """The step of one series as that of all which step by the same amount: their stamps stay as they are together."""
+    return int(np.median([other for other in known if abs(other - size) < _SAME_NS]))
+
+
+def _note(series: Sequence[Samples], group: dict[int, int], sizes: Sequence[int]) -> str:
+    first = min(int(one.log_ns[0]) for one in series if len(one))
+    at_s = (min(int(series[k].log_ns[index]) for k, index in group.items()) - first) * 1e-9
+    names = ", ".join(dict.fromkeys(series[k].topic for k in sorted(group)))
+    largest = max(sizes, key=abs, default=0) * 1e-9
+    way = "back" if largest > 0 else "forward"
+    return (
+        f"the clock of {names} steps {way} by {abs(largest):.3f} s, {at_s:.1f} s after the start; the recording is cut "
+        "there, into separate logs"
+    )

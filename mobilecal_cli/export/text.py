@@ -1,4 +1,4 @@
-"""Numbers and strings as text that YAML 1.1 and 1.2 loaders read identically."""
+"""Numbers and strings as text in YAML, which 1.1 and 1.2 loaders read identically, and in XML."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Setting
+from mobilecal_cli.model.text import visible
 
 _DIGITS = 13  # half a unit of the 13th digit is a relative error of at most 5e-13
 _NOTHING = 1e-15  # m, degrees or a unit quaternion's component: below what double precision gives them
@@ -97,3 +99,26 @@ def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any i
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     yaml.width = 1 << 30  # never fold: folded strings are hard to read and to search
     return yaml
+
+
+_NOT_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def attribute(text: str) -> str:
+    """A text as a quoted attribute value.
+
+    Raises:
+        ConfigError: it contains characters that XML does not have, such as control characters.
+    """
+    from xml.sax.saxutils import quoteattr  # loads urllib with all of its network protocols
+
+    if _NOT_XML.search(text):
+        raise ConfigError(
+            f"the name {visible(text)!r} contains characters that XML does not allow", "rename the frame"
+        )
+    return quoteattr(text)
+
+
+def comment(text: str) -> str:
+    """Any text as the contents of an XML comment, where two hyphens are not allowed."""
+    return visible(text).replace("--", "- -").replace("--", "- -")

@@ -33,6 +33,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
+from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, dark_squares
 from mobilecal_cli.model import SIDES, Camera, FloatArray, Side
 
@@ -43,6 +44,23 @@ _DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _RESIDUALS = {"station": _TEXT, "to_station": _TEXT, "reprojection_px": _NUMBER, "point_mm": _NUMBER}
 _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
+
+
+class Foxglove(Format):
+    """[a scene for Foxglove](../how-to/apply-the-result.md#see-it-in-foxglove-or-rerun) as MCAP, and a layout next to
+    it (`--output` is required); `--log RECORDING` adds the images
+    """
+
+    options = frozenset({"--log"})
+    second_file = ".layout.json"
+    states_verdict = True
+
+    def export(self, asked: Request) -> Exported:
+        scene = asked.scene()
+        notes = (
+            () if asked.logs else ("The file contains no images. Give the recording with --log to add them.",)
+        )
+        return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene))
 
 
 def foxglove_mcap(scene: Scene) -> bytes:

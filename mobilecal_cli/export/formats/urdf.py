@@ -10,13 +10,14 @@ from xml.parsers.expat import ParserCreate
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.config import LARGEST_URDF_BYTES
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import frame_note
-from mobilecal_cli.export.improved import ImprovedChain
-from mobilecal_cli.export.urdf_chain import joint_origins
-from mobilecal_cli.export.xml_text import attribute, comment
+from mobilecal_cli.export.formats import Exported, Format, Request, frame_note
+from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
+from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
+from mobilecal_cli.yaml_input import read_bytes, reason_of
 
 #: Sizes of a URDF that differ more from the nominal and the calibrated ones are those of another robot.
 _OTHER_ROBOT = 0.1
@@ -30,6 +31,47 @@ _WHEELS = [
 ]
 #: Elements around the innermost that may change, and one more: deeper ones are all alike.
 _DEEPEST = len(_WHEELS[0])
+
+
+class UrdfFormat(Format):
+    """`--urdf FILE` with updated camera joint, wheel joints and wheel radii, with `--with-chain` also with the
+    estimated origins and axes of the head joints; all other bytes are unchanged
+    """
+
+    options = frozenset({"--urdf", "--left-joint", "--right-joint", "--with-chain"})
+
+    def export(self, asked: Request) -> Exported:
+        robot, path, joints = asked.robot, asked.urdf, asked.joints
+        chain = None
+        if asked.with_chain:
+            if robot.constants is None:
+                raise ConfigError(
+                    f"{asked.params}: the head chain was not estimated",
+                    "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
+                )
+            chain = improved_chain(asked.measurements().rig, robot.constants)
+        if path is None:
+            raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
+        try:
+            content = read_bytes(path, LARGEST_URDF_BYTES)
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"{path}: cannot be read: {reason_of(error)}", "check the path after --urdf"
+            ) from error
+        patched = patched_urdf(content, robot, joints, chain)
+        notes = patched.notes
+        if chain is None and robot.constants:
+            notes += (
+                "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+            )
+        if robot.rectified:
+            notes += (frame_note(robot),)
+        missing = " and ".join(side for side in SIDES if side not in joints)
+        if missing:
+            notes += (
+                f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
+            )
+        return Exported(patched.content, notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +101,12 @@ class _Places:
     end: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class PatchedUrdf:
-    """The patched file.
-
-    Attributes:
-        content: its bytes.
-        changes: changes and notes, whole sentences.
-    """
-
-    content: bytes
-    changes: tuple[str, ...]
-
-
 def patched_urdf(
     content: bytes,
     robot: CalibratedRobot,
     wheel_joints: Mapping[Side, str],
     chain: ImprovedChain | None = None,
-) -> PatchedUrdf:
+) -> Exported:
     """A URDF with the calibrated head-eye transform and wheels.
 
     The first joint from the head link to the camera link gets the head-eye transform; the joints after it stay. If
@@ -91,6 +120,9 @@ def patched_urdf(
         robot: the calibration.
         wheel_joints: names of the wheel joints; the numbers of a missing side stay.
         chain: the head chain to write; None to leave it as it is.
+
+    Returns:
+        The file, and sentences on what changed.
 
     Raises:
         ConfigError: invalid URDF, no fixed joint from the head to the camera, an unknown wheel joint, wheels at one
@@ -149,7 +181,7 @@ def patched_urdf(
             else "no cylinder or sphere, no radius set"
         )
         changes.append(f"link {link!r}: {radii}")
-    return PatchedUrdf(_edited(content, edits), tuple(changes))
+    return Exported(_edited(content, edits), tuple(changes))
 
 
 def _edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:

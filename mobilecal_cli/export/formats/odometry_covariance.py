@@ -11,14 +11,18 @@ from scipy.special import ndtri, stdtrit
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.yaml_text import decimal, decimals
+from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import EXACT, SLIP_M_PER_SQRT_M, Noise, encoder_sigmas
 from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, WheelGeometry
+from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 
+#: Shorter legs are those between images in motion, or hardly a drive.
+_LEAST_LEG_M = 0.25
 #: Variance of a quantity that wheels do not measure: a filter gives it no weight.
 UNKNOWN = 1e6
 _LEVEL = 0.95  # of the intervals that are widened because the noise levels are estimates
@@ -27,6 +31,27 @@ _STANDS_RAD = 2e-3
 _STEPS = 100  # of a straight drive, and of a turn
 _PLAIN_DRIVE_M = 1.0  # for wheels that the recording does not determine
 _WHEEL_LEVELS = frozenset({"wheel_rad_per_sqrt_rad", "wheel_share"})
+
+
+class OdometryFormat(Format):
+    """[covariance of wheel odometry](../how-to/apply-the-result.md#odometry-covariance) for `diff_drive_controller`
+    and robot_localization; `--rate HZ` (default 50), `--distance METERS` (default: the legs of the recording)
+    """
+
+    options = frozenset({"--rate", "--distance"})
+
+    def export(self, asked: Request) -> Exported:
+        rate_hz = ODOMETRY_RATE.check("--rate", 50.0 if asked.rate_hz is None else asked.rate_hz)
+        if asked.distance_m is not None:
+            DISTANCE.check("--distance", asked.distance_m)
+        found = odometry_covariance(asked.robot, asked.measurements(), rate_hz, asked.distance_m)
+        notes: tuple[str, ...] = ()
+        if asked.distance_m is None and found.path_m < _LEAST_LEG_M:
+            notes = (
+                f"The legs of the recording are {found.path_m:.2f} m long on average, and the covariance applies to "
+                "such drives. Give the length of your drives with --distance.",
+            )
+        return Exported(odometry_yaml(found).encode(), notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

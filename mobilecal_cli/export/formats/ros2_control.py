@@ -1,0 +1,80 @@
+"""Parameters of ros2_control's diff_drive_controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.text import decimal, quoted
+from mobilecal_cli.model import CalibratedRobot, Side, WheelGeometry
+
+
+class Ros2Control(Format):
+    """Parameters of `diff_drive_controller`"""
+
+    options = frozenset({"--left-joint", "--right-joint"})
+
+    def export(self, asked: Request) -> Exported:
+        return Exported(diff_drive_yaml(asked.robot, asked.joints, asked.robot.nominal_wheels).encode())
+
+
+def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal: WheelGeometry | None) -> str:
+    """Parameters of ros2_control's diff_drive_controller.
+
+    The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
+    nominal sizes; without these, the radius is the mean of both and the multiplier of the separation is 1.
+    Unobservable sizes are left out, so that the controller keeps its own.
+
+    Args:
+        robot: the calibration.
+        joints: names of the wheel joints, as far as they are known.
+        nominal: sizes that the multipliers refer to; the mean of their radii is used.
+
+    Raises:
+        ConfigError: all sizes are unobservable.
+    """
+    wheels = robot.wheels
+    radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
+    base = "the mean of both radii and the calibrated separation"
+    if nominal is not None:
+        radius_m = (nominal.radius_left_m + nominal.radius_right_m) / 2
+        separation_m, base = nominal.separation_m, "the nominal sizes"
+    names = [
+        f"    {side}_wheel_names: [{quoted(joints[side])}]" for side in ("left", "right") if side in joints
+    ]
+    left, right = decimal(wheels.radius_left_m), decimal(wheels.radius_right_m)
+    calibrated, sizes = (
+        [f"left radius {left}", f"right radius {right}"],
+        [
+            f"    wheel_radius: {decimal(radius_m)}",
+            f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
+            f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
+        ],
+    )
+    if robot.unobservable[6:8].any():
+        calibrated, sizes = [], ["    # Unobservable: keep the wheel_radius of your controller."]
+    if robot.unobservable[8]:
+        sizes.append("    # Unobservable: keep the wheel_separation of your controller.")
+    else:
+        calibrated.append(f"separation {decimal(wheels.separation_m)}")
+        sizes += [
+            f"    wheel_separation: {decimal(separation_m)}",
+            f"    wheel_separation_multiplier: {decimal(wheels.separation_m / separation_m)}",
+        ]
+    if not calibrated:
+        raise ConfigError(
+            "the calibration determines neither the wheel radii nor the separation",
+            "record again with straight drives and turns",
+        )
+    return "\n".join(
+        [
+            f"# Lengths in m. The multipliers refer to {base}. Calibrated:",
+            f"# {', '.join(calibrated)}.",
+            "diff_drive_controller:",
+            "  ros__parameters:",
+            *names,
+            *sizes,
+            "",
+        ]
+    )

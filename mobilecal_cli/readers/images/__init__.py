@@ -1,1 +1,0 @@
-"""Images: pixels of any encoding as 8-bit gray."""

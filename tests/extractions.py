@@ -1,0 +1,383 @@
+"""Extractions of simulated drives computed without images, for exact tests and Monte Carlo studies.
+
+Also the imperfections that `mobilecal simulate` does not render: noise of the measurements, a floor and wheel errors
+that change with the driven distance, exposure during motion, and what no constant of the estimator describes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import (
+    Board,
+    Camera,
+    Corners,
+    Extraction,
+    FloatArray,
+    Observation,
+    Track,
+    WheelTrack,
+)
+from mobilecal_cli.simulate import imperfect
+from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
+from mobilecal_cli.simulate.imperfect import (
+    checked_constants,
+    floor_poses,
+    nanoseconds,
+    rolled_as_read,
+    station_times_s,
+)
+from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
+from mobilecal_cli.simulate.route import Route, plan_route
+from mobilecal_cli.vision import Miss, board_pose, square_from_points, triangulate
+
+_TRACK_STEP_S = 0.02
+_UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
+_SHUTTER_ROUNDS = 4  # each shrinks the error by the rows that a corner moves during one image
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Measurement noise; zero by default.
+
+    Attributes:
+        pixel_px: sigma of each corner coordinate, px.
+        wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
+        encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
+        joint_rad: sigma of a station's joint reading, rad.
+        floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
+        stamp_s: sigma of each image stamp in motion, s.
+        wheel_share: sigma of each wheel's relative scale error.
+        floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
+        floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
+        wheel_length_m: driven distance over which a scale error stays the same; 0: one for each leg.
+    """
+
+    pixel_px: float = 0.0
+    wheel_rad_per_sqrt_rad: float = 0.0
+    encoder_step_rad: float = 0.0
+    joint_rad: float = 0.0
+    floor_rad: float = 0.0
+    floor_m: float = 0.0
+    stamp_s: float = 0.0
+    wheel_share: float = 0.0
+    floor_length_m: float = 0.0
+    floor_smooth: bool = False
+    wheel_length_m: float = 0.0
+
+
+STATION_NOISE = Noise(**asdict(imperfect.STATION_NOISE))
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """Imperfections for which the estimator has no constant; none by default.
+
+    Attributes:
+        sag_rad: the head tilts further by sag sin(tilt), rad.
+        gravity_play_rad: whole play of the tilt joint, whose weight keeps it on the side it tilts to, rad.
+        heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
+        print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
+        print_seed: see there.
+        sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
+    """
+
+    sag_rad: float = 0.0
+    gravity_play_rad: float = 0.0
+    heavy_tails: bool = False
+    print_m: float = 0.0
+    print_seed: int = 0
+    sheet_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imperfection:
+    """What is not as stated.
+
+    Attributes:
+        constants: name → true minus stated value; a missing one is zero.
+        noise: levels of the noise.
+        outside: what no constant describes.
+    """
+
+    constants: dict[str, float] = field(default_factory=dict)
+    noise: Noise = field(default_factory=Noise)
+    outside: Outside = field(default_factory=Outside)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutsideRobot(ActualRobot):
+    """A physical robot with imperfections outside the estimator's constants."""
+
+    outside: Outside = Outside()
+
+    @property
+    def as_stated(self) -> bool:
+        """Whether cameras, chain and board are as stated."""
+        return not any(self.constants.values()) and self.outside == Outside()
+
+    def positions(self, route: Route, times_s: FloatArray) -> FloatArray:
+        position = ActualRobot.positions(self, route, times_s)
+        tilt = self.stated.joint_names.index(self.stated.tilt)
+        beyond = np.zeros(position.shape)
+        beyond[:, tilt] = self.outside.sag_rad * np.sin(position[:, tilt])
+        beyond[:, tilt] += self.outside.gravity_play_rad / 2 * np.sign(position[:, tilt])
+        return position - beyond
+
+    def corners_k(self, board: Board) -> FloatArray:
+        """(M, 3) corners of a stated board as they are, in the board frame, m."""
+        shape, grid = self.shape(board), board.grid()
+        plane = grid[:, :2] * (board.square_m or 0.0) * shape.scale
+        plane[:, 0] += np.tan(shape.shear_rad) * plane[:, 1]
+        outside, random = self.outside, np.random.default_rng([self.outside.print_seed, 11])
+        x = grid[:, 0]
+        plane += outside.print_m * random.normal(size=(len(x), 2))
+        plane += outside.sheet_m * (x > (x.min() + x.max()) / 2)[:, None]
+        return np.column_stack([plane, shape.height_m(*grid.T[:2])])
+
+
+class HeavyTails:
+    """Random numbers by a Student t distribution with 3 degrees of freedom, of unit variance."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._random = random
+
+    def normal(self, size) -> FloatArray:
+        return self._random.standard_t(3, size) / np.sqrt(3)
+
+
+def floor_in_base(noise: Noise, path_m: FloatArray, random: np.random.Generator, still: bool) -> FloatArray:
+    """As `imperfect.floor_in_base`, alike over the driven distances (N,) at the stations, m."""
+    turns, lifts = random.normal(size=(len(path_m), 2)), random.normal(size=len(path_m))
+    if noise.floor_length_m:
+        root = _process_root(path_m / noise.floor_length_m, noise.floor_smooth)
+        turns, lifts = root @ turns, root @ lifts
+    return floor_poses(noise, turns, lifts, still)
+
+
+def _process_root(at: FloatArray, smooth: bool) -> FloatArray:
+    """A root of the covariance of a stationary process of unit variance, at positions (N,) in correlation lengths."""
+    apart = np.abs(at[:, None] - at[None])
+    values, vectors = np.linalg.eigh(np.exp(-(apart**2) / 2 if smooth else -apart))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def driven_m(actual: OutsideRobot, route: Route, times_s: FloatArray) -> FloatArray:
+    """(n,) path that the wheels rolled, mean of both, from the start to given times, m."""
+    wheels = actual.stated.wheels
+    moments = np.unique(np.concatenate([route.drive.breaks_s, times_s]))
+    rolled = np.abs(np.diff(route.drive.wheel_angles(moments, wheels), axis=0)) @ wheels.vector[:2] / 2
+    return np.asarray(np.interp(times_s, moments, np.concatenate([[0.0], np.cumsum(rolled)])))
+
+
+def _wheel_track(
+    actual: OutsideRobot, route: Route, stamps_s: FloatArray, noise: Noise, random: np.random.Generator
+) -> WheelTrack:
+    # The track is linear between the segment boundaries and the stations' times, so it must contain both.
+    late_s = actual.constants.get("time_wheels", 0.0)
+    moments = np.unique(
+        np.concatenate(
+            [np.arange(0, route.duration_s, _TRACK_STEP_S), route.drive.breaks_s + late_s, stamps_s]
+        )
+    )
+    moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
+    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels)
+    leg = np.searchsorted(stamps_s, moments[:-1], side="right")
+    if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
+        rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))
+        leg = np.floor(rolled_m / noise.wheel_length_m + random.uniform()).astype(np.int64)
+    source = HeavyTails(random) if actual.outside.heavy_tails else random
+    angles = rolled_as_read(angles, leg, noise, source)
+    if noise.encoder_step_rad:
+        angles = np.floor(angles / noise.encoder_step_rad) * noise.encoder_step_rad
+    return WheelTrack.at_same_times(nanoseconds(moments), angles[:, 0], angles[:, 1])
+
+
+def _joint_tracks(actual: OutsideRobot, route: Route) -> tuple[Track, ...]:
+    moments = np.arange(0, route.duration_s, _TRACK_STEP_S)
+    values = actual.readings(route, moments)
+    return tuple(Track(nanoseconds(moments), values[:, j]) for j in range(values.shape[1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The board in both cameras at N stations.
+
+    Attributes:
+        T_c_k: (N, 4, 4) board coordinates to left camera coordinates.
+        pixels: of the left and right camera, (N, M, 2) each.
+    """
+
+    T_c_k: FloatArray
+    pixels: tuple[FloatArray, FloatArray]
+
+
+def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:
+    """The board's corners in the actual cameras.
+
+    Args:
+        actual, route: the ground truth.
+        times_s: (N,) times of the images.
+        floor: (N, 4, 4) see `floor_in_base`.
+    """
+    rig, corners_k = actual.rig_cameras, actual.corners_k(route.board)
+    half_s = actual.constants.get("readout", 0.0) / 2
+    T_r_c: FloatArray = np.asarray(np.linalg.inv(rig.T_c_r), dtype=np.float64)
+    poses: dict[float, FloatArray] = {}
+
+    def exposed(camera: Camera, T_x_c: FloatArray | None, late_s: float) -> FloatArray:
+        if late_s not in poses:
+            T_w_c = camera_in_world(actual, route, times_s + late_s, floor)
+            poses[late_s] = np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
+        T_x_k = poses[late_s] if T_x_c is None else np.array([T_x_c @ T for T in poses[late_s]])
+        return np.array([pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3]) for T in T_x_k])
+
+    both = []
+    for camera, T_x_c, late_s in (
+        (rig.left, None, 0.0),
+        (rig.right, T_r_c, actual.constants.get("time_right", 0.0)),
+    ):
+        at = exposed(camera, T_x_c, late_s)
+        if half_s:
+            first, last = (exposed(camera, T_x_c, late_s + half) for half in (-half_s, half_s))
+            at = _row_by_row(first, at, last, camera.height)
+        both.append(at)
+    return Views(poses[0.0], (both[0], both[1]))
+
+
+def _row_by_row(first: FloatArray, middle: FloatArray, last: FloatArray, height: int) -> FloatArray:
+    """Pixels of a rolling shutter from those at the times of the first, middle and last row: (..., 2) each."""
+    at = middle
+    for _ in range(_SHUTTER_ROUNDS):
+        s = (2 * at[..., 1:] + 1) / height - 1
+        at = middle + s * (last - first) / 2 + s**2 * (first + last - 2 * middle) / 2
+    return at
+
+
+def ideal_extraction(
+    robot: SimulatedRobot,
+    route: Route,
+    noise: Noise | None = None,
+    seed: int = 0,
+    nominal: bool = True,
+    camera_late_s: float = 0.0,
+) -> Extraction:
+    """Extraction of a drive with ideal image processing, of a robot as stated, with only the given noise.
+
+    Without pixel noise the points and board poses are exact. With it, points are triangulated from noisy
+    pixels and the pose minimizes the reprojection error, as for real images.
+
+    Args:
+        robot, route: the ground truth.
+        noise: none by default.
+        seed: of the noise.
+        nominal: whether nominal values are known.
+        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
+    """
+    return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
+
+
+def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3) -> Extraction:
+    """`ideal_extraction` of a planned route; the seed is that of the route and of the noise."""
+    described = ROBOTS[robot]()
+    return ideal_extraction(described, plan_route(described, motion, stations, seed=seed), noise, seed)
+
+
+def imperfect_extraction(
+    robot: SimulatedRobot,
+    route: Route,
+    imperfection: Imperfection,
+    seed: int = 0,
+    nominal: bool = True,
+    camera_late_s: float = 0.0,
+    images: int = 40,
+) -> Extraction:
+    """Extraction of a drive of a robot that is not as stated; see `ideal_extraction`.
+
+    Args:
+        robot: the description, with the true head-eye transform and wheels.
+        route: the true motion of base and joints; readings follow from it.
+        imperfection: what is not as stated, and the noise.
+        seed: of the noise.
+        nominal: whether nominal values are known.
+        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
+        images: their number where the robot never rests.
+
+    Raises:
+        ConfigError: the cameras' images are too inconsistent to be triangulated.
+    """
+    actual = OutsideRobot(robot, checked_constants(robot, imperfection.constants), imperfection.outside)
+    return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
+
+
+def extraction_of(
+    actual: OutsideRobot,
+    route: Route,
+    noise: Noise,
+    seed: int = 0,
+    nominal: bool = True,
+    camera_late_s: float = 0.0,
+    images: int = 40,
+) -> Extraction:
+    """Extraction of a drive of the actual robot, as its description makes it; see `ideal_extraction`.
+
+    `images` is their number where the robot never rests.
+    """
+    # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
+    random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
+    robot, corners_k = actual.stated, route.corners_k()
+    rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
+    times_s = station_times_s(route, images)
+    stamps_s = times_s + camera_late_s
+    path_m = driven_m(actual, route, times_s)
+    floor = floor_in_base(noise, path_m, other_random, still=route.motion == "base_fixed")
+    if not at_rest:
+        stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
+    readings = actual.readings(route, stamps_s)
+    seen = views(actual, route, times_s, floor)
+    sigma = noise.pixel_px or _UNIT_SIGMA_PX
+    exact = actual.as_stated and not noise.pixel_px
+    observations = []
+    for i, time_ns in enumerate(nanoseconds(stamps_s)):
+        T_c_k = seen.T_c_k[i]
+        left, right = (at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels)
+        points = triangulate(rig, left, right, sigma, sigma)
+        if isinstance(points, Miss):
+            raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
+        found = board_pose(rig, corners_k, left, right, sigma, sigma, T_c_k)
+        exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
+        square_m = route.board.square_m or 0.0
+        observations.append(
+            Observation(
+                log=0,
+                station=i,
+                time_ns=int(time_ns),
+                at_rest=at_rest,
+                joints=readings[i] + noise.joint_rad * random.normal(size=readings.shape[1]),
+                joints_std=np.full(readings.shape[1], noise.joint_rad),
+                left=Corners(left, sigma, 1),
+                right=Corners(right, sigma, 1),
+                points_c=exact_points if exact else points.points_c,
+                points_cov=points.points_cov,
+                T_c_k=T_c_k if exact else found.T_c_k,
+                T_c_k_cov=found.T_c_k_cov,
+                square_m=square_m
+                if actual.as_stated
+                else square_from_points(points.points_c, route.board.grid()),
+                reprojection_px=found.rms_px,
+            )
+        )
+    return Extraction(
+        rig=robot.rig(nominal),
+        board=route.board,
+        observations=tuple(observations),
+        wheels=(_wheel_track(actual, route, stamps_s, noise, random),),
+        rejections=(),
+        notes=(),
+        logs=(),
+        counts={"stations": len(observations), "observations": len(observations)},
+        joint_tracks=(_joint_tracks(actual, route),),
+    )
