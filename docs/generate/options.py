@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from mobilecal_cli.cli import app
+from mobilecal_cli.commands import app
 
 TARGET = Path(__file__).resolve().parents[1] / "reference" / "options.md"
 HEAD = """\

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.export.placing import already_exists, clean_up, partial_of, place
 from mobilecal_cli.export.single_file import check_parent, write_synced
+from mobilecal_cli.files.placing import already_exists, clean_up, partial_of, place
 
 # Files of an output directory: --force never deletes anything else.
 OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export.placing import already_exists, partial_of, place
+from mobilecal_cli.files.placing import already_exists, partial_of, place
 
 
 def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.bench.tables import table
-from tests.cli.edited import edited
+from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 
 LOG = REPOSITORY / "sample_logs" / "paper_robot.mcap"

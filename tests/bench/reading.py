@@ -51,13 +51,12 @@ def decode_alone(path: Path, workers: int) -> float:
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.config import load_rig
-    from mobilecal_cli.discovery import resolve_rig
+    from mobilecal_cli.calibrate.detect import DetectionWorkers, Scene, detect_all, measure_stations
+    from mobilecal_cli.calibrate.plan import plan_recording
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.detecting import Scene, measure_stations
-    from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
-    from mobilecal_cli.pipeline.planning import plan_recording
     from mobilecal_cli.readers import open_recording, read_description
+    from mobilecal_cli.rig.config import load_rig
+    from mobilecal_cli.rig.resolve import resolve_rig
     from mobilecal_cli.vision import Detection, Measured, resolve_square
 
     board = Board(9, 6, 0.08)

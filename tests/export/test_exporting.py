@@ -15,6 +15,7 @@ from defusedxml.ElementTree import fromstring
 from mcap.reader import make_reader
 
 import mobilecal_cli as mc
+from mobilecal_cli.calibrate.steps import Data
 from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export import (
     camchain_yaml,
@@ -29,7 +30,6 @@ from mobilecal_cli.export import (
 )
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
-from mobilecal_cli.pipeline.steps import Data
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route

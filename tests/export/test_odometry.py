@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
+from mobilecal_cli.calibrate import export as exporting
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, odometry, odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
-from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction, rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route

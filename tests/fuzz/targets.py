@@ -21,9 +21,12 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
+from mobilecal_cli.calibrate import inspect, silent
+from mobilecal_cli.calibrate.batch import fleet_jobs
+from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
+from mobilecal_cli.calibrate.load import load
+from mobilecal_cli.commands.init import draft
 from mobilecal_cli.comparison import difference, history
-from mobilecal_cli.config import load_rig
-from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import (
     diff_drive_yaml,
@@ -47,20 +50,17 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelSource,
 )
-from mobilecal_cli.pipeline import drafting, inspecting
-from mobilecal_cli.pipeline.fleet import fleet_jobs
-from mobilecal_cli.pipeline.loading import load
-from mobilecal_cli.pipeline.progress import silent
-from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.resolve import survey_rig
+from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.urdf import urdf_text
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.uncertainty import motion_gaps, require_stations
 from tests.readers import recordings as r
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -100,7 +100,7 @@ def _read(path: Path) -> None:
 
 
 def _glance(path: Path) -> None:
-    found = inspecting.inspect([path])
+    found = inspect.inspect([path])
     inspection_json(found)
     inspection_text(found)
 
@@ -303,7 +303,7 @@ def targets(folder: Path) -> dict[str, Target]:
     sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
     found["draft.yaml"] = Target(
-        {"rig.yaml": drafting.draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
+        {"rig.yaml": draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
     )
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()

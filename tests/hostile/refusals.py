@@ -24,7 +24,7 @@ from mobilecal_cli.model import LogSource
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from tests.cli.edited import STORE, edited
+from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
 
 LOGS = REPOSITORY / "sample_logs"

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from mobilecal_cli.scratch import abandoned, scratch_directory
+from mobilecal_cli.files.scratch import abandoned, scratch_directory
 
 SEMAPHORES = Path("/dev/shm")
 KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
@@ -239,8 +239,8 @@ def test_a_signal_while_a_temporary_directory_is_created_or_removed(tmp_path, st
     code = f"""
 import os, shutil, signal, tempfile
 from contextlib import ExitStack
-from mobilecal_cli.interruption import unwind_on_signals
-from mobilecal_cli.scratch import enter_scratch
+from mobilecal_cli.files.interruption import unwind_on_signals
+from mobilecal_cli.files.scratch import enter_scratch
 
 unwind_on_signals()
 call, seen = {step}, []
@@ -267,9 +267,9 @@ def test_a_signal_while_nothing_is_responsible_for_a_temporary_directory(tmp_pat
     """A recording was unpacked, and its caller does not have it yet."""
     code = f"""
 from contextlib import ExitStack
-from mobilecal_cli.interruption import Interrupted
-from mobilecal_cli.pipeline.processes import work
-from mobilecal_cli.scratch import enter_scratch
+from mobilecal_cli.files.interruption import Interrupted
+from mobilecal_cli.calibrate.workers import work
+from mobilecal_cli.files.scratch import enter_scratch
 
 kept = []
 

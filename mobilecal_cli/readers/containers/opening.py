@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
+from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.readers.containers import compression, mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.hashing import METADATA
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.splits import group_splits, undo_steps
 from mobilecal_cli.readers.containers.storage import Storage
-from mobilecal_cli.scratch import enter_scratch, full_disk_told
-from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
