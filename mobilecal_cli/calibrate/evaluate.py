@@ -80,7 +80,7 @@ def evaluate(
     config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates, evaluating=True)
     wheels = read_params(before).wheels if before is not None else None
-    extraction, _ = load(logs, config, config_path, flags or {}, progress)
+    extraction, _ = load(logs, config, progress)
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",

@@ -75,7 +75,6 @@ def _see(
     recording: Recording,
     workers: DetectionWorkers,
     config: RigConfig,
-    flags: frozenset[str],
     progress: Progress,
 ) -> list[Seen]:
     """What is seen in one recording: one log, or one for each piece between steps of its clocks."""
@@ -83,15 +82,14 @@ def _see(
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
     description, urdf = read_description(recording), read_urdf(config)
-    resolved = resolve_rig(config, description, urdf, flags)
+    resolved = resolve_rig(config, description, urdf)
     everything = config.stations == "all"
     if everything and recording.bytes_of(resolved.rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()
     planned = plan_recording(recording, resolved.rig, resolved.rig.chain.prismatic, everything)
     if planned.infos:
-        resolved = resolve_rig(
-            config, replace(description, infos={**description.infos, **planned.infos}), urdf, flags
-        )
+        description = replace(description, infos={**description.infos, **planned.infos})
+        resolved = resolve_rig(config, description, urdf)
     rig, plans = resolved.rig, planned.plans
     for one in earlier:
         for plan in plans:
@@ -164,7 +162,6 @@ def board_of(config: RigConfig) -> Board | None:
 def extract(
     logs: Sequence[Path],
     config: RigConfig,
-    flags: frozenset[str] = frozenset(),
     progress: Progress = silent,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
@@ -176,7 +173,6 @@ def extract(
     Args:
         logs: recordings.
         config: see `config.load_rig`.
-        flags: dotted keys set by command-line options.
         progress: called with the state of the work.
         jobs: number of processes for board detection in long recordings and for drawing; with more than one, the
             main module must be importable without side effects, as for `multiprocessing`.
@@ -196,7 +192,7 @@ def extract(
             open_recording(parts) as recording,
             DetectionWorkers(recording, jobs) as workers,
         ):
-            pieces = _see(seen, recording, workers, config, flags, progress)
+            pieces = _see(seen, recording, workers, config, progress)
         one = pieces[0]
         if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
             raise ConfigError(

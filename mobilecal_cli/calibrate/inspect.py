@@ -95,8 +95,7 @@ def inspect(
         RecordingError: the recording cannot be opened.
         ConfigError: the configuration cannot be read.
     """
-    config = load_rig(config_path, dict(flags or {}))
-    given = frozenset(key for key, value in (flags or {}).items() if value is not None)
+    config = load_rig(config_path, flags)
     with open_recording(logs) as recording:
         progress("topics", 0, None)
         times = recording.log_times()
@@ -105,7 +104,7 @@ def inspect(
         rig: Rig | None = None
         notes: tuple[str, ...] = ()
         if survey is not None and not survey.lacks:
-            resolved = complete_rig(survey, config, given)
+            resolved = complete_rig(survey, config)
             rig, notes = resolved.rig, resolved.notes
         board: BoardView | None = None
         motion: MotionView | None = None
@@ -180,7 +179,7 @@ def check(
     """
     about = "rig.yaml"
     try:
-        read_urdf(load_rig(config_path, dict(flags or {})))
+        read_urdf(load_rig(config_path, flags))
         about = "recording"
         return inspect(logs, config_path, flags, progress)
     except (ConfigError, RecordingError) as error:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate import Progress
+from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.arguments import AnyPath, path_of
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
@@ -34,18 +33,14 @@ def _is_extraction(path: Path) -> bool:
 def load(
     logs: Sequence[Path],
     config: RigConfig,
-    config_path: Path | None,
-    flags: Mapping[str, Any],
-    progress: Progress,
+    progress: Progress = silent,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """The extraction of recordings, or the one in an extraction.npz, with its snapshots.
 
     Args:
         logs: recordings, or one extraction.npz.
-        config: the combination of `config_path` and `flags`.
-        config_path: rig.yaml.
-        flags: dotted key → value, overriding the file.
+        config: see `load_rig`.
         progress: called with the progress.
         jobs: see `extract`.
 
@@ -54,16 +49,15 @@ def load(
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    given = frozenset(key for key, value in flags.items() if value is not None)
     if not any(_is_extraction(path) for path in logs):
-        return extract(logs, config, given, progress, jobs)
-    if len(logs) > 1 or config_path is not None:
+        return extract(logs, config, progress, jobs)
+    if len(logs) > 1 or config.path is not None:
         raise ConfigError(
             f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
             "give it without recordings and without --config, or give the recordings instead",
         )
-    refuse_others(given, str(logs[0]))
-    return with_settings(read_extraction(logs[0]), config, given), ()
+    refuse_others(config.flags, str(logs[0]))
+    return with_settings(read_extraction(logs[0]), config), ()
 
 
 def read_extraction(path: Path) -> Extraction:

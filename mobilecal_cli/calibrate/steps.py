@@ -155,7 +155,7 @@ def extract(
     if jobs is True or not isinstance(jobs, int | np.integer) or jobs < 1:
         raise ConfigError(f"jobs: {jobs!r} worker processes are not possible", "give 1 or more")
     rig = load_rig(path, flags)
-    extraction, snapshots = load(files, rig, path, flags, progress, int(jobs))
+    extraction, snapshots = load(files, rig, progress, int(jobs))
     return Data(extraction, snapshots, rig.gates)
 
 
@@ -431,7 +431,7 @@ def suggest(
     Raises:
         MobilecalError: see `errors`.
     """
-    extraction, _ = load(logs, load_rig(config_path, flags), config_path, flags, progress)
+    extraction, _ = load(logs, load_rig(config_path, flags), progress)
     solution = fitted(extraction, progress=progress).solution
     sentences, limiting = suggestion_sentences(solution, extraction), " ".join(recommendation(solution))
     if not sentences:
@@ -488,7 +488,7 @@ def calibrate(
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)
-    data = Data(*load(logs, config, config_path, flags or {}, progress, jobs), config.gates)
+    data = Data(*load(logs, config, progress, jobs), config.gates)
     fit = fitted(data.extraction, method, constraints, hold_out, progress)
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)

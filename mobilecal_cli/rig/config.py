@@ -16,6 +16,7 @@ from pydantic import (
     ConfigDict,
     Field,
     FiniteFloat,
+    PrivateAttr,
     Strict,
     ValidationError,
     model_validator,
@@ -309,6 +310,29 @@ class RigConfig(_Section):
         "auto",
         description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",
     )
+    _path: Path | None = PrivateAttr(None)
+    _flags: frozenset[str] = PrivateAttr(frozenset())
+
+    @property
+    def path(self) -> Path | None:
+        """The file that it was read from."""
+        return self._path
+
+    @property
+    def flags(self) -> frozenset[str]:
+        """Dotted keys that flags gave."""
+        return self._flags
+
+    def source_of(self, key: str) -> Literal["flag", "file"] | None:
+        """What gave a dotted key or a key below it."""
+        if any(flag == key or flag.startswith(f"{key}.") for flag in self._flags):
+            return "flag"
+        value: object = self
+        for part in key.split("."):
+            if part not in getattr(value, "model_fields_set", ()):
+                return None
+            value = getattr(value, part)
+        return "file"
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
@@ -321,13 +345,11 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     Raises:
         ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
     """
-    data: dict[str, Any] = {}
-    if path is not None:
-        data = _read_yaml(path)
-    for key, value in (flags or {}).items():
-        if value is not None:
-            section, _, name = key.partition(".")  # names of gates contain dots
-            _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
+    data: dict[str, Any] = {} if path is None else _read_yaml(path)
+    given = {key: value for key, value in (flags or {}).items() if value is not None}
+    for key, value in given.items():
+        section, _, name = key.partition(".")  # names of gates contain dots
+        _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
     todo = sorted(_places_of(data, TODO))
     if todo:
         raise ConfigError(
@@ -341,6 +363,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
+    rig._path, rig._flags = path, frozenset(given)
     return rig
 
 

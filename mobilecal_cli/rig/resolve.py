@@ -48,18 +48,6 @@ class ResolvedRig:
     notes: tuple[str, ...]
 
 
-def _given(config: RigConfig, flags: frozenset[str], key: str) -> str | None:
-    """Source of a dotted key or of a key below it: "flag", "file", or None."""
-    if any(flag == key or flag.startswith(f"{key}.") for flag in flags):
-        return "flag"
-    value: object = config
-    for part in key.split("."):
-        if part not in getattr(value, "model_fields_set", ()):
-            return None
-        value = getattr(value, part)
-    return "file"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
     """The parts of a rig that configuration and recording determine, and why the others are unknown.
@@ -91,29 +79,27 @@ def resolve_rig(
     config: RigConfig,
     description: RobotDescription,
     urdf_text: str | None = None,
-    flags: frozenset[str] = frozenset(),
 ) -> ResolvedRig:
     """Complete a configuration with the contents of the recording.
 
     Args:
-        config: the configuration, flags included.
+        config: the configuration.
         `description`: topics and first messages of the recording.
         urdf_text: contents of `head.urdf`, if the configuration names one.
-        flags: dotted keys given by flags, for the report.
 
     Raises:
         RecordingError: the recording lacks something that the configuration does not give.
         ConfigError: configuration and recording contradict each other, or several choices remain.
     """
-    return complete_rig(survey_rig(config, description, urdf_text), config, flags)
+    return complete_rig(survey_rig(config, description, urdf_text), config)
 
 
-def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = frozenset()) -> ResolvedRig:
+def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
     """The rig of a survey.
 
     Args:
         survey: of the same configuration.
-        config, flags: see `resolve_rig`.
+        config: see `resolve_rig`.
 
     Raises:
         RecordingError, ConfigError: the first error of the survey.
@@ -130,7 +116,7 @@ def complete_rig(survey: Survey, config: RigConfig, flags: frozenset[str] = froz
     )
 
     def source_of(key: str, otherwise: str = "log") -> str:
-        return _given(config, flags, key) or otherwise
+        return config.source_of(key) or otherwise
 
     setting_sources = {
         "board size": source_of("board.columns", "images"),

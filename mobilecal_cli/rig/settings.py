@@ -238,18 +238,13 @@ def refuse_others(keys: Collection[str], extraction: str) -> None:
         )
 
 
-def with_settings(extraction: Extraction, config: RigConfig, given: Collection[str]) -> Extraction:
-    """The extraction with settings of the configuration in place of its own.
-
-    Args:
-        extraction: as read.
-        config: the settings.
-        given: dotted keys that the user gave; other settings are those of the extraction.
+def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
+    """The extraction with the settings that flags gave in place of its own.
 
     Raises:
         ConfigError: a setting that this robot does not have.
     """
-    rig = extraction.rig
+    rig, given = extraction.rig, config.flags
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
     rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))

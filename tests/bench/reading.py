@@ -63,7 +63,7 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig = resolve_rig(load_rig(None), read_description(recording), None, frozenset()).rig
+        rig = resolve_rig(load_rig(None), read_description(recording)).rig
         (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
         ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.calibrate import silent
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.rig.settings import with_settings
+from mobilecal_cli.rig.settings import refuse_others, with_settings
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -34,7 +33,7 @@ def npz(tmp_path_factory):
 
 def loaded(npz, **flags):
     flags = {key.replace("__", "."): value for key, value in flags.items()}
-    return load([npz], load_rig(None, flags), None, flags, silent)[0]
+    return load([npz], load_rig(None, flags))[0]
 
 
 def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
@@ -61,8 +60,10 @@ def test_the_solver_uses_them(npz):
 @pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])
 def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, flag):
     with pytest.raises(ConfigError, match=f"{flag} cannot be changed in an extraction") as told:
-        load([npz], load_rig(None), None, {flag: "all"}, silent)
+        refuse_others({flag}, str(npz))
     assert "priors, noise, gates, nominal, cameras.reference, wheels.left.sign" in told.value.hint
+    with pytest.raises(ConfigError, match="stations cannot be changed in an extraction"):
+        loaded(npz, stations="all")
 
 
 def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
@@ -100,7 +101,7 @@ def test_nominal_values_and_the_reference_camera(npz):
         "flag",
     )
     again = replace(loaded(npz), rig=rig)
-    turned = with_settings(again, load_rig(None, {"cameras.reference": "right"}), {"cameras.reference"}).rig
+    turned = with_settings(again, load_rig(None, {"cameras.reference": "right"})).rig
     assert turned.cameras.reference == "right"
     np.testing.assert_allclose(
         turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_r, atol=1e-12
@@ -120,7 +121,7 @@ def test_wheels_from_odometry_keep_their_sizes(npz):
         ({"wheels.left.sign": -1}, "computed from odometry"),
     ):
         with pytest.raises(ConfigError, match=words):
-            with_settings(extraction, load_rig(None, flags), set(flags))
+            with_settings(extraction, load_rig(None, flags))
 
 
 def test_unknown_constants_are_refused(npz):

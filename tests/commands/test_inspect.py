@@ -81,7 +81,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
 
 
 def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.pipeline.inspect.MOTION_BYTES", 2**20)
+    monkeypatch.setattr("mobilecal_cli.calibrate.inspect.MOTION_BYTES", 2**20)
     found = inspect.inspect([sample_logs / "paper_robot.mcap"])
     assert 0 < found.motion.share_read < 1
     assert found.motion.rests is None

@@ -21,7 +21,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
-from mobilecal_cli.calibrate import inspect, silent
+from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.calibrate.batch import fleet_jobs
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load
@@ -134,7 +134,7 @@ def _manifest(path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    extraction, _ = load([path], load_rig(None, {}), None, {}, silent)
+    extraction, _ = load([path], load_rig(None))
     require_stations(extraction)
     motion_gaps(extraction)
 

@@ -16,7 +16,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelSource,
 )
-from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.config import RigConfig, load_rig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.head import urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
@@ -155,12 +155,10 @@ def test_known_noise_is_settled():
     assert rig.noise.given == {"joint_rad": 0.001}
 
 
-def test_flag_file_and_log_are_told_apart():
-    rig = resolve_rig(
-        config(joints={"pan": "head_pan_joint", "tilt": "head_tilt_joint"}),
-        description(),
-        flags=frozenset({"joints.tilt"}),
-    ).rig
+def test_flag_file_and_log_are_told_apart(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("joints: {pan: head_pan_joint}", encoding="utf-8")
+    rig = resolve_rig(load_rig(path, {"joints.tilt": "head_tilt_joint"}), description()).rig
     assert rig.setting_sources["pan joint head_pan_joint"] == "file"
     assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
     assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
