@@ -1,6 +1,6 @@
 """Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF.
 
-`python -m tests.bench.large` prints the table in docs/explanation/results.md.
+`python -m tests.bench.large` prints the table in docs/validation/results.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Recordings that can be read and are wrong: what the calibration says about each.
 
-`python -m tests.hostile.meaning` prints the table in docs/explanation/results.md.
+`python -m tests.hostile.meaning` prints the table in docs/validation/results.md.
 """
 
 from __future__ import annotations

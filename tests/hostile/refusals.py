@@ -1,4 +1,4 @@
-"""What the whole command says about input that cannot be used: the table docs/reference/refusals.md, and its test."""
+"""What the whole command says about input that cannot be used: the table docs/validation/refusals.md, and its test."""
 
 from __future__ import annotations
 
@@ -299,7 +299,7 @@ CASES = (
 
 
 def table() -> str:
-    """The page docs/reference/refusals.md."""
+    """The page docs/validation/refusals.md."""
     lines = [
         "# Refusals",
         "",
