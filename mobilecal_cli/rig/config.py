@@ -7,7 +7,7 @@ import math
 import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -45,6 +45,13 @@ Text = Annotated[str, Field(min_length=1)]
 
 
 class _Section(BaseModel):
+    """A section of rig.yaml.
+
+    Attributes:
+        example: as YAML, where a draft leaves the section to the user; "" for none.
+    """
+
+    example: ClassVar[str] = ""
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
 
 
@@ -75,6 +82,8 @@ _Dictionary = Literal[
 
 class BoardConfig(_Section):
     """The board. Counts are inner corners (aprilgrid: tags)."""
+
+    example: ClassVar[str] = "{columns: 9, rows: 6, square_m: 0.08}"
 
     kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
@@ -129,6 +138,11 @@ class BothInOneConfig(_Section):
 class CamerasConfig(_Section):
     """The stereo pair."""
 
+    example: ClassVar[str] = (
+        "left:  {image: /stereo/left/image_raw, info: /stereo/left/camera_info}\n"
+        "right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}"
+    )
+
     left: CameraTopics = CameraTopics()
     right: CameraTopics = CameraTopics()
     both: BothInOneConfig | None = None
@@ -144,6 +158,8 @@ class CamerasConfig(_Section):
 
 class JointFieldConfig(_Section):
     """Location of one joint's reading, in messages other than JointState."""
+
+    example: ClassVar[str] = "{topic: /head, field: data, unit: rad}"
 
     topic: Text
     field: Text
@@ -185,6 +201,11 @@ class WheelConfig(_Section):
 class WheelsConfig(_Section):
     """Sources of both wheels' rotation."""
 
+    example: ClassVar[str] = (
+        "left:  {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16}\n"
+        "right: {topic: /ticks/right, field: data, ticks_per_revolution: 4096, bits: 16}"
+    )
+
     left: WheelConfig = WheelConfig()
     right: WheelConfig = WheelConfig()
     odometry: Text | None = Field(
@@ -217,6 +238,15 @@ class ChainLink(_Section):
 class HeadConfig(_Section):
     """Kinematic chain from base to head."""
 
+    example: ClassVar[str] = """\
+urdf: robot.urdf  # or the chain:
+base_frame: base_link
+head_frame: head_link
+chain:
+  - {xyz_m: [0.05, 0, 0.9], rpy_rad: [0, 0, 0]}
+  - {joint: head_pan_joint, axis: [0, 0, 1]}
+  - {xyz_m: [0.02, 0, 0.06]}
+  - {joint: head_tilt_joint, axis: [0, 1, 0]}"""
     base_frame: Text | None = None
     head_frame: Text | None = None
     urdf: Path | None = None
@@ -231,6 +261,8 @@ class HeadConfig(_Section):
 
 class HeadEyeNominal(_Section):
     """Nominal head-eye transform."""
+
+    example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
 
     translation_m: Position
     quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
@@ -275,6 +307,8 @@ PriorEntry = float | Literal["fixed", "free"]
 
 class NoiseConfig(_Section):
     """Known standard deviations; the others are estimated from the recording."""
+
+    example: ClassVar[str] = "{pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}"
 
     pixel_px: Sigma | None = Field(None, description="of one corner coordinate")
     wheel_rad_per_sqrt_rad: Sigma | None = Field(None, description="of a wheel over one radian")

@@ -30,7 +30,17 @@ from mobilecal_cli.model import (
     Todo,
 )
 from mobilecal_cli.model.text import listed, visible
-from mobilecal_cli.rig.config import TODO, RigConfig
+from mobilecal_cli.rig.config import (
+    TODO,
+    BoardConfig,
+    CamerasConfig,
+    HeadConfig,
+    HeadEyeNominal,
+    JointFieldConfig,
+    NoiseConfig,
+    RigConfig,
+    WheelsConfig,
+)
 from mobilecal_cli.rig.joints import pan_and_tilt
 from mobilecal_cli.rig.names import joint_state_names, named_as, wheel_pairs
 from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
@@ -65,6 +75,10 @@ def _tried(step: Callable[[], T]) -> T | None:
         return None
 
 
+def _example(name: str, section: type[CamerasConfig | WheelsConfig | HeadConfig]) -> list[str]:
+    return [f"{name}:", *(f"  {line}" for line in section.example.splitlines())]
+
+
 def _listing(title: str, names: Iterable[str]) -> str:
     return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
 
@@ -80,12 +94,12 @@ class _Page:
     def add(self, *lines: str) -> None:
         self.lines += lines
 
-    def fill(self, key: str, line: str, value: str, source: str) -> None:
-        """A line that holds the value of a key, with its source as a comment."""
-        self.filled.append(Filled(key, value, source))
+    def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
+        """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
+        self.filled.append(Filled(key, text if value is None else value, source))
+        line = f"  {key.partition('.')[2]}: {text}"
         both = f"{line}  # {source}"
-        indent = " " * (len(line) - len(line.lstrip()))
-        self.lines += [both] if len(both) <= _WIDTH else [f"{indent}# {source}", line]
+        self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
 
     def ask(self, key: str, why: str, *template: str, needed: bool, indent: str = "") -> None:
         """A key that is left to the user, and lines to fill in."""
@@ -141,7 +155,7 @@ def draft_rig(
     _nominal(page, description, survey, urdf_text)
     page.add(
         "# known standard deviations; those omitted are estimated from the recording",
-        "# noise: {pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}",
+        f"# noise: {NoiseConfig.example}",
         "",
         *_priors(),
     )
@@ -153,7 +167,7 @@ def draft_rig(
 
 
 def _board(page: _Page, board: BoardView | None) -> None:
-    template = "board: {columns: 9, rows: 6, square_m: 0.08}"
+    template = f"board: {BoardConfig.example}"
     if board is None:
         page.add("# inner corners and squares of the board; no images to find it in", f"# {template}", "")
         return
@@ -172,8 +186,8 @@ def _board(page: _Page, board: BoardView | None) -> None:
     columns, rows = board.size
     source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
     page.add("board:")
-    page.fill("board.columns", f"  columns: {columns}", str(columns), source)
-    page.fill("board.rows", f"  rows: {rows}", str(rows), source)
+    page.fill("board.columns", str(columns), source)
+    page.fill("board.rows", str(rows), source)
     _square(page, board)
     page.add("")
 
@@ -217,14 +231,7 @@ def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None
         _listing("image topics in the recording", (t.name for t in description.topics if t.type in IMAGES))
     )
     if images is None:
-        page.ask_for(
-            survey,
-            "cameras",
-            "cameras",
-            "cameras:",
-            "  left:  {image: /stereo/left/image_raw, info: /stereo/left/camera_info}",
-            "  right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}",
-        )
+        page.ask_for(survey, "cameras", "cameras", *_example("cameras", CamerasConfig))
         page.add("")
         return
     page.add("cameras:")
@@ -232,13 +239,11 @@ def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None
         info = infos.get(side)
         entry = f"image: {_quoted(images[side])}" + ("" if info is None else f", info: {_quoted(info)}")
         value = images[side] if info is None else f"{images[side]}, {info}"
-        page.fill(
-            f"cameras.{side}", f"  {side}: {{{entry}}}", value, "recording: names and types of the topics"
-        )
+        page.fill(f"cameras.{side}", f"{{{entry}}}", "recording: names and types of the topics", value)
     page.ask_for(survey, "camera infos", "cameras", indent="  ")
     page.add("  reference: left  # default: camera of the head-eye transform")
     rectified = "true" if survey.rectified else "false"
-    page.fill("cameras.rectified", f"  rectified: {rectified}", rectified, "name of the image topic")
+    page.fill("cameras.rectified", rectified, "name of the image topic")
     page.add("")
 
 
@@ -251,12 +256,8 @@ def _wheels(
         for side in SIDES:
             source = survey.wheels[side]
             entry = f"{{topic: {_quoted(source.topic)}, joint: {_quoted(source.joint or '')}, sign: {source.sign}}}"
-            page.fill(
-                f"wheels.{side}",
-                f"  {side}: {entry}",
-                f"{source.joint} on {source.topic}",
-                "recording: the only pair of joints named as wheels",
-            )
+            why = "recording: the only pair of joints named as wheels"
+            page.fill(f"wheels.{side}", entry, why, f"{source.joint} on {source.topic}")
         page.add("")
         return
     found = wheel_pairs(numbers)
@@ -280,9 +281,7 @@ def _wheels(
         "wheels",
         "wheels",
         *(f"candidate: {_described(field)}" for pair in found for field in pair.values()),
-        "wheels:",
-        "  left:  {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16}",
-        "  right: {topic: /ticks/right, field: data, ticks_per_revolution: 4096, bits: 16}",
+        *_example("wheels", WheelsConfig),
     )
     odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
     if odometry:
@@ -300,12 +299,8 @@ def _counter(page: _Page, side: Side, field: NumberField) -> None:
         width, said = field.bits, "bits: width of its type"
     bits = "" if width is None else f", bits: {width}"
     entry = f"topic: {_quoted(field.topic)}, field: {_quoted(field.path)}, ticks_per_revolution: {TODO}{bits}"
-    page.fill(
-        f"wheels.{side}",
-        f"  {side}: {{{entry}}}",
-        f"{field.path} on {field.topic}{bits}",
-        f"recording: the only pair of whole numbers named as counters; {said}",
-    )
+    source = f"recording: the only pair of whole numbers named as counters; {said}"
+    page.fill(f"wheels.{side}", f"{{{entry}}}", source, f"{field.path} on {field.topic}{bits}")
 
 
 def _described(field: NumberField) -> str:
@@ -334,7 +329,7 @@ def _joints(
         page.add("joints:")
     for key, value in keys.items():
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
-        page.fill(f"joints.{key}", f"  {key}: {_quoted(value)}", value, source)
+        page.fill(f"joints.{key}", _quoted(value), source, value)
     missing = () if survey.head is None else [n for n in survey.head.chain.joints if n not in names]
     candidates = [f"candidate: {_described(field)}" for name in missing for field in named_as(name, numbers)]
     page.ask_for(
@@ -347,7 +342,7 @@ def _joints(
             f"{'' if keys else '  '}{line}"
             for line in (
                 "fields:",
-                *(f"  {_quoted(name)}: {{topic: /head, field: data, unit: rad}}" for name in missing),
+                *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing),
             )
         ),
         indent="  " if keys else "",
@@ -357,34 +352,17 @@ def _joints(
 
 def _head(page: _Page, survey: Survey, urdf_path: str | None) -> None:
     if survey.head is None:
-        page.ask_for(
-            survey,
-            "head chain",
-            "head",
-            "head:",
-            "  urdf: robot.urdf  # or the chain:",
-            "  base_frame: base_link",
-            "  head_frame: head_link",
-            "  chain:",
-            "    - {xyz_m: [0.05, 0, 0.9], rpy_rad: [0, 0, 0]}",
-            "    - {joint: head_pan_joint, axis: [0, 0, 1]}",
-            "    - {xyz_m: [0.02, 0, 0.06]}",
-            "    - {joint: head_tilt_joint, axis: [0, 1, 0]}",
-        )
+        page.ask_for(survey, "head chain", "head", *_example("head", HeadConfig))
         page.add("")
         return
     chain, origin = survey.head.chain, survey.head.origin
     source = "the given URDF" if urdf_path else origin
     page.add("head:")
     if urdf_path is not None:
-        page.fill("head.urdf", f"  urdf: {_quoted(urdf_path)}", urdf_path, "option --urdf")
-    page.fill("head.base_frame", f"  base_frame: {_quoted(chain.base_frame)}", chain.base_frame, source)
-    page.fill(
-        "head.head_frame",
-        f"  head_frame: {_quoted(chain.head_frame)}",
-        chain.head_frame,
-        f"{source}: link of the last head joint",
-    )
+        page.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
+    page.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)
+    last = f"{source}: link of the last head joint"
+    page.fill("head.head_frame", _quoted(chain.head_frame), last, chain.head_frame)
     page.add(
         f"  # joint positions, from the {source}: from the vehicle frame (midway between the wheels) to the head;",
         "  # to change them, delete the comment signs" + (" and the line urdf" if urdf_path else ""),
@@ -435,7 +413,7 @@ def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_te
             f"separation_m: {wheels.separation_m:.10g}"
         )
         source = "URDF: cylinders of the wheels' links, distance of the wheels' joints"
-        page.fill("nominal.wheels", f"  wheels: {{{value}}}", value, source)
+        page.fill("nominal.wheels", f"{{{value}}}", source, value)
     else:
         apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
         told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
@@ -451,12 +429,12 @@ def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_te
         quaternion = se3.quaternion_xyzw(T[:3, :3])
         value = f"translation_m: {_numbers(T[:3, 3])}, quaternion_xyzw: {_numbers(quaternion)}"
         source = "URDF: fixed joints from the head to the left camera's frame"
-        page.fill("nominal.head_eye", f"  head_eye: {{{value}}}", value, source)
+        page.fill("nominal.head_eye", f"{{{value}}}", source, value)
     else:
         page.ask(
             "nominal.head_eye",
             "pose of the left optical frame in the head frame, by a ruler; only needed if the motion does not show it",
-            f"{inner}head_eye: {{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}}",
+            f"{inner}head_eye: {HeadEyeNominal.example}",
             needed=False,
             indent=indent,
         )

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.files.reading import load_yaml
+from mobilecal_cli.rig import config
 from mobilecal_cli.rig.config import RigConfig, load_rig, parse_setting, read_urdf
 
 CONTRACT = """
@@ -51,6 +53,17 @@ def test_the_contract_loads(write):
     assert rig.head.chain[3].axis == (0, 1, 0)
     assert rig.nominal.wheels is not None
     assert rig.nominal.wheels.separation_m == 0.5
+
+
+@pytest.mark.parametrize(
+    "section", [s for s in config._Section.__subclasses__() if s.example], ids=lambda s: s.__name__
+)
+def test_the_example_of_a_section_is_valid(section):
+    chain = section.example.replace("urdf: robot.urdf  # or the chain:", "")
+    for example in (
+        {section.example, chain} if section is not config.HeadConfig else {chain, "urdf: robot.urdf"}
+    ):
+        section.model_validate(load_yaml(example))
 
 
 def test_every_key_is_optional(write):
