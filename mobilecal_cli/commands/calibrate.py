@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Literal
 
 import typer
 
@@ -19,21 +18,12 @@ from mobilecal_cli.commands.options import (
     OpenReport,
     Quiet,
     Settings,
-    StationsName,
+    Stations,
     Verbose,
     conclude,
     errors_to,
     flags_of,
 )
-
-
-class MethodName(StrEnum):
-    """Methods that estimate the nine parameters."""
-
-    linear = "linear"
-    paper = "paper"
-    lm = "lm"
-    ml = "ml"
 
 
 def calibrate(
@@ -46,11 +36,11 @@ def calibrate(
         ),
     ] = None,
     method: Annotated[
-        MethodName,
+        Literal["linear", "paper", "lm", "ml"],
         typer.Option(
             help="ml: maximum likelihood; linear: iterative linear; paper: eq. 19; lm: eq. 19, faster."
         ),
-    ] = MethodName.ml,
+    ] = "ml",
     board: Annotated[
         str | None, typer.Option(help="Inner corners, for example 9x6. [default: detected]")
     ] = None,
@@ -58,7 +48,7 @@ def calibrate(
         float | None, typer.Option(help="Side of a square, m. [default: measured by the stereo pair]")
     ] = None,
     stations: Annotated[
-        StationsName | None,
+        Stations | None,
         typer.Option(
             help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
             show_default=False,
@@ -131,7 +121,7 @@ def calibrate(
                 output,
                 config_path=config,
                 flags=flags,
-                method=cast(Any, method.value),
+                method=method,
                 constraints=constraints,
                 gates=gate or [],
                 hold_out=hold_out or None,

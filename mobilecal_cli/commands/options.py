@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -81,20 +80,15 @@ JUnit = Annotated[
     Path | None,
     typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
 ]
-
-
-class StationsName(StrEnum):
-    """Which moments of a recording are used."""
-
-    auto = "auto"
-    all = "all"
+#: Which moments of a recording are used.
+Stations = Literal["auto", "all"]
 
 
 def flags_of(
     settings: list[str] | None,
     board: str | None = None,
     square_m: float | None = None,
-    stations: StationsName | None = None,
+    stations: Stations | None = None,
 ) -> dict[str, Any]:
     """The flags as dotted keys that override rig.yaml.
 
@@ -110,7 +104,7 @@ def flags_of(
     if square_m is not None:
         flags["board.square_m"] = square_m
     if stations is not None:
-        flags["stations"] = stations.value
+        flags["stations"] = stations
     return flags
 
 

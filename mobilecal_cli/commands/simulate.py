@@ -2,63 +2,21 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Literal
 
 import typer
 
 from mobilecal_cli.commands.options import Force, Quiet, written_line
 
-
-class RobotName(StrEnum):
-    """Simulated robots."""
-
-    paper = "paper"
-    tick = "tick"
-
-
-class MotionName(StrEnum):
-    """Motions of a simulated robot."""
-
-    standard = "standard"
-    head_fixed = "head_fixed"
-    pan_only = "pan_only"
-    straight = "straight"
-    spin = "spin"
-    base_fixed = "base_fixed"
-    large_turns = "large_turns"
-    moving = "moving"
-
-
-class ContainerName(StrEnum):
-    """Container formats of recordings."""
-
-    mcap = "mcap"
-    mcap_lz4 = "mcap-lz4"
-    mcap_zstd = "mcap-zstd"
-    mcap_ros1 = "mcap-ros1"
-    rosbag2 = "rosbag2"
-    rosbag2_mcap = "rosbag2-mcap"
-    bag = "bag"
-    bag_lz4 = "bag-lz4"
-    bag_bz2 = "bag-bz2"
-
-
-class BoardName(StrEnum):
-    """Simulated boards."""
-
-    checkerboard = "checkerboard"
-    charuco = "charuco"
-    aprilgrid = "aprilgrid"
-
-
-class PictureName(StrEnum):
-    """Image encodings of a simulated recording."""
-
-    jpeg = "jpeg"
-    png = "png"
-    mono8 = "mono8"
+Container = Literal[
+    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
+]
+#: Motions of a simulated robot.
+Motion = Literal[
+    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
+]
+_BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 
 
 def simulate(
@@ -66,22 +24,22 @@ def simulate(
         Path, typer.Argument(readable=False, help="Recording to write: a file, or a directory for rosbag2.")
     ],
     robot: Annotated[
-        RobotName, typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters.")
-    ] = (RobotName.paper),
-    motion: Annotated[
-        MotionName, typer.Option(help="Motion of the base and the head.")
-    ] = MotionName.standard,
+        Literal["paper", "tick"],
+        typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters."),
+    ] = "paper",
+    motion: Annotated[Motion, typer.Option(help="Motion of the base and the head.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     stations: Annotated[
         int, typer.Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
     ] = 12,
     container: Annotated[
-        ContainerName | None, typer.Option(help="Container format. [default: from the file extension]")
+        Container | None, typer.Option(help="Container format. [default: from the file extension]")
     ] = None,
-    pictures: Annotated[PictureName, typer.Option(help="Image encoding.")] = PictureName.jpeg,
+    pictures: Annotated[Literal["jpeg", "png", "mono8"], typer.Option(help="Image encoding.")] = "jpeg",
     board: Annotated[
-        BoardName, typer.Option(help="Board on the wall; boards with markers may be partly visible.")
-    ] = BoardName.checkerboard,
+        Literal["checkerboard", "charuco", "aprilgrid"],
+        typer.Option(help="Board on the wall; boards with markers may be partly visible."),
+    ] = "checkerboard",
     exact: Annotated[
         bool, typer.Option("--exact", help="No noise and no encoder quantization (use with png).")
     ] = False,
@@ -107,15 +65,14 @@ def simulate(
     from mobilecal_cli.simulate.record import simulate as record
     from mobilecal_cli.simulate.scenario import Scenario
 
-    kind = container.value if container else {".mcap": "mcap", ".bag": "bag"}.get(out.suffix, "rosbag2")
     scenario = Scenario(
-        robot=robot.value,
-        motion=cast(Any, motion.value),
+        robot=robot,
+        motion=motion,
         seed=seed,
         stations=stations,
-        container=cast(Any, kind),
-        pictures=cast(Any, pictures.value),
-        kind=cast(Any, board.value),
+        container=container or _BY_SUFFIX.get(out.suffix, "rosbag2"),
+        pictures=pictures,
+        kind=board,
         exact=exact,
         camera_late_s=camera_late,
         imperfect=imperfect,
