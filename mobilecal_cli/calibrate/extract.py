@@ -57,7 +57,7 @@ _SAME_INFO = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class ExtractedLog:
     """Data extracted from one log: a recording, or a piece of it between steps of its clocks."""
 
     name: str
@@ -70,14 +70,14 @@ class Seen:
     notes: tuple[str, ...]
 
 
-def _see(
-    earlier: Sequence[Seen],
+def _extracted(
+    earlier: Sequence[ExtractedLog],
     recording: Recording,
     workers: DetectionWorkers,
     config: RigConfig,
     progress: Progress,
-) -> list[Seen]:
-    """What is seen in one recording: one log, or one for each piece between steps of its clocks."""
+) -> list[ExtractedLog]:
+    """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
@@ -91,10 +91,10 @@ def _see(
         description = replace(description, infos={**description.infos, **planned.infos})
         resolved = resolve_rig(config, description, urdf)
     rig, plans = resolved.rig, planned.plans
-    for one in earlier:
+    for log in earlier:
         for plan in plans:
-            if same_signals((one.plan.wheels, one.plan.joints), (plan.wheels, plan.joints)):
-                refuse_same(one.name, name, "wheel and joint readings")
+            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
+                refuse_same(log.name, name, "wheel and joint readings")
     if board is None:
         progress("finding the board's size", 0, None)
         size = board_size(recording, rig, plans)
@@ -112,20 +112,20 @@ def _see(
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
         if lost and not any(station.found[side] for station in stations):
             raise undecodable(lost)
-    found = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
-    if not found and config.board.columns is not None and board.markers is None:
+    any_board = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
+    if not any_board and config.board.columns is not None and board.markers is None:
         _refuse_wrong_size(recording, rig, plans, board)
     progress("measuring", 0, None)
     notes = (*resolved.notes, *planned.notes, *recording.damage)
-    seen = []
-    for log, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
-        measured = workers.measure_stations(log, scene, plan.stations, detections)
+    logs = []
+    for number, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
+        measured = workers.measure_stations(number, scene, plan.stations, detections)
         check_arrangement(measured, first_pairs(plan.stations, detections), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
-        seen.append(Seen(name, rig, board, plan, detections, measured, snapshots, (*notes, *misfit)))
-    return seen
+        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, snapshots, (*notes, *misfit)))
+    return logs
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:
@@ -180,7 +180,7 @@ def extract(
     Raises:
         MobilecalError: see `errors`.
     """
-    seen: list[Seen] = []
+    extracted: list[ExtractedLog] = []
     recordings = join_splits(logs)
     paths = [path for parts in recordings for path in parts]
     # A file that does not exist, or is a device or a pipe, is refused where it is opened.
@@ -192,18 +192,18 @@ def extract(
             open_recording(parts) as recording,
             DetectionWorkers(recording, jobs) as workers,
         ):
-            pieces = _see(seen, recording, workers, config, progress)
-        one = pieces[0]
-        if seen and one.rig.chain.joints != seen[0].rig.chain.joints:
+            pieces = _extracted(extracted, recording, workers, config, progress)
+        first, new = (extracted or pieces)[0], pieces[0]
+        if new.rig.chain.joints != first.rig.chain.joints:
             raise ConfigError(
-                f"{parts[0]}: the head's joints are {', '.join(one.rig.chain.joints)}, but those of {logs[0]} are "
-                f"{', '.join(seen[0].rig.chain.joints)}",
+                f"{parts[0]}: the head's joints are {', '.join(new.rig.chain.joints)}, but those of {logs[0]} are "
+                f"{', '.join(first.rig.chain.joints)}",
                 "give recordings of one robot only",
             )
-        other = _other_cameras(seen[0], one) if seen else ()
-        seen += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
-    extraction, snapshots = _assembled(seen, sources)
-    refuse_equal_recordings(extraction, [one.name for one in seen])
+        other = _other_cameras(first, new)
+        extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
+    extraction, snapshots = _assembled(extracted, sources)
+    refuse_equal_recordings(extraction, [log.name for log in extracted])
     return extraction, snapshots
 
 
@@ -218,7 +218,7 @@ def _named(path: Path, *, several: bool) -> Iterator[None]:
         raise type(error)(f"{path}: {error.message}", error.hint) from error
 
 
-def _other_cameras(first: Seen, other: Seen) -> tuple[str, ...]:
+def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
     """A note if the camera infos of two recordings differ beyond rounding."""
     a, b = first.rig.cameras, other.rig.cameras
     pairs = [
@@ -234,32 +234,34 @@ def _other_cameras(first: Seen, other: Seen) -> tuple[str, ...]:
     )
 
 
-def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    board, rig = seen[0].board, seen[0].rig
+def _assembled(
+    logs: Sequence[ExtractedLog], sources: Sequence[LogSource]
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    board, rig = logs[0].board, logs[0].rig
     square_m = board.square_m
     if square_m is None:
         # All stations share one board: use the median of their square sizes, which the stereo baseline
         # determines.
-        sides = [m.square_m for one in seen for m in one.measured if isinstance(m, Measured)]
+        sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []
-    for log, one in enumerate(seen):
-        resolved = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in one.measured]
+    for number, log in enumerate(logs):
+        resolved = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
         observations += [item for item in resolved if isinstance(item, Observation)]
-        lost = (rejection for detections in one.detections for rejection in detections.rejections)
+        lost = (rejection for detections in log.detections for rejection in detections.rejections)
         missed = (item for item in resolved if isinstance(item, Rejection))
-        rejections += [replace(r, log=log) for r in (*one.plan.rejections, *lost, *missed)]
+        rejections += [replace(r, log=number) for r in (*log.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
         numbered, unresolved = resolve_numbering(observations, R_v_h, board)
         observations, rejections = list(numbered), [*rejections, *unresolved]
-    wheels: tuple[WheelTrack, ...] = tuple(one.plan.wheels for one in seen)
+    wheels: tuple[WheelTrack, ...] = tuple(log.plan.wheels for log in logs)
     counts: dict[str, Any] = {
-        "stations": sum(len(one.plan.stations) for one in seen),
-        "stations_at_rest": sum(s.at_rest for one in seen for s in one.plan.stations),
+        "stations": sum(len(log.plan.stations) for log in logs),
+        "stations_at_rest": sum(s.at_rest for log in logs for s in log.plan.stations),
         "pictures": sum(
-            len(found) for one in seen for detections in one.detections for found in detections.found.values()
+            len(found) for log in logs for detections in log.detections for found in detections.found.values()
         ),
         "observations": len(observations),
     }
@@ -269,12 +271,12 @@ def _assembled(seen: Sequence[Seen], sources: Sequence[LogSource]) -> tuple[Extr
         observations=tuple(observations),
         wheels=wheels,
         rejections=tuple(rejections),
-        notes=tuple(dict.fromkeys(note for one in seen for note in one.notes)),
+        notes=tuple(dict.fromkeys(note for log in logs for note in log.notes)),
         logs=tuple(sources),
         counts=counts,
-        joint_tracks=tuple(one.plan.joints for one in seen),
+        joint_tracks=tuple(log.plan.joints for log in logs),
     )
-    snapshots = tuple(replace(s, log=log) for log, one in enumerate(seen) for s in one.snapshots)
+    snapshots = tuple(replace(s, log=number) for number, log in enumerate(logs) for s in log.snapshots)
     return extraction, snapshots
 
 
