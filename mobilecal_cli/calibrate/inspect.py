@@ -19,7 +19,6 @@ from mobilecal_cli.errors import (
     ConfigError,
     MobilecalError,
     ObservationError,
-    QualityError,
     RecordingError,
     SolveError,
 )
@@ -55,14 +54,12 @@ from mobilecal_cli.readers import (
     read_signals,
     sha256_of,
 )
-from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
 from mobilecal_cli.report.checks.recording import MIN_STATIONS
 from mobilecal_cli.report.gates import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.joints import outside_chain
 from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout, survey_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
-from mobilecal_cli.vision import square_cure
 
 #: At most so much of a recording is decompressed for the motion.
 MOTION_BYTES = 2**28
@@ -70,8 +67,6 @@ MOTION_BYTES = 2**28
 _LEAST_COVERED = 0.9
 #: Unit of a joint's range → a larger range is one in degrees or millimeters that was taken for radians or meters.
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
-#: Stereo pairs that measure the squares, for a limit on their stated size.
-_FEWEST_SQUARES = 2
 
 
 def inspect(
@@ -119,7 +114,7 @@ def inspect(
             notes, weak = (*notes, *seen), [*weak, *uncovered, *unobservable]
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            board, lacks = sample_board(
+            board, lacks, limits = sample_board(
                 recording,
                 survey.images,
                 stereo_layout(config),
@@ -128,8 +123,7 @@ def inspect(
                 config.board.square_m,
             )
             missing += lacks
-            if not any(lack.about == "square size" for lack in missing):
-                weak += _wrong_squares(board)
+            weak += limits
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -261,22 +255,6 @@ def _without_priors(rig: Rig, config: RigConfig, missing: list[Lack]) -> list[La
         because = "the axes and zero positions of the head joints are all free"
         gaps.append(Gap(NINE[:3], because, "state how well one of the two is known", ()))
     return _unobservable("priors", rig, gaps, missing)
-
-
-def _wrong_squares(board: BoardView | None) -> Iterator[Lack]:
-    """A stated size of the squares that several stereo pairs do not confirm."""
-    if board is None or board.stated_m is None or len(board.squares_m) < _FEWEST_SQUARES:
-        return
-    mean, stated = float(np.mean(board.squares_m)), board.stated_m
-    noise = float(np.std(board.squares_m, ddof=1)) / math.sqrt(len(board.squares_m))
-    if abs(mean - stated) > max(SQUARE_LOOK_PERCENT / 100 * stated, 3 * noise):
-        yield Lack(
-            "square size",
-            f"the squares measure {mean * 1e3:.2f} mm in {len(board.squares_m)} stereo pairs, {stated * 1e3:.2f} mm "
-            f"are stated (limit {SQUARE_LOOK_PERCENT:g} %)",
-            square_cure(stated, mean),
-            QualityError.exit_code,
-        )
 
 
 def _covered(

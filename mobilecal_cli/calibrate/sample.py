@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli.calibrate.detect import check_picture
-from mobilecal_cli.errors import MobilecalError, ObservationError, RecordingError
+from mobilecal_cli.errors import MobilecalError, ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import (
     SIDES,
     Board,
@@ -23,12 +24,14 @@ from mobilecal_cli.model import (
     StereoRig,
 )
 from mobilecal_cli.readers import Recording, pictures_near
+from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
+from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 
 #: Number of moments, evenly spaced, at which an image of either camera is searched for the board.
 PICTURE_MOMENTS = 6
-#: `calibrate` rejects stations whose squares differ by this share from the stated size.
-_SQUARE_TOLERANCE = 0.1
+#: Stereo pairs that measure the squares, for a limit on their stated size.
+_FEWEST_SQUARES = 2
 _Images = Mapping[Side, Sequence[GrayImage | Rejection]]
 
 
@@ -39,8 +42,8 @@ def sample_board(
     cameras: StereoRig | None,
     board: Board | None,
     stated_m: float | None = None,
-) -> tuple[BoardView | None, list[Lack]]:
-    """The board in a few images, and what is wrong with it.
+) -> tuple[BoardView | None, list[Lack], list[Lack]]:
+    """The board in a few images, what is wrong with it, and what limits a calibration.
 
     Args:
         recording: the open recording.
@@ -55,7 +58,7 @@ def sample_board(
     """
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
-        return None, []
+        return None, [], []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
     sources = Sources(images, {}, (), {}, layout=layout)
     found = {
@@ -66,7 +69,7 @@ def sample_board(
     if not readable:
         broken = [image for side in SIDES for image in found[side] if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
-        return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")]
+        return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")], []
     lacks = [] if cameras is None else _wrong_sizes(found, cameras)
     stated, others = board, 0
     if board is None or not _any_found(readable, board):
@@ -92,22 +95,41 @@ def sample_board(
                 "keep the whole board in both images, in good light, with squares of 7 pixels or more",
             )
         )
-        return BoardView(len(readable), 0, None, other_sizes=others), lacks
+        return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
     detections = {side: [_detected(image, board) for image in found[side]] for side in SIDES}
     seen = sum(isinstance(one, Detection) for side in SIDES for one in detections[side])
     squares_m = () if cameras is None or lacks else _squares_m(cameras, board, detections)
     square_m = float(np.median(squares_m)) if squares_m else None
-    if square_m and stated_m and abs(square_m - stated_m) > _SQUARE_TOLERANCE * stated_m:
-        lacks.append(
-            _lack(
-                "square size",
-                f"the squares measure {square_m * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
-                f"(limit {100 * _SQUARE_TOLERANCE:g} %)",
-                square_cure(stated_m, square_m),
-            )
-        )
+    wrong = _wrong_square(stated_m, squares_m) if stated_m and squares_m else None
+    weak: list[Lack] = []
+    if wrong is not None:
+        (weak if wrong.exit_code == QualityError.exit_code else lacks).append(wrong)
     size = board.columns, board.rows
-    return BoardView(len(readable), seen, size, square_m, squares_m, stated_m, others), lacks
+    return BoardView(len(readable), seen, size, square_m, squares_m, stated_m, others), lacks, weak
+
+
+def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
+    """A stated size of the squares that `calibrate` refuses, or that several stereo pairs do not confirm."""
+    median = float(np.median(squares_m))
+    if abs(median - stated_m) > SQUARE_TOLERANCE * stated_m:
+        return _lack(
+            "square size",
+            f"the squares measure {median * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
+            f"(limit {100 * SQUARE_TOLERANCE:g} %)",
+            square_cure(stated_m, median),
+        )
+    if len(squares_m) < _FEWEST_SQUARES:
+        return None
+    mean, noise = float(np.mean(squares_m)), float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m))
+    if abs(mean - stated_m) <= max(SQUARE_LOOK_PERCENT / 100 * stated_m, 3 * noise):
+        return None
+    return _lack(
+        "square size",
+        f"the squares measure {mean * 1e3:.2f} mm in {len(squares_m)} stereo pairs, {stated_m * 1e3:.2f} mm "
+        f"are stated (limit {SQUARE_LOOK_PERCENT:g} %)",
+        square_cure(stated_m, mean),
+        QualityError,
+    )
 
 
 def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = ObservationError) -> Lack:

@@ -97,7 +97,7 @@ def draft(
         board = None
         if survey.images is not None:
             progress("images", 0, None)
-            board, _ = sample_board(recording, survey.images, "separate", survey.cameras, None)
+            board, *_ = sample_board(recording, survey.images, "separate", survey.cameras, None)
         made = draft_rig(
             description,
             logs[0].name,

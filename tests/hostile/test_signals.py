@@ -171,7 +171,7 @@ def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_p
     code = (
         "import os, signal, sys\n"
         "from mobilecal_cli import __main__, export\n"
-        "from mobilecal_cli.export import placing\n"
+        "from mobilecal_cli.files import placing\n"
         "sync = placing._sync\n"
         "placing._sync = lambda folder: (sync(folder), os.kill(os.getpid(), signal.SIGINT))\n"
         "__main__.main()\n"
