@@ -31,11 +31,11 @@ pages: $(VENV)/.dev  ## run all commands of the tutorial and the how-to pages
 slow: $(VENV)/.dev  ## long studies: Monte Carlo, fuzzing
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
-bench: $(VENV)/.dev  ## measure docs/explanation/performance.md again: 40 minutes or more
+bench: $(VENV)/.dev  ## measure docs/validation/performance.md again: 40 minutes or more
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench
 
-studies: $(VENV)/.dev  ## compute the tables of docs/explanation/results.md again: hours
+studies: $(VENV)/.dev  ## compute the tables of docs/validation/results.md again: hours
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m tests.bench.studies
 

@@ -16,13 +16,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mobilecal_cli.calibrate.export import export as export_to
+    from mobilecal_cli.calibrate.load import read_params as load
+    from mobilecal_cli.calibrate.steps import Data, Fit, Report, extract, solve
     from mobilecal_cli.comparison import difference as compare
     from mobilecal_cli.errors import MobilecalError
     from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
     from mobilecal_cli.model import SensorMotion
-    from mobilecal_cli.pipeline.evaluating import read_params as load
-    from mobilecal_cli.pipeline.exporting import export as export_to
-    from mobilecal_cli.pipeline.steps import Data, Fit, Report, extract, solve
 
 __version__ = "0.1.0"
 __all__ = [
@@ -45,21 +45,21 @@ __all__ = [
 
 _ELSEWHERE = {
     "compare": ("comparison", "difference"),
-    "export_to": ("pipeline.exporting", "export"),
+    "export_to": ("calibrate.export", "export"),
     "Drive": ("measured", "Drive"),
     "from_motions": ("measured", "from_motions"),
     "from_poses": ("measured", "from_poses"),
     "MobilecalError": ("errors", "MobilecalError"),
     "SensorMotion": ("model", "SensorMotion"),
     "TargetPose": ("measured", "TargetPose"),
-    "load": ("pipeline.evaluating", "read_params"),
+    "load": ("calibrate.load", "read_params"),
 }
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, there = _ELSEWHERE.get(name, ("pipeline.steps", name))
+    module, there = _ELSEWHERE.get(name, ("calibrate.steps", name))
     return getattr(import_module(f"{__name__}.{module}"), there)
 
 

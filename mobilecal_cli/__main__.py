@@ -5,7 +5,7 @@ import os
 import sys
 from contextlib import suppress
 
-from mobilecal_cli import interruption
+from mobilecal_cli.files import interruption
 
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, as a shell shows it for other programs
 _OUTPUT = 7  # as OutputError, which is not imported this early
@@ -18,7 +18,7 @@ def main() -> None:
     _open_standard_streams()
     interruption.unwind_on_signals()
     try:
-        from mobilecal_cli.cli import main as run
+        from mobilecal_cli.commands import main as run
 
         run()
         sys.stdout.flush()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
-from mobilecal_cli.cli import main
+from mobilecal_cli.commands import main
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Run:
 def run(*arguments: object, cwd: Path | None = None, environment: Mapping[str, str] | None = None) -> Run:
     """Run the command in a directory; its standard input is empty, and no stream is a terminal.
 
-    tests/cli/test_start.py and tests/hostile/test_signals.py run it in processes of its own.
+    tests/commands/test_start.py and tests/hostile/test_signals.py run it in processes of its own.
     """
     folder = Path() if cwd is None else cwd
     before = set() if cwd is None else set(folder.rglob("*"))

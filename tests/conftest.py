@@ -30,7 +30,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def every_report_fits_its_schema():
     """Each report.json that a test writes in its own process is validated."""
-    from mobilecal_cli.pipeline.steps import Report
+    from mobilecal_cli.calibrate.steps import Report
     from tests.report.schema import validated
 
     with pytest.MonkeyPatch.context() as patched:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.compare import Limits
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
-from mobilecal_cli.pipeline.comparing import Limits
 from mobilecal_cli.report.changes import change_from_nominal
 from mobilecal_cli.report.comparison import comparison_json, comparison_text
 

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from mobilecal_cli.commands.init import draft
 from mobilecal_cli.model import Draft
-from mobilecal_cli.pipeline.drafting import draft
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLES = REPOSITORY / "sample_logs"
@@ -34,7 +34,7 @@ robots. Everything that `init` reads from names and URDFs is theirs; the board i
 
 Two stereo cameras, several pairs of wheels or counters, counters that start again at another number
 than 2^8, 2^16 or 2^32, and boards of different sizes are asked for, not filled in
-(tests/discovery/test_draft.py).
+(tests/rig/test_draft.py).
 """
 
 

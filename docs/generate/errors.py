@@ -1,4 +1,4 @@
-"""Error catalog from the code: `python docs/generate/errors.py` writes docs/reference/errors.md.
+"""Error catalog from the code: `python docs/generate/errors.py` writes docs/validation/errors.md.
 
 The script finds all places that raise a documented error in the syntax trees of the package. Values that a message
 fills in are shown in ⟨⟩.
@@ -17,7 +17,7 @@ from mobilecal_cli import errors
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "mobilecal_cli"
-TARGET = REPOSITORY / "docs" / "reference" / "errors.md"
+TARGET = REPOSITORY / "docs" / "validation" / "errors.md"
 KINDS: dict[str, type[errors.MobilecalError]] = {
     name: kind
     for name, kind in inspect.getmembers(errors, inspect.isclass)
@@ -124,7 +124,7 @@ def _raised(path: Path) -> Iterator[tuple[str, Entry]]:
 
 
 def catalogue() -> str:
-    """The text of docs/reference/errors.md."""
+    """The text of docs/validation/errors.md."""
     found: dict[str, set[Entry]] = {name: set() for name in KINDS}
     for path in sorted(PACKAGE.rglob("*.py")):
         for kind, entry in _raised(path):

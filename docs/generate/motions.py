@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from mobilecal_cli.pipeline import calibrating
+from mobilecal_cli.calibrate import steps
 from mobilecal_cli.report import plots
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.solvers import constraints_of
@@ -20,7 +20,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("paper_robot", "straight", "head_fixed"):
             constraints = constraints_of(["t_y=0"] if name == "head_fixed" else [], [], [])
-            report, _ = calibrating.calibrate(
+            report, _ = steps.calibrate(
                 [SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints
             )
             done = report.fit

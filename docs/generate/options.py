@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from mobilecal_cli.cli import app
+from mobilecal_cli.commands import app
 from mobilecal_cli.export.formats import format_of
 from mobilecal_cli.targets import Target
 

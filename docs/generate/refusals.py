@@ -1,4 +1,4 @@
-"""Write docs/reference/refusals.md from the cases that the tests run."""
+"""Write docs/validation/refusals.md from the cases that the tests run."""
 
 from __future__ import annotations
 
@@ -11,4 +11,4 @@ sys.path.insert(0, str(ROOT))
 from tests.hostile.refusals import table  # noqa: E402
 
 if __name__ == "__main__":
-    (ROOT / "docs/reference/refusals.md").write_text(table(), encoding="utf-8")
+    (ROOT / "docs/validation/refusals.md").write_text(table(), encoding="utf-8")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.export.placing import already_exists, clean_up, partial_of, place
+from mobilecal_cli.files.placing import already_exists, clean_up, partial_of, place
 
 
 def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:

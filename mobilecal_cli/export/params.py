@@ -22,9 +22,9 @@ from pydantic import (
 )
 
 from mobilecal_cli import ranges, se3
-from mobilecal_cli.config import WheelsNominal, checked_settings
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.likelihood.nuisance import kind
 from mobilecal_cli.model import (
     NINE,
@@ -42,7 +42,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.yaml_input import load_yaml
+from mobilecal_cli.rig.config import WheelsNominal, checked_settings
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."

@@ -6,11 +6,11 @@ import os
 import sqlite3
 from pathlib import Path
 
+from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import check_file, check_parent, recognized_file, write_synced
-from mobilecal_cli.export.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
-from mobilecal_cli.interruption import uninterrupted
-from mobilecal_cli.pipeline.progress import Progress, silent
+from mobilecal_cli.files.interruption import uninterrupted
+from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
 from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
 from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
 

@@ -1,4 +1,4 @@
-"""`make bench`: creates its data, prints all performance tables, and writes docs/explanation/performance.md."""
+"""`make bench`: creates its data, prints all performance tables, and writes docs/validation/performance.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.bench.recordings import simulated, transcoded
 from tests.bench.simulated import conditions
 from tests.bench.tables import paragraph
 
-_PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "performance.md"
+_PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "performance.md"
 _STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
 _INTRODUCTION = "# Performance\n\n" + paragraph(
     "This page is written by `make bench`. Machines differ and are shared, so each important figure is a ratio of two "

@@ -14,12 +14,14 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from mobilecal_cli.pipeline import cluster, fleet, progress
-from mobilecal_cli.pipeline.fleet import RECORDS
+from mobilecal_cli import calibrate as progress
+from mobilecal_cli.calibrate import batch as cluster
+from mobilecal_cli.calibrate import batch as fleet
+from mobilecal_cli.calibrate.batch import RECORDS
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.simulated import conditions
-from tests.cli.dask_cluster import local_cluster
+from tests.commands.dask_cluster import local_cluster
 
 _CUT = 6  # every so many robots
 

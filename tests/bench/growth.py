@@ -28,7 +28,7 @@ _STAGES = (
 
 def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
     """Calibrate in this process: seconds of each stage, and the peak of resident memory, MB."""
-    from mobilecal_cli.pipeline import calibrating
+    from mobilecal_cli.calibrate import steps
 
     began: list[tuple[str, float]] = []
 
@@ -36,7 +36,7 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
         if not began or began[-1][0] != stage:
             began.append((stage, time.perf_counter()))
 
-    calibrating.calibrate(
+    steps.calibrate(
         [log], out, flags={"stations": stations}, force=True, progress=progress, jobs=os.cpu_count() or 1
     )
     began.append(("", time.perf_counter()))

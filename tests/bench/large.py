@@ -1,6 +1,6 @@
 """Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF.
 
-`python -m tests.bench.large` prints the table in docs/explanation/results.md.
+`python -m tests.bench.large` prints the table in docs/validation/results.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.bench.tables import table
-from tests.cli.edited import edited
+from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 
 LOG = REPOSITORY / "sample_logs" / "paper_robot.mcap"

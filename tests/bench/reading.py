@@ -51,20 +51,19 @@ def decode_alone(path: Path, workers: int) -> float:
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.config import load_rig
-    from mobilecal_cli.discovery import resolve_rig
+    from mobilecal_cli.calibrate.detect import DetectionWorkers, Scene, detect_all, measure_stations
+    from mobilecal_cli.calibrate.plan import plan_recording
     from mobilecal_cli.model import Board
-    from mobilecal_cli.pipeline.detecting import Scene, measure_stations
-    from mobilecal_cli.pipeline.detection_workers import DetectionWorkers, detect_all
-    from mobilecal_cli.pipeline.planning import plan_recording
     from mobilecal_cli.readers import open_recording, read_description
+    from mobilecal_cli.rig.config import load_rig
+    from mobilecal_cli.rig.resolve import resolve_rig
     from mobilecal_cli.vision import Detection, Measured, resolve_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig = resolve_rig(load_rig(None), read_description(recording), None, frozenset()).rig
+        rig = resolve_rig(load_rig(None), read_description(recording)).rig
         (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
         scene = Scene(rig.sources, rig.cameras, board)
         ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)

@@ -8,9 +8,9 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
-from mobilecal_cli.config import load_rig
+from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.model import Parameters, WheelGeometry
-from mobilecal_cli.pipeline.extracting import extract
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DEGREES_MM, HEADER, conditions, row
 

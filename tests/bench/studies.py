@@ -1,4 +1,4 @@
-"""`make studies`: the accuracy studies of docs/explanation/results.md, in sequence; this takes hours."""
+"""`make studies`: the accuracy studies of docs/validation/results.md, in sequence; this takes hours."""
 
 from tests.bench import (
     correlated,

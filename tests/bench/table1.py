@@ -12,9 +12,9 @@ import numpy as np
 import scipy
 
 from mobilecal_cli import __version__
-from mobilecal_cli.config import load_rig
+from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.model import Parameters
-from mobilecal_cli.pipeline.extracting import extract
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve

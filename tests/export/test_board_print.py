@@ -7,15 +7,15 @@ import numpy as np
 import pypdfium2
 import pytest
 
-from mobilecal_cli.config import load_rig
+from mobilecal_cli.calibrate.extract import board_of
+from mobilecal_cli.commands.board import print_board
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import board_pdf
+from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.model import Board, Markers
-from mobilecal_cli.pipeline.extracting import board_of
-from mobilecal_cli.pipeline.printing import print_board
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.targets import Paper
 from mobilecal_cli.vision import Detection, find_board
-from mobilecal_cli.yaml_input import load_yaml
 
 MM = 25.4
 NEEDED = 0.3  # white in squares that OpenCV's newer search needs in front of a dark wall

@@ -15,6 +15,7 @@ from defusedxml.ElementTree import fromstring
 from mcap.reader import make_reader
 
 import mobilecal_cli as mc
+from mobilecal_cli.calibrate.steps import Data
 from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
 from mobilecal_cli.export.formats import foxglove, with_verdict
@@ -25,7 +26,6 @@ from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
-from mobilecal_cli.pipeline.steps import Data
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run

@@ -11,6 +11,7 @@ import yaml
 import yourdfpy
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, improved_chain, parameters_from_yaml, params_yaml
@@ -20,7 +21,6 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
-from mobilecal_cli.pipeline.exporting import export
 from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route

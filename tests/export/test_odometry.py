@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from mobilecal_cli.calibrate import export as exporting
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.export.formats import odometry_covariance as odometry
@@ -16,7 +17,6 @@ from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
-from mobilecal_cli.pipeline import exporting
 from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.targets import Target

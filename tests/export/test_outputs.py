@@ -12,12 +12,12 @@ from mobilecal_cli.export import (
     check_file,
     check_output,
     outputs,
-    placing,
     write_file,
     write_outputs,
 )
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.scratch import locked
+from mobilecal_cli.files import placing
+from mobilecal_cli.files.scratch import locked
 
 OURS = FIRST_LINE.encode()
 FILES = {
@@ -154,7 +154,7 @@ def fail_on(monkeypatch, owner, name, nth, error):
 
 def without_exchange(patch):
     """A file system that can neither exchange two paths nor refuse to replace one."""
-    patch.setattr("mobilecal_cli.export.placing._rename", lambda source, target, flag: False)
+    patch.setattr("mobilecal_cli.files.placing._rename", lambda source, target, flag: False)
 
 
 STEPS = [(Path, "mkdir", 1), (Path, "open", 3), (os, "fsync", 2), (Path, "rename", 1)]

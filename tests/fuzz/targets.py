@@ -21,9 +21,12 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
+from mobilecal_cli.calibrate import inspect
+from mobilecal_cli.calibrate.batch import fleet_jobs
+from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
+from mobilecal_cli.calibrate.load import load
+from mobilecal_cli.commands.init import draft
 from mobilecal_cli.comparison import difference, history
-from mobilecal_cli.config import load_rig
-from mobilecal_cli.discovery import survey_rig
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
 from mobilecal_cli.export.formats.json import Json
@@ -42,18 +45,15 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelSource,
 )
-from mobilecal_cli.pipeline import drafting, inspecting
-from mobilecal_cli.pipeline.fleet import fleet_jobs
-from mobilecal_cli.pipeline.loading import load
-from mobilecal_cli.pipeline.progress import silent
-from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.resolve import survey_rig
+from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import paper_robot, urdf_text
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.uncertainty import motion_gaps, require_stations
 from tests.extractions import Noise, ideal_extraction
 from tests.readers import recordings as r
 
@@ -94,7 +94,7 @@ def _read(path: Path) -> None:
 
 
 def _glance(path: Path) -> None:
-    found = inspecting.inspect([path])
+    found = inspect.inspect([path])
     inspection_json(found)
     inspection_text(found)
 
@@ -128,7 +128,7 @@ def _manifest(path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    extraction, _ = load([path], load_rig(None, {}), None, {}, silent)
+    extraction, _ = load([path], load_rig(None))
     require_stations(extraction)
     motion_gaps(extraction)
 
@@ -297,7 +297,7 @@ def targets(folder: Path) -> dict[str, Target]:
     sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
     found["draft.yaml"] = Target(
-        {"rig.yaml": drafting.draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
+        {"rig.yaml": draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
     )
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()

@@ -10,8 +10,9 @@ import shutil
 import sys
 from pathlib import Path
 
-from mobilecal_cli.export import outputs, placing
+from mobilecal_cli.export import outputs
 from mobilecal_cli.export.params import FIRST_LINE
+from mobilecal_cli.files import placing
 
 OLD = {"params.yaml": FIRST_LINE.encode(), "report.html": b"old"}
 NEW = {name: FIRST_LINE.encode() * 1000 for name in sorted(outputs.OUTPUT_NAMES)}

@@ -1,6 +1,6 @@
 """Recordings that can be read and are wrong: what the calibration says about each.
 
-`python -m tests.hostile.meaning` prints the table in docs/explanation/results.md.
+`python -m tests.hostile.meaning` prints the table in docs/validation/results.md.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from functools import cache
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.camera import project
-from mobilecal_cli.discovery.cameras import check_baseline
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     Corners,
@@ -30,10 +30,10 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.rig.cameras import check_baseline
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.uncertainty import require_stations
 from mobilecal_cli.vision import Miss, board_pose, triangulate
 from tests.bench.simulated import errors
 from tests.extractions import Noise, ideal_extraction

@@ -1,4 +1,4 @@
-"""What the whole command says about input that cannot be used: the table docs/reference/refusals.md, and its test."""
+"""What the whole command says about input that cannot be used: the table docs/validation/refusals.md, and its test."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from tests.cli.edited import STORE, edited
+from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
 from tests.extractions import Noise, ideal_extraction
 
@@ -299,7 +299,7 @@ CASES = (
 
 
 def table() -> str:
-    """The page docs/reference/refusals.md."""
+    """The page docs/validation/refusals.md."""
     lines = [
         "# Refusals",
         "",

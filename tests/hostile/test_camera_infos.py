@@ -12,8 +12,8 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.model import Parameters
-from tests.cli.edited import edited
 from tests.command import run
+from tests.commands.edited import edited
 
 LEFT = "/stereo/left/image_raw/compressed"
 

@@ -11,8 +11,8 @@ import pytest
 _LIMITED = """
 import resource, sys
 from pathlib import Path
-import numpy as np, scipy.optimize, mobilecal_cli.pipeline.loading, mobilecal_cli.report
-from mobilecal_cli.cli import main
+import numpy as np, scipy.optimize, mobilecal_cli.calibrate.load, mobilecal_cli.report
+from mobilecal_cli.commands import main
 np.linalg.lstsq(np.eye(400), np.eye(400), rcond=None)  # OpenBLAS would end the process without its memory
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 limit = pages * resource.getpagesize() + int(sys.argv.pop(1)) * 2**20

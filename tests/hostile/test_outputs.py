@@ -13,8 +13,8 @@ from dataclasses import replace
 import pytest
 from ruamel.yaml import YAML
 
-from tests.cli.edited import edited
 from tests.command import run
+from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 
 

@@ -1,4 +1,4 @@
-"""Every line of docs/reference/refusals.md, on the whole command."""
+"""Every line of docs/validation/refusals.md, on the whole command."""
 
 from __future__ import annotations
 
@@ -30,4 +30,4 @@ def test_the_command_says_what_is_wrong(case, tmp_path):
 
 
 def test_the_table_is_up_to_date():
-    assert (REPOSITORY / "docs/reference/refusals.md").read_text(encoding="utf-8") == table()
+    assert (REPOSITORY / "docs/validation/refusals.md").read_text(encoding="utf-8") == table()

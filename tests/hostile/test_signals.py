@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from mobilecal_cli.scratch import abandoned, scratch_directory
+from mobilecal_cli.files.scratch import abandoned, scratch_directory
 
 SEMAPHORES = Path("/dev/shm")
 KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
@@ -171,7 +171,7 @@ def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_p
     code = (
         "import os, signal, sys\n"
         "from mobilecal_cli import __main__, export\n"
-        "from mobilecal_cli.export import placing\n"
+        "from mobilecal_cli.files import placing\n"
         "sync = placing._sync\n"
         "placing._sync = lambda folder: (sync(folder), os.kill(os.getpid(), signal.SIGINT))\n"
         "__main__.main()\n"
@@ -239,8 +239,8 @@ def test_a_signal_while_a_temporary_directory_is_created_or_removed(tmp_path, st
     code = f"""
 import os, shutil, signal, tempfile
 from contextlib import ExitStack
-from mobilecal_cli.interruption import unwind_on_signals
-from mobilecal_cli.scratch import enter_scratch
+from mobilecal_cli.files.interruption import unwind_on_signals
+from mobilecal_cli.files.scratch import enter_scratch
 
 unwind_on_signals()
 call, seen = {step}, []
@@ -267,9 +267,9 @@ def test_a_signal_while_nothing_is_responsible_for_a_temporary_directory(tmp_pat
     """A recording was unpacked, and its caller does not have it yet."""
     code = f"""
 from contextlib import ExitStack
-from mobilecal_cli.interruption import Interrupted
-from mobilecal_cli.pipeline.processes import work
-from mobilecal_cli.scratch import enter_scratch
+from mobilecal_cli.files.interruption import Interrupted
+from mobilecal_cli.calibrate.workers import work
+from mobilecal_cli.files.scratch import enter_scratch
 
 kept = []
 

@@ -13,11 +13,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
-from mobilecal_cli.config import RigConfig
-from mobilecal_cli.discovery import resolve_rig
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description
+from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.resolve import resolve_rig
 from tests.readers.recordings import START_NS
 
 from . import recordings as r

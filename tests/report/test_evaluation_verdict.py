@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
-from mobilecal_cli.pipeline.evaluating import evaluate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve

@@ -33,7 +33,6 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.report.changes import change_from_nominal, change_since
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
@@ -47,6 +46,7 @@ from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.values import json_text
 from mobilecal_cli.report.wording.findings import suggestion_sentences
+from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import evaluate
 from tests.golden import assert_golden
 from tests.report.example import (

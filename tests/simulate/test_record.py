@@ -11,7 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export import placing
+from mobilecal_cli.files import placing
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw

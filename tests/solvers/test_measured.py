@@ -9,10 +9,10 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
-from mobilecal_cli.simulate import ideal
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.solve import solve
+from tests.extractions import Noise, ideal_extraction
 
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
@@ -20,10 +20,10 @@ SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 def drive(seed, stated=1.0):
     """A pan-tilt robot's poses of a target, with noise of `SIGMA`; the covariance is stated with another scale."""
     robot, random = paper_robot(), np.random.default_rng(seed)
-    exact = ideal.ideal_extraction(
+    exact = ideal_extraction(
         robot,
         plan_route(robot, "standard", stations=20, seed=seed),
-        ideal.Noise(0, 0.003, 0, 1e-4),
+        Noise(0, 0.003, 0, 1e-4),
         seed=seed,
     )
     covariance = np.diag((stated * SIGMA) ** 2)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
@@ -14,7 +15,6 @@ from mobilecal_cli.report.values import json_text
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.uncertainty import motion_gaps
 from tests.bench.simulated import errors
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.report.example import made, rows_of

@@ -10,14 +10,14 @@ from xml.parsers.expat import ParserCreate
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.config import LARGEST_URDF_BYTES
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request, frame_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
+from mobilecal_cli.files.reading import read_bytes, reason_of
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
-from mobilecal_cli.yaml_input import read_bytes, reason_of
+from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
 
 #: Sizes of a URDF that differ more from the nominal and the calibrated ones are those of another robot.
 _OTHER_ROBOT = 0.1

@@ -10,11 +10,11 @@ from itertools import pairwise
 from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
+from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.readers.containers import mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.storage import LATEST_NS, ZSTD_MAGIC, Storage, expand
-from mobilecal_cli.scratch import enter_scratch, full_disk_told
-from mobilecal_cli.yaml_input import LARGEST_BYTES, load_yaml, read_text
 
 #: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {

@@ -17,6 +17,7 @@ from urllib.parse import quote
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import (
@@ -30,7 +31,6 @@ from mobilecal_cli.readers.containers.storage import (
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import DefinitionFormat
-from mobilecal_cli.scratch import enter_scratch, full_disk_told
 
 MAGIC = b"SQLite format 3\x00"
 

@@ -1,0 +1,315 @@
+"""`mobilecal batch`: many robots, in local processes or on a Dask cluster."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli import __version__, se3
+from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.manifest import DONE, RECORDS, SUMMARIES, fleet_jobs, skipped_entries
+from mobilecal_cli.calibrate.steps import Report, calibrate
+from mobilecal_cli.calibrate.workers import work, workers
+from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
+from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
+from mobilecal_cli.export.outputs import OUTPUT_NAMES
+from mobilecal_cli.files.placing import already_exists
+from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
+from mobilecal_cli.model import FleetJob, FleetRow
+from mobilecal_cli.readers import sha256_of
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html
+from mobilecal_cli.report.numbers import reference_pose, reference_std
+from mobilecal_cli.rig.config import load_rig, read_urdf
+
+#: Number of attempts at a job whose process dies.
+_ATTEMPTS = 3
+_CRASHED = "the worker process died (out of memory, or killed)"
+#: Hint for a robot whose process died.
+AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
+
+Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
+
+
+def run_job(job: FleetJob) -> FleetRow:
+    """Calibrate one robot, or return the earlier result for the same recordings and settings.
+
+    The record of a job is completed last, so that any process or machine repeats an interrupted job and skips a
+    finished one. A robot without a result is tried again.
+
+    Raises:
+        OutputError: the record cannot be written.
+    """
+    key = ""  # without a fingerprint the job is repeated
+    try:
+        key = fingerprint(job)
+        done = None if job.force else _finished(job, key)
+        if done is not None:
+            return done
+        force = job.force or owns_result(job)
+        _write_record(job, {})  # from now on, a result of this robot is one of the batch
+        report, _ = calibrate(
+            job.logs,
+            job.output / job.name,
+            config_path=job.config,
+            flags=job.flags,
+            gates=job.gates,
+            force=force,
+        )
+        row = _row(job, report)
+    except MobilecalError as error:
+        row = FleetRow(job.name, "ERROR", error.exit_code, error.message, hint=error.hint)
+    except Exception as error:  # a bug must not stop the other robots
+        row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
+    if row.verdict == "ERROR" and (job.output / job.name).is_dir():
+        row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
+    _write_record(job, {"key": key, "row": to_plain(row), "params": _params_digest(job)})
+    return row
+
+
+def owns_result(job: FleetJob) -> bool:
+    """Whether the batch wrote the result of a robot that exists, or was writing it when it was killed."""
+    record = _record(job)
+    return record is not None and record.get("params", _params_digest(job)) == _params_digest(job)
+
+
+def _record_path(job: FleetJob) -> Path:
+    return job.output / RECORDS / f"{job.name}.json"
+
+
+def _record(job: FleetJob) -> dict[str, Any] | None:
+    try:
+        data = json.loads(read_text(_record_path(job), LARGEST_BYTES))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) else None
+
+
+def _write_record(job: FleetJob, data: Mapping[str, Any]) -> None:
+    path = _record_path(job)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, json.dumps(data, indent=1).encode() + b"\n", force=True)
+
+
+def _params_digest(job: FleetJob) -> str:
+    """SHA-256 of the robot's params.yaml, "" without one."""
+    path = job.output / job.name / "params.yaml"
+    return sha256_of(path) if path.is_file() else ""
+
+
+def fingerprint(job: FleetJob) -> str:
+    """SHA-256 of everything that the result of a job depends on, also of the files that its configuration names.
+
+    Raises:
+        RecordingError: a recording cannot be read.
+        ConfigError: the configuration or a file that it names cannot be read.
+    """
+    config = load_rig(job.config, job.flags)
+    parts = [__version__, config.model_dump_json(), read_urdf(config) or "", *sorted(job.flags), *job.gates]
+    journals = [log.with_name(f"{log.name}-wal") for log in job.logs]  # SQLite reads them with the database
+    parts += [sha256_of(path) for path in (*job.logs, *(path for path in journals if path.is_file()))]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _finished(job: FleetJob, key: str) -> FleetRow | None:
+    """The row of an earlier run of the same job with a result, if its outputs still exist."""
+    record = _record(job) or {}
+    try:
+        row, same = from_plain(FleetRow, record["row"]), record["key"] == key
+    except (ValueError, KeyError, TypeError):
+        return None
+    there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
+    answered = row.verdict != "ERROR" and there and owns_result(job)
+    return replace(row, skipped=DONE) if same and answered else None
+
+
+def _row(job: FleetJob, done: Report) -> FleetRow:
+    solution = done.fit.solution
+    T, wheels = reference_pose(solution.parameters, solution.cameras), solution.parameters.wheels
+    lengths = (*T[:3, 3].tolist(), wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
+    return FleetRow(
+        job.name,
+        done.verdict.level,
+        0 if done.verdict.level == "PASS" else QualityError.exit_code,
+        done.verdict.reason,
+        done.values.quality.stations,
+        tuple(se3.log_so3(T[:3, :3]).tolist()),
+        lengths,
+        reference_std(solution),
+        hint="" if done.verdict.level == "PASS" else done.verdict.next_step,
+    )
+
+
+def run_locally(count: int) -> Run:
+    """Runs jobs in local processes; if one dies, the other robots are still calibrated."""
+
+    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
+        waiting = {job.name: job for job in jobs}
+        for row in _in_a_pool(list(waiting.values()), count):
+            del waiting[row.name]
+            done(row)
+        for name, job in waiting.items():  # a process died: each remaining job gets its own process
+            row = FleetRow(name, "ERROR", 1, _CRASHED, hint=AGAIN)
+            for _ in range(_ATTEMPTS - 1):
+                rows = list(_in_a_pool([job], 1))
+                if rows:
+                    row = rows[0]
+                    break
+            done(row)
+
+    return run
+
+
+def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
+    """Rows in the order of completion; a pool that breaks yields only part of them."""
+    with workers(count) as pool:
+        futures = [pool.submit(work, run_job, job) for job in jobs]
+        for future in as_completed(futures):
+            with suppress(BrokenProcessPool):
+                yield future.result()
+
+
+def batch(
+    source: Path,
+    output: Path,
+    *,
+    config_path: Path | None = None,
+    flags: Mapping[str, Any] | None = None,
+    gates: Sequence[str] = (),
+    force: bool = False,
+    run: Run | None = None,
+    progress: Progress = silent,
+) -> tuple[FleetRow, ...]:
+    """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
+
+    Robots with a result of an earlier run from the same inputs are skipped; `FleetRow.skipped` has the reason.
+
+    Args:
+        source: a directory of recordings, or a manifest.
+        output: directory; created if it does not exist.
+        config_path: rig.yaml of the robots without their own.
+        flags: dotted key → value, over the files.
+        gates: `NAME=LIMIT` for each robot.
+        force: calibrate all robots again, and replace also results that this batch did not write.
+        run: runs the jobs; by default one process per core.
+        progress: receives the number of finished robots.
+
+    Raises:
+        ConfigError: see `fleet_jobs`.
+        OutputError: the outputs cannot be written.
+    """
+    jobs = fleet_jobs(source, output, config_path, flags or {}, gates)
+    jobs = tuple(replace(job, force=force) for job in jobs)
+    _check_outputs(output, jobs, force)
+    rows: dict[str, FleetRow] = {}
+    new = [path for path in (output / RECORDS, output) if not path.exists()]
+    try:
+        (output / RECORDS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{output}: cannot be created: {error.strerror}", "choose another --output"
+        ) from error
+
+    def done(row: FleetRow) -> None:
+        rows[row.name] = row
+        progress("robots", len(rows), len(jobs))
+
+    progress("robots", 0, len(jobs))
+    try:
+        (run or run_locally(os.cpu_count() or 1))(jobs, done)
+    except BaseException:
+        for path in new:
+            with suppress(OSError):  # it contains results
+                path.rmdir()
+        raise
+    ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
+    _write_summaries(output, ordered)
+    return ordered
+
+
+def _check_outputs(output: Path, jobs: Iterable[FleetJob], force: bool) -> None:
+    """Check before the work that everything in the way is a result of this batch, or may be replaced.
+
+    Raises:
+        OutputError: naming the first path that may not be replaced.
+    """
+    for path in (output / name for name in SUMMARIES):
+        if path.exists() and not (output / RECORDS).is_dir() and not force:
+            raise already_exists(path)
+    for job in jobs:
+        directory = job.output / job.name
+        if os.path.lexists(directory):
+            check_output(directory, force or owns_result(job))
+
+
+def _write_summaries(output: Path, rows: Iterable[FleetRow]) -> None:
+    listed = tuple(rows)
+    for name, text in zip(SUMMARIES, (fleet_csv(listed), fleet_html(listed)), strict=True):
+        write_file(output / name, text.encode(), force=True)
+
+
+def run_on(address: str, timeout_s: float = 30.0) -> Run:
+    """Run jobs on the workers of a Dask scheduler, which must see the same files under the same paths.
+
+    If a worker dies, the scheduler gives its jobs to other workers, which skip finished jobs.
+
+    Args:
+        address: of the scheduler, `tcp://host:8786`.
+        timeout_s: longest time to wait for an answer of the scheduler, and for a worker, s.
+
+    Raises:
+        ConfigError: the extra is not installed, no scheduler answers, or it has no workers.
+    """
+
+    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
+        try:
+            from distributed import Client, as_completed, rpc
+        except ImportError as error:
+            raise ConfigError(
+                "the Dask package `distributed` is not installed",
+                "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
+            ) from error
+
+        async def identity() -> None:
+            async with rpc(address) as scheduler:  # type: ignore[no-untyped-call]
+                await scheduler.identity()
+
+        try:
+            # The client would wait without end for a program that accepts the connection and does not answer.
+            asyncio.run(asyncio.wait_for(identity(), timeout_s))
+            client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError, TimeoutError) as error:
+            why = str(error) or f"no answer within {timeout_s:g} s"
+            raise ConfigError(
+                f"--scheduler {address}: cannot connect to the scheduler: {why}",
+                "start a scheduler and workers with dask scheduler and dask worker, and check the address",
+            ) from error
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=timeout_s)
+            except TimeoutError as error:
+                raise ConfigError(
+                    f"--scheduler {address}: the scheduler has no workers after {timeout_s:g} s",
+                    f"start workers: dask worker {address}",
+                ) from error
+            futures = {
+                client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs
+            }
+            for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
+                failed = future.exception()
+                done(future.result() if failed is None else _lost(futures[future], failed))
+
+    return run
+
+
+def _lost(job: FleetJob, error: BaseException) -> FleetRow:
+    reason = f"the worker process died or failed: {type(error).__name__}: {error}"
+    return FleetRow(job.name, "ERROR", 1, reason, hint=AGAIN)

@@ -1,0 +1,111 @@
+"""`mobilecal compare`: compare params.yaml files of one robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mobilecal_cli.calibrate.load import read_params
+from mobilecal_cli.comparison import Difference, History, difference, history
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import check_file, write_file
+from mobilecal_cli.model import NINE, CalibratedRobot
+from mobilecal_cli.report.history import history_plot
+
+#: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
+MOST_NOMINAL_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest allowed change between calibrations; None for no limit.
+
+    Attributes:
+        sigma: change of any parameter, in standard deviations.
+        ray_mm: shift of a point 2 m ahead of the camera, mm.
+        heading_deg: change of heading per full turn, deg.
+    """
+
+    sigma: float | None = None
+    ray_mm: float | None = None
+    heading_deg: float | None = None
+
+    def broken_by(self, found: Difference) -> list[str]:
+        """The limits that a difference exceeds, as text; the one of unobservable parameters always applies."""
+        broken = [
+            f"{NINE[k]}, which is unobservable, by {found.nominal_sigmas[k]:.1f} sigma of its nominal value "
+            f"(limit {MOST_NOMINAL_SIGMAS:g})"
+            for k in np.flatnonzero(found.nominal_sigmas > MOST_NOMINAL_SIGMAS)
+        ]
+        if self.sigma is not None:
+            if not found.known.any():
+                broken.append("no standard deviations for the limit in sigma")
+            blind = np.flatnonzero(found.unobservable)
+            broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
+            sigmas = np.nan_to_num(np.abs(found.sigmas))
+            worst = int(np.argmax(sigmas))
+            if sigmas[worst] > self.sigma:
+                broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {self.sigma:g})")
+        if self.ray_mm is not None and found.ray_m * 1e3 > self.ray_mm:
+            broken.append(f"point 2 m ahead by {found.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
+        turn_deg = abs(math.degrees(found.heading_rad_per_turn))
+        if self.heading_deg is not None and turn_deg > self.heading_deg:
+            broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {self.heading_deg:g})")
+        return broken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Several calibrations and their differences.
+
+    Attributes:
+        names: file names.
+        robots: the calibrations.
+        differences: change from the first to each other one.
+        past: test of each parameter over all calibrations; None for two files.
+        broken: limits that are exceeded, as text.
+    """
+
+    names: tuple[str, ...]
+    robots: tuple[CalibratedRobot, ...]
+    differences: tuple[Difference, ...]
+    past: History | None
+    broken: tuple[str, ...]
+
+
+def compare(
+    files: Sequence[Path], limits: Limits, plot: Path | None = None, force: bool = False
+) -> Comparison:
+    """Compare calibrations with the first one.
+
+    Args:
+        files: params.yaml files, two or more.
+        limits: largest allowed change.
+        plot: SVG file to write: every parameter over all calibrations.
+        force: replace an existing plot.
+
+    Raises:
+        ConfigError: a file cannot be read, there is only one, or their frames differ.
+        OutputError: the plot cannot be written.
+    """
+    if len(files) < 2:
+        raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
+    if plot is not None:
+        check_file(plot, force, files)
+    robots = tuple(read_params(path) for path in files)
+    names = tuple(str(path) for path in files)
+    differences = tuple(difference(robots[0], robot) for robot in robots[1:])
+    past = history(robots)
+    if plot is not None:
+        labels = [robot.created or name for robot, name in zip(robots, names, strict=True)]
+        write_file(plot, history_plot(labels, past).encode(), force)
+    broken = tuple(
+        f"{name}: {what}"
+        for name, found in zip(names[1:], differences, strict=True)
+        for what in limits.broken_by(found)
+    )
+    return Comparison(names, robots, differences, past if len(files) > 2 else None, broken)

@@ -1,0 +1,405 @@
+"""Board detection and measurement per station, in segments that limit the number of images in memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice, pairwise
+from pathlib import Path
+
+import cv2
+
+from mobilecal_cli.calibrate import Progress
+from mobilecal_cli.calibrate.workers import FAILED, Processes, Task, resources
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import (
+    SIDES,
+    Board,
+    GrayImage,
+    PictureIndex,
+    Rejection,
+    Rig,
+    Side,
+    Snapshot,
+    Sources,
+    Station,
+    StereoPair,
+    StereoRig,
+)
+from mobilecal_cli.readers import Recording, open_recording, read_images
+from mobilecal_cli.stations import Plan, images_of
+from mobilecal_cli.vision import (
+    BoardFollower,
+    Detection,
+    Measured,
+    Miss,
+    identify_size,
+    measure,
+    snapshot_jpeg,
+)
+
+SNAPSHOTS = 60  # images kept for the report, limited to save memory
+SIZE_PICTURES = 8
+SIZE_VOTES = 3  # number of agreeing images that determine the board's size
+#: Stereo pairs per segment. Tracking runs inside a segment, so segments and results do not depend on the
+#: number of processes.
+SEGMENT_PAIRS = 250
+
+
+@dataclass(slots=True)
+class StationDetections:
+    """Detections at one station, filled in while its images are read.
+
+    Attributes:
+        found: side → time → detection or miss.
+        pictures: side → JPEG of the first image, for the report.
+        rejections: images that cannot be decoded.
+    """
+
+    found: dict[Side, dict[int, Detection | Miss]] = field(default_factory=lambda: {"left": {}, "right": {}})
+    pictures: dict[Side, bytes] = field(default_factory=dict)
+    rejections: list[Rejection] = field(default_factory=list)
+
+    def pairs(self, pairs: Sequence[StereoPair]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
+        """Left and right results of the stereo pairs with both images decoded."""
+        left, right = self.found["left"], self.found["right"]
+        whole = [pair for pair in pairs if pair.left_ns in left and pair.right_ns in right]
+        return [left[pair.left_ns] for pair in whole], [right[pair.right_ns] for pair in whole]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Consecutive stations that are processed together.
+
+    Attributes:
+        stations: in order of time.
+        images: side → their images.
+        shown: indices, in this segment, of stations with images in the report.
+        thorough: see `vision.detect`.
+    """
+
+    stations: tuple[Station, ...]
+    images: Mapping[Side, PictureIndex]
+    shown: frozenset[int]
+    thorough: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Data common to all segments of a recording.
+
+    Attributes:
+        sources: the image topics.
+        cameras: the stereo pair, for the image sizes.
+        board: board to detect.
+    """
+
+    sources: Sources
+    cameras: StereoRig
+    board: Board
+
+
+def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
+    """Check that an image has the size stated in its camera_info.
+
+    Raises:
+        RecordingError: the sizes differ.
+    """
+    camera = cameras.left if side == "left" else cameras.right
+    height, width = picture.shape
+    if (width, height) != (camera.width, camera.height):
+        raise RecordingError(
+            f"the {side} images are {width} x {height} pixels, but their camera_info states "
+            f"{camera.width} x {camera.height}",
+            "calibrate the cameras at the recorded size, or set binning and roi in camera_info",
+        )
+
+
+def first_pictures(
+    recording: Recording, rig: Rig, plans: Sequence[Plan], rejections: list[Rejection]
+) -> Iterator[GrayImage]:
+    """Some images of both cameras, spread over the recording, to estimate the board's size.
+
+    Args:
+        recording: the open recording.
+        rig: its topics and cameras.
+        plans: its stations.
+        rejections: receives those that cannot be decoded.
+
+    Raises:
+        RecordingError: an image has another size than stated.
+    """
+    stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
+    for plan in plans:
+        firsts = [replace(station, pairs=station.pairs[:1]) for station in plan.stations[::stride]]
+        wanted = images_of(firsts, plan.images)
+        for side, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
+            if isinstance(picture, Rejection):
+                rejections.append(picture)
+                continue
+            check_picture(picture, side, rig.cameras)
+            yield picture
+
+
+def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[int, int] | None:
+    """Inner corners (columns, rows) of the board in some images, None if none shows it.
+
+    Raises:
+        RecordingError: none of them can be decoded, or one has another size than stated.
+    """
+    rejections: list[Rejection] = []
+    vote = identify_size(first_pictures(recording, rig, plans, rejections), SIZE_VOTES)
+    if not vote.pictures and rejections:
+        raise undecodable(rejections)
+    return vote.size
+
+
+def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
+    """The error for images of which none can be decoded."""
+    return RecordingError(
+        f"none of {len(rejections)} images can be decoded: {rejections[0].detail}",
+        "record JPEG or PNG images, or raw ones (sensor_msgs/Image)",
+    )
+
+
+def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
+    """Split the stations of a log into segments, and choose the images kept for the report."""
+    stations = plan.stations
+    stride = max(1, -(-len(stations) // SNAPSHOTS))
+    cuts, count = [0], 0
+    for i, station in enumerate(stations):
+        if count and count + len(station.pairs) > SEGMENT_PAIRS:
+            cuts.append(i)
+            count = 0
+        count += len(station.pairs)
+    cuts.append(len(stations))
+    return [
+        Segment(
+            stations[begin:end],
+            images_of(stations[begin:end], plan.images),
+            frozenset(i - begin for i in range(begin, end) if i % stride == 0),
+            thorough,
+        )
+        for begin, end in pairwise(cuts)
+    ]
+
+
+def detect_segment(
+    recording: Recording, scene: Scene, segment: Segment
+) -> Iterator[int | list[StationDetections]]:
+    """Detect the board in all images of a segment, in one pass over its part of the recording.
+
+    Yields:
+        1 for every image processed; at the end, a list with one `StationDetections` per station.
+    """
+    stations = segment.stations
+    where: Mapping[Side, dict[int, int]] = {
+        "left": {pair.left_ns: i for i, station in enumerate(stations) for pair in station.pairs},
+        "right": {pair.right_ns: i for i, station in enumerate(stations) for pair in station.pairs},
+    }
+    detections = [StationDetections() for _ in stations]
+    followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
+    sources = scene.sources
+    for side, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
+        station = where[side][stamp]
+        place = detections[station]
+        if isinstance(picture, Rejection):
+            place.rejections.append(picture)
+            continue
+        check_picture(picture, side, scene.cameras)
+        if station in segment.shown and side not in place.pictures:
+            place.pictures[side] = snapshot_jpeg(picture)
+        place.found[side][stamp] = followers[side].find(picture, stamp)
+        yield 1
+    yield detections
+
+
+def measure_stations(
+    log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
+) -> list[Measured | Rejection]:
+    """Measure the board at some stations of a recording.
+
+    Args:
+        log: index of the recording.
+        scene: cameras and board.
+        stations: stations to measure.
+        detections: detections at each of them.
+
+    Returns:
+        The board at each station, or a rejection.
+    """
+    return [_measured(log, scene, station, seen) for station, seen in zip(stations, detections, strict=True)]
+
+
+def first_pairs(
+    stations: Sequence[Station], detections: Sequence[StationDetections]
+) -> list[tuple[Detection, Detection]]:
+    """The board in the first stereo pair of each station that shows it in both images."""
+    found = []
+    for station, seen in zip(stations, detections, strict=True):
+        for left, right in zip(*seen.pairs(station.pairs), strict=True):
+            if isinstance(left, Detection) and isinstance(right, Detection):
+                found.append((left, right))
+                break
+    return found
+
+
+def _measured(
+    log: int, scene: Scene, station: Station, detections: StationDetections
+) -> Measured | Rejection:
+    left, right = detections.pairs(station.pairs)
+    if not left:
+        detail = (
+            detections.rejections[0].detail
+            if detections.rejections
+            else "the recording does not contain the images"
+        )
+        return Rejection("readers", "images cannot be decoded", detail, station.time_ns, station.index, log)
+    return measure(log, station, left, right, scene.cameras, scene.board)
+
+
+#: Largest number of pending segments per process, so that results do not fill the memory.
+_AHEAD = 2
+_MEASURED_AT_ONCE = 200  # stations
+
+
+class _Here:
+    """State of a worker process, kept from one segment to the next."""
+
+    recording: Recording
+
+
+def _begin(files: Sequence[Path]) -> None:
+    cv2.setNumThreads(1)
+    _Here.recording = resources.enter_context(open_recording(files))
+
+
+def _detect(scene: Scene, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
+    *_, detections = detect_segment(_Here.recording, scene, segment)
+    assert isinstance(detections, list)
+    return detections, _Here.recording.damage
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """OpenCV in one thread inside the block: an image is too small for several, long recordings use processes."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+class DetectionWorkers(Processes):
+    """Worker processes that detect the board in the images of a long recording.
+
+    If they cannot be started, or one dies, this process does the remaining segments.
+
+    Args:
+        recording: one recording, open.
+        jobs: largest number of worker processes.
+    """
+
+    def __init__(self, recording: Recording, jobs: int) -> None:
+        super().__init__()
+        self._recording, self._jobs = recording, jobs
+
+    def call(self, most: int | None = None) -> None:
+        """Start the worker processes in the background, if more than one may be used.
+
+        Args:
+            most: upper limit of useful processes; none by default.
+        """
+        processes = min(self._jobs, self._jobs if most is None else most)
+        if not self.started and processes > 1:
+            self.start(processes, _begin, [part.opened for part in self._recording.parts])
+
+    def detect_segment(
+        self, scene: Scene, segments: Sequence[Segment]
+    ) -> Iterator[int | list[StationDetections]]:
+        """`detecting.detect_segment` for all segments, in order.
+
+        Yields:
+            The number of images processed since the last value; after each segment, its list of results.
+        """
+        done = 0
+        self.call(len(segments) // 2)
+        if self.started and len(segments) > 1:
+            with suppress(*FAILED):
+                for detections, damage in self._together(scene, segments):
+                    for note in damage:
+                        self._recording.note(note)
+                    yield sum(len(found) for one in detections for found in one.found.values())
+                    yield detections
+                    done += 1
+        for segment in segments[done:]:
+            yield from detect_segment(self._recording, scene, segment)
+
+    def measure_stations(
+        self, log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
+    ) -> list[Measured | Rejection]:
+        """`detecting.measure_stations` for all stations, in the worker processes if there are many."""
+        if self.started and len(stations) > _MEASURED_AT_ONCE:
+            starts = range(0, len(stations), _MEASURED_AT_ONCE)
+            some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
+            with suppress(*FAILED):
+                tasks = [
+                    self.submit(measure_stations, log, scene, stations[part], detections[part])
+                    for part in some
+                ]
+                return [one for task in tasks for one in task.result()]
+        return measure_stations(log, scene, stations, detections)
+
+    def _together(
+        self, scene: Scene, segments: Sequence[Segment]
+    ) -> Iterator[tuple[list[StationDetections], tuple[str, ...]]]:
+        waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+        for segment in segments:
+            waiting.append(self.submit(_detect, scene, segment))
+            if len(waiting) >= _AHEAD * self._jobs:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def detect_all(
+    workers: DetectionWorkers, scene: Scene, plans: Sequence[Plan], thorough: bool, progress: Progress
+) -> list[tuple[list[StationDetections], list[Snapshot]]]:
+    """Detect the board in the images of all stations of a recording.
+
+    Args:
+        workers: the worker processes; a few segments are processed without them.
+        scene: cameras and board.
+        plans: stations of each of its logs.
+        thorough: see `vision.detect`.
+        progress: called after every image.
+
+    Returns:
+        For each log: one `StationDetections` per station, and JPEGs of the first images of some stations.
+    """
+    segments = [segments_of(plan, thorough) for plan in plans]
+    total = 2 * sum(len(station.pairs) for plan in plans for station in plan.stations)
+    done = 0
+    detections: list[StationDetections] = []
+    with _one_thread():
+        for step in workers.detect_segment(scene, [segment for some in segments for segment in some]):
+            if isinstance(step, int):
+                done += step
+                progress("detecting the board", done, total)
+            else:
+                detections += step
+    found = iter(detections)
+    return [_with_snapshots(plan, list(islice(found, len(plan.stations)))) for plan in plans]
+
+
+def _with_snapshots(
+    plan: Plan, detections: list[StationDetections]
+) -> tuple[list[StationDetections], list[Snapshot]]:
+    return detections, [
+        Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
+        for station, seen in zip(plan.stations, detections, strict=True)
+        if all(side in seen.pictures for side in SIDES)
+    ]

@@ -1,0 +1,181 @@
+"""`mobilecal export`: a calibration in the format of another program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mobilecal_cli.calibrate.arguments import AnyPath, by_name, path_of, paths_of, require
+from mobilecal_cli.calibrate.load import differences, read_extraction, read_params
+from mobilecal_cli.calibrate.steps import Report
+from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
+from mobilecal_cli.export.formats import (
+    Exported,
+    Format,
+    Request,
+    format_of,
+    verdict_note,
+    with_verdict,
+)
+from mobilecal_cli.export.scene import Scene
+from mobilecal_cli.files.scratch import scratch_directory
+from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side
+from mobilecal_cli.targets import Target
+
+__all__ = ["Exported", "export"]
+
+
+def export(
+    params: AnyPath | Report,
+    target: str,
+    *,
+    urdf: AnyPath | None = None,
+    wheel_joints: Mapping[Side, str] | None = None,
+    with_chain: bool = False,
+    rate_hz: float | None = None,
+    distance_m: float | None = None,
+    logs: AnyPath | Iterable[AnyPath] = (),
+    allow_failed: bool = False,
+) -> Exported:
+    """A calibration in the format of another program, as `mobilecal export --to`.
+
+    A calibration whose verdict is FAIL or NOT ENOUGH is refused. A params.yaml of an earlier version states no verdict:
+    it is exported with a note. Unobservable parameters stay as they are in a URDF, and a controller keeps its own.
+
+    Args:
+        params: params.yaml, or a report; camera_info, camchain, the head chain, odometry_covariance and foxglove also
+            need extraction.npz next to params.yaml.
+        target: the format, see `mobilecal export --help`.
+        urdf: the file to patch, for the target urdf.
+        wheel_joints: names of the wheel joints, overriding those that the calibration read.
+        with_chain: for the target urdf, also write the estimated head chain.
+        rate_hz: for the target odometry_covariance, messages per second; 50 by default.
+        distance_m: for the target odometry_covariance, length of straight drives, m; the recording's legs by default.
+        logs: for the target foxglove, recordings of the calibration, for the images.
+        allow_failed: also export a calibration whose verdict is not PASS. The export then states the verdict.
+
+    Raises:
+        ConfigError: an unknown format, a file that is missing or invalid, an option that does not apply to it, or files
+            of two robots.
+        QualityError: the verdict is not PASS.
+    """
+    if not isinstance(target, str) or target not in tuple(Target):
+        raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
+    joint_names: Mapping[Any, str] = by_name("wheel_joints", {} if wheel_joints is None else wheel_joints)
+    for side, joint in joint_names.items():
+        if side not in SIDES or not (isinstance(joint, str) and joint):
+            raise ConfigError(
+                f"wheel_joints: {side!r}: {joint!r} is not a side and the name of its joint",
+                "for example {'left': 'wheel_left_joint'}",
+            )
+    if isinstance(params, Report):
+        with scratch_directory() as directory:
+            path = directory / "params.yaml"
+            for name, content in params.files().items():
+                path.with_name(name).write_bytes(content)
+            try:
+                return export(
+                    path,
+                    target,
+                    urdf=urdf,
+                    wheel_joints=wheel_joints,
+                    with_chain=with_chain,
+                    rate_hz=rate_hz,
+                    distance_m=distance_m,
+                    logs=logs,
+                    allow_failed=allow_failed,
+                )
+            except MobilecalError as error:
+                raise type(error)(error.message.replace(str(path), "the report"), error.hint) from error
+    path, recordings = path_of("params", params), paths_of("logs", logs)
+    robot_urdf = None if urdf is None else path_of("urdf", urdf)
+    require("with_chain", with_chain, bool, "True or False")
+    robot = read_params(path)
+    if robot.verdict not in ("PASS", "") and not allow_failed:
+        reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
+        raise QualityError(
+            f"{path}: the verdict is {robot.verdict}. {reason}",
+            "calibrate again as report.html says, or add --allow-failed (in Python allow_failed=True): the export then "
+            "states the verdict",
+        )
+    joints = {**robot.wheel_joints, **joint_names}
+    _check_wheels(robot, joint_names, joints)
+    given = {
+        "--urdf": urdf is not None,
+        "--left-joint": "left" in joint_names,
+        "--right-joint": "right" in joint_names,
+        "--with-chain": with_chain,
+        "--rate": rate_hz is not None,
+        "--distance": distance_m is not None,
+        "--log": bool(recordings),
+    }
+    to = format_of(target)
+    _check_options(to, [option for option, is_given in given.items() if is_given])
+
+    def scene() -> Scene:
+        from mobilecal_cli.calibrate.scene import scene_of
+
+        return scene_of(robot, _beside(path, robot), path, recordings)
+
+    asked = Request(
+        robot=robot,
+        params=path,
+        joints=joints,
+        measurements=lambda: _beside(path, robot),
+        scene=scene,
+        urdf=robot_urdf,
+        with_chain=with_chain,
+        rate_hz=rate_hz,
+        distance_m=distance_m,
+        logs=tuple(recordings),
+    )
+    made = to.export(asked)
+    content = made.content if to.states_verdict else with_verdict(made.content, robot)
+    return replace(made, content=content, notes=made.notes + verdict_note(robot))
+
+
+def _check_wheels(robot: CalibratedRobot, given: Mapping[Side, str], joints: Mapping[Side, str]) -> None:
+    """Refuse the joint of the head or of the other wheel as that of a wheel."""
+    for side, name in given.items():
+        other: Side = "right" if side == "left" else "left"
+        if name in robot.head_joints:
+            used = "moves the head in the calibration"
+        elif name in (robot.wheel_joints.get(other), joints.get(other)):
+            used = f"is that of the {other} wheel"
+        else:
+            continue
+        own = robot.wheel_joints.get(side)
+        hint = f"omit it: the calibration read {own!r}" if own else f"give the joint of the {side} wheel"
+        raise ConfigError(f"--{side}-joint {name}: this joint {used}", hint)
+
+
+def _check_options(target: Format, given: Iterable[str]) -> None:
+    """Refuse an option that is given for a format that does not use it."""
+    for option in given:
+        if option not in target.options:
+            formats = [name for name in Target if option in format_of(name).options]
+            raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
+
+
+def _beside(params: Path, robot: CalibratedRobot) -> Extraction:
+    """The measurements in the directory of a params.yaml.
+
+    Raises:
+        ConfigError: there are none, or they are not its own.
+    """
+    path = params.with_name("extraction.npz")
+    if not path.is_file():
+        raise ConfigError(
+            f"{path}: not found; it contains the measurements",
+            "keep params.yaml in the directory that calibrate wrote",
+        )
+    extraction = read_extraction(path)
+    different = differences(robot, extraction)
+    if different:
+        raise ConfigError(
+            f"{path}: not the measurements of {params}: {'; '.join(different)}",
+            "keep params.yaml in the directory that calibrate wrote",
+        )
+    return extraction

@@ -1,0 +1,361 @@
+"""Extraction of observations from recordings: the slow part, and the only one that decodes images."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.detect import (
+    DetectionWorkers,
+    Scene,
+    StationDetections,
+    board_size,
+    detect_all,
+    first_pairs,
+    undecodable,
+)
+from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
+from mobilecal_cli.calibrate.plan import WORTH_BYTES, plan_recording
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
+    Board,
+    Extraction,
+    LogSource,
+    Markers,
+    Observation,
+    Rejection,
+    Rig,
+    Snapshot,
+    Track,
+    WheelTrack,
+)
+from mobilecal_cli.readers import Recording, join_splits, open_recording, read_description, sha256_of
+from mobilecal_cli.rig.config import RigConfig, read_urdf
+from mobilecal_cli.rig.resolve import resolve_rig
+from mobilecal_cli.stations import Plan
+from mobilecal_cli.vision import (
+    Detection,
+    Measured,
+    agreeing,
+    check_arrangement,
+    check_square,
+    resolve_numbering,
+    resolve_square,
+)
+
+#: Relative difference of camera infos that is rounding.
+_SAME_INFO = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtractedLog:
+    """Data extracted from one log: a recording, or a piece of it between steps of its clocks."""
+
+    name: str
+    rig: Rig
+    board: Board
+    plan: Plan
+    detections: Sequence[StationDetections]
+    measured: Sequence[Measured | Rejection]
+    snapshots: Sequence[Snapshot]
+    notes: tuple[str, ...]
+
+
+def _extracted(
+    earlier: Sequence[ExtractedLog],
+    recording: Recording,
+    workers: DetectionWorkers,
+    config: RigConfig,
+    progress: Progress,
+) -> list[ExtractedLog]:
+    """The data of one recording: one log, or one for each piece between steps of its clocks."""
+    progress("reading", 0, None)
+    name = str(recording.paths[0])
+    board = earlier[-1].board if earlier else board_of(config)
+    description, urdf = read_description(recording), read_urdf(config)
+    resolved = resolve_rig(config, description, urdf)
+    everything = config.stations == "all"
+    if everything and recording.bytes_of(resolved.rig.sources.image.values()) >= WORTH_BYTES:
+        workers.call()
+    planned = plan_recording(recording, resolved.rig, resolved.rig.chain.prismatic, everything)
+    if planned.infos:
+        description = replace(description, infos={**description.infos, **planned.infos})
+        resolved = resolve_rig(config, description, urdf)
+    rig, plans = resolved.rig, planned.plans
+    for log in earlier:
+        for plan in plans:
+            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
+                refuse_same(log.name, name, "wheel and joint readings")
+    if board is None:
+        progress("finding the board's size", 0, None)
+        size = board_size(recording, rig, plans)
+        if size is None:
+            raise ObservationError(
+                f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
+                "keep the whole board in both images, in good light, with squares of 7 pixels or more, or "
+                "set the number of its inner corners with --board, such as --board 9x6",
+            )
+        board = Board(*size, config.board.square_m)
+    scene = Scene(rig.sources, rig.cameras, board)
+    detected = detect_all(workers, scene, plans, not everything, progress)
+    stations = [station for detections, _ in detected for station in detections]
+    for side, topic in rig.sources.image.items():
+        lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
+        if lost and not any(station.found[side] for station in stations):
+            raise undecodable(lost)
+    any_board = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
+    if not any_board and config.board.columns is not None and board.markers is None:
+        _refuse_wrong_size(recording, rig, plans, board)
+    progress("measuring", 0, None)
+    notes = (*resolved.notes, *planned.notes, *recording.damage)
+    logs = []
+    for number, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
+        measured = workers.measure_stations(number, scene, plan.stations, detections)
+        check_arrangement(measured, first_pairs(plan.stations, detections), rig.cameras, board)
+        measured, misfit = agreeing(measured)
+        if board.square_m is not None:
+            check_square(measured, board.square_m)
+        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, snapshots, (*notes, *misfit)))
+    return logs
+
+
+def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:
+    """Search for a board of another size after the configured one was not found.
+
+    Raises:
+        ObservationError: a board of another size was found.
+    """
+    size = board_size(recording, rig, plans)
+    if size is not None and set(size) != {board.columns, board.rows}:
+        raise ObservationError(
+            f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+            f"{size[0]} x {size[1]}",
+            f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+        )
+
+
+def board_of(config: RigConfig) -> Board | None:
+    """Board from the configuration, None if its size must be estimated from the images."""
+    given = config.board
+    if not (given.columns and given.rows):
+        return None
+    markers = None
+    if given.kind == "charuco":
+        markers = Markers(
+            "charuco", given.dictionary or "", given.marker_share or 0.0, given.first_id, given.border_bits
+        )
+    elif given.kind == "aprilgrid":
+        family = given.dictionary or "DICT_APRILTAG_36h11"
+        markers = Markers("aprilgrid", family, given.gap_share or 0.0, given.first_id, given.border_bits)
+    return Board(given.columns, given.rows, given.square_m, markers)
+
+
+def extract(
+    logs: Sequence[Path],
+    config: RigConfig,
+    progress: Progress = silent,
+    jobs: int = 1,
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    """Read recordings of one robot and detect the board in their images.
+
+    Files that follow one another in time form one recording; other files are separate recordings. No leg
+    connects stations of two recordings.
+
+    Args:
+        logs: recordings.
+        config: see `config.load_rig`.
+        progress: called with the state of the work.
+        jobs: number of processes for board detection in long recordings and for drawing; with more than one, the
+            main module must be importable without side effects, as for `multiprocessing`.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    extracted: list[ExtractedLog] = []
+    recordings = join_splits(logs)
+    paths = [path for parts in recordings for path in parts]
+    # A file that does not exist, or is a device or a pipe, is refused where it is opened.
+    sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
+    refuse_equal_files(sources)
+    for parts in recordings:
+        with (
+            _named(parts[0], several=len(recordings) > 1),
+            open_recording(parts) as recording,
+            DetectionWorkers(recording, jobs) as workers,
+        ):
+            pieces = _extracted(extracted, recording, workers, config, progress)
+        first, new = (extracted or pieces)[0], pieces[0]
+        if new.rig.chain.joints != first.rig.chain.joints:
+            raise ConfigError(
+                f"{parts[0]}: the head's joints are {', '.join(new.rig.chain.joints)}, but those of {logs[0]} are "
+                f"{', '.join(first.rig.chain.joints)}",
+                "give recordings of one robot only",
+            )
+        other = _other_cameras(first, new)
+        extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
+    extraction, snapshots = _assembled(extracted, sources)
+    refuse_equal_recordings(extraction, [log.name for log in extracted])
+    return extraction, snapshots
+
+
+@contextmanager
+def _named(path: Path, *, several: bool) -> Iterator[None]:
+    """Name the recording in an error, where there are several."""
+    try:
+        yield
+    except MobilecalError as error:
+        if not several or str(path) in error.message:
+            raise
+        raise type(error)(f"{path}: {error.message}", error.hint) from error
+
+
+def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
+    """A note if the camera infos of two recordings differ beyond rounding."""
+    a, b = first.rig.cameras, other.rig.cameras
+    pairs = [
+        (getattr(x, name), getattr(y, name))
+        for x, y in ((a.left, b.left), (a.right, b.right))
+        for name in "KD"
+    ]
+    pairs.append((a.T_c_r, b.T_c_r))
+    if all(x.shape == y.shape and np.allclose(x, y, rtol=_SAME_INFO, atol=_SAME_INFO) for x, y in pairs):
+        return ()
+    return (
+        f"{other.name}: {CAMERA_INFO_CHANGES} from that of {first.name}, which the estimate takes for all recordings",
+    )
+
+
+def _assembled(
+    logs: Sequence[ExtractedLog], sources: Sequence[LogSource]
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    board, rig = logs[0].board, logs[0].rig
+    square_m = board.square_m
+    if square_m is None:
+        # All stations share one board: use the median of their square sizes, which the stereo baseline
+        # determines.
+        sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
+        square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
+    observations: list[Observation] = []
+    rejections: list[Rejection] = []
+    for number, log in enumerate(logs):
+        resolved = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
+        observations += [item for item in resolved if isinstance(item, Observation)]
+        lost = (rejection for detections in log.detections for rejection in detections.rejections)
+        missed = (item for item in resolved if isinstance(item, Rejection))
+        rejections += [replace(r, log=number) for r in (*log.plan.rejections, *lost, *missed)]
+    if observations:
+        R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
+        numbered, unresolved = resolve_numbering(observations, R_v_h, board)
+        observations, rejections = list(numbered), [*rejections, *unresolved]
+    wheels: tuple[WheelTrack, ...] = tuple(log.plan.wheels for log in logs)
+    counts: dict[str, Any] = {
+        "stations": sum(len(log.plan.stations) for log in logs),
+        "stations_at_rest": sum(s.at_rest for log in logs for s in log.plan.stations),
+        "pictures": sum(
+            len(found) for log in logs for detections in log.detections for found in detections.found.values()
+        ),
+        "observations": len(observations),
+    }
+    extraction = Extraction(
+        rig=rig,
+        board=board,
+        observations=tuple(observations),
+        wheels=wheels,
+        rejections=tuple(rejections),
+        notes=tuple(dict.fromkeys(note for log in logs for note in log.notes)),
+        logs=tuple(sources),
+        counts=counts,
+        joint_tracks=tuple(log.plan.joints for log in logs),
+    )
+    snapshots = tuple(replace(s, log=number) for number, log in enumerate(logs) for s in log.snapshots)
+    return extraction, snapshots
+
+
+_SAME_SHARE = 0.9  # of the readings while both were recorded
+_LEAST_OVERLAP = 0.05  # of the shorter recording
+_SAME_VALUE = 1e-9  # rad, m or px
+_HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
+
+
+def refuse_equal_files(logs: Sequence[LogSource]) -> None:
+    """Refuse files of equal content, whatever their names.
+
+    Raises:
+        ConfigError: naming both files.
+    """
+    first: dict[str, str] = {}
+    for log in logs:
+        if log.sha256 in first:
+            raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _HINT)
+        first[log.sha256] = log.path
+
+
+def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> None:
+    """Refuse recordings with the same readings or images, such as one recording in two containers.
+
+    Args:
+        extraction: of all recordings.
+        names: of the recordings.
+
+    Raises:
+        ConfigError: naming both recordings.
+    """
+    joints = extraction.joint_tracks or ((),) * len(extraction.wheels)
+    signals = list(zip(extraction.wheels, joints, strict=True))
+    seen = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
+    for i, j in itertools.combinations(range(len(signals)), 2):
+        if same_signals(signals[i], signals[j]):
+            refuse_same(names[i], names[j], "wheel and joint readings")
+        if _same_images(seen[i], seen[j]):
+            refuse_same(names[i], names[j], "images")
+
+
+def refuse_same(one: str, other: str, what: str) -> None:
+    """Refuse two recordings.
+
+    Raises:
+        ConfigError: always.
+    """
+    raise ConfigError(f"{one} and {other} are the same recording: they contain the same {what}", _HINT)
+
+
+def same_signals(one: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]) -> bool:
+    """Whether all readings of both wheels and all joints are the same while both were recorded."""
+    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (one, other))
+    return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
+
+
+def _same_readings(one: Track, other: Track) -> bool:
+    """Whether two tracks overlap and are the same there; unwrapped rotations may start elsewhere."""
+    stamps, i, j = np.intersect1d(one.time_ns, other.time_ns, return_indices=True)
+    shorter = min(len(one.time_ns), len(other.time_ns))
+    if not len(stamps) or len(stamps) < _LEAST_OVERLAP * shorter:
+        return False
+    begin, end = max(one.time_ns[0], other.time_ns[0]), min(one.time_ns[-1], other.time_ns[-1])
+    overlap = min(int(np.sum((track.time_ns >= begin) & (track.time_ns <= end))) for track in (one, other))
+    apart = one.value[i] - other.value[j]
+    same = np.abs(apart - np.median(apart)) < _SAME_VALUE
+    return int(same.sum()) >= _SAME_SHARE * overlap
+
+
+def _same_images(one: Sequence[Observation], other: Sequence[Observation]) -> bool:
+    """Whether a station of one recording has the time and the corners of a station of the other."""
+    at = {o.time_ns: o for o in one}
+    return any(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in other)
+
+
+def _same_corners(one: Observation, other: Observation) -> bool:
+    pairs = ((one.left, other.left), (one.right, other.right))
+    return all(
+        a.pixels.shape == b.pixels.shape and np.abs(a.pixels - b.pixels).max(initial=0.0) < _SAME_VALUE
+        for a, b in pairs
+    )

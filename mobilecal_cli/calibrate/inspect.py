@@ -1,0 +1,421 @@
+"""`mobilecal inspect` and `check`: a summary of a recording of any length."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.extract import board_of, refuse_equal_files
+from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
+from mobilecal_cli.calibrate.sample import sample_board
+from mobilecal_cli.errors import (
+    ConfigError,
+    MobilecalError,
+    ObservationError,
+    RecordingError,
+    SolveError,
+)
+from mobilecal_cli.kinematics import cut_at, integrate
+from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
+    NINE,
+    SIDES,
+    BoardView,
+    FloatArray,
+    Inspection,
+    IntArray,
+    JointRange,
+    Lack,
+    LogSource,
+    MotionView,
+    Parts,
+    PictureIndex,
+    Rig,
+    RobotDescription,
+    Signals,
+    TopicInfo,
+    TopicView,
+    WheelTrack,
+)
+from mobilecal_cli.readers import (
+    Extent,
+    Recording,
+    join_splits,
+    open_recording,
+    read_description,
+    read_signals,
+    sha256_of,
+)
+from mobilecal_cli.report.checks.recording import MIN_STATIONS
+from mobilecal_cli.report.gates import gates_of
+from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
+from mobilecal_cli.rig.joints import outside_chain
+from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout, survey_rig
+from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
+
+#: At most so much of a recording is decompressed for the motion.
+MOTION_BYTES = 2**28
+#: A smaller share of images during which joints and wheels were recorded limits a calibration.
+_LEAST_COVERED = 0.9
+#: Unit of a joint's range → a larger range is one in degrees or millimeters that was taken for radians or meters.
+_LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
+
+
+def inspect(
+    logs: Sequence[Path],
+    config_path: Path | None = None,
+    flags: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> Inspection:
+    """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
+
+    Only a part of a long recording is read: the first messages of each topic, the index, joints and wheels of at most
+    256 MB of the file, and a few images.
+
+    Args:
+        logs: parts of one recording.
+        config_path: rig.yaml.
+        flags: dotted key → value, over the file.
+        progress: receives the progress.
+
+    Raises:
+        RecordingError: the recording cannot be opened.
+        ConfigError: the configuration cannot be read.
+    """
+    config = load_rig(config_path, flags)
+    with open_recording(logs) as recording:
+        progress("topics", 0, None)
+        times = recording.log_times()
+        missing = _unknown_gates(config)
+        description, survey = _survey(recording, config, missing)
+        rig: Rig | None = None
+        notes: tuple[str, ...] = ()
+        if survey is not None and not survey.lacks:
+            resolved = complete_rig(survey, config)
+            rig, notes = resolved.rig, resolved.notes
+        board: BoardView | None = None
+        motion: MotionView | None = None
+        covered: tuple[int, int] | None = None
+        weak: list[Lack] = []
+        if rig is not None and description is not None:
+            progress("motion", 0, None)
+            weak += _wrong_chain(config, rig, description)
+            weak += _without_priors(rig, config, missing)
+            covered, uncovered = _covered(rig, times, missing)
+            motion, unobservable, seen = _motion(recording, rig, times, missing)
+            notes, weak = (*notes, *seen), [*weak, *uncovered, *unobservable]
+        if survey is not None and survey.images is not None:
+            progress("images", 0, None)
+            board, lacks, limits = sample_board(
+                recording,
+                survey.images,
+                stereo_layout(config),
+                survey.cameras,
+                board_of(config),
+                config.board.square_m,
+            )
+            missing += lacks
+            weak += limits
+        return Inspection(
+            name=recording.name,
+            containers=recording.containers,
+            size_bytes=_size_bytes(logs),
+            start_ns=recording.start_ns,
+            end_ns=recording.end_ns,
+            topics=tuple(_topic(recording, info, times.get(info.name)) for info in recording.topics),
+            rig=rig,
+            parts=Parts() if survey is None else _parts(survey),
+            board=board,
+            motion=motion,
+            covered=covered,
+            missing=tuple(missing),
+            weak=tuple(weak),
+            notes=(*notes, *recording.damage),
+        )
+
+
+def recordings(logs: Sequence[Path]) -> list[list[Path]]:
+    """The recordings that the user's paths are, as `calibrate` groups them; see `join_splits`.
+
+    Paths of which one cannot be opened stay together: reading them says what is wrong.
+
+    Raises:
+        ConfigError: two paths have the same content.
+    """
+    try:
+        sizes = [_size_bytes([log]) for log in logs]
+        equal = [log for log, size in zip(logs, sizes, strict=True) if size and sizes.count(size) > 1]
+        refuse_equal_files([LogSource(str(log), sha256_of(log)) for log in equal])
+        return join_splits(logs)
+    except RecordingError:
+        return [list(logs)]
+
+
+def check(
+    config_path: Path,
+    logs: Sequence[Path],
+    flags: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> Inspection:
+    """`inspect`, with an invalid configuration and an unreadable recording among the problems found.
+
+    Args:
+        config_path: rig.yaml.
+        logs, flags, progress: see `inspect`.
+    """
+    about = "rig.yaml"
+    try:
+        read_urdf(load_rig(config_path, flags))
+        about = "recording"
+        return inspect(logs, config_path, flags, progress)
+    except (ConfigError, RecordingError) as error:
+        return Inspection(str(logs[0]), missing=(_lack(about, error),))
+
+
+def _parts(survey: Survey) -> Parts:
+    joints = survey.joints
+    if joints is not None:
+        joints = tuple(dict.fromkeys([*joints, *(source.topic for source in survey.elsewhere.values())]))
+    chain, origin = (None, "") if survey.head is None else (survey.head.chain, survey.head.origin)
+    return Parts(survey.images, survey.cameras, survey.wheels, chain, origin, joints)
+
+
+def _size_bytes(logs: Sequence[Path]) -> int:
+    files = [p for log in logs for p in (log.rglob("*") if log.is_dir() else [log])]
+    return sum(p.stat().st_size for p in files if p.is_file())
+
+
+def _lack(about: str, error: MobilecalError) -> Lack:
+    return Lack(about, error.message, error.hint, error.exit_code)
+
+
+def _unknown_gates(config: RigConfig) -> list[Lack]:
+    try:
+        gates_of((), config.gates)
+    except ConfigError as error:
+        return [_lack("gates", error)]
+    return []
+
+
+def _survey(
+    recording: Recording, config: RigConfig, missing: list[Lack]
+) -> tuple[RobotDescription | None, Survey | None]:
+    """What the recording states, and the parts of the rig that `calibrate` would use; what it lacks, to `missing`."""
+    try:
+        description = read_description(recording)
+    except RecordingError as error:
+        missing.append(_lack("recording", error))
+        return None, None
+    survey = survey_rig(config, description, read_urdf(config))
+    missing += [_lack(part, error) for part, error in survey.lacks]
+    return description, survey
+
+
+def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
+    """Joints that the head chain probably has twice, or not at all."""
+    links = Counter(link.joint for link in config.head.chain or () if link.joint)
+    for name in (name for name, count in links.items() if count > 1):
+        yield Lack(
+            "head chain",
+            f"joint {name!r} is in head.chain {links[name]} times",
+            "delete the repeated link, unless the mechanism moves both by the same reading",
+            SolveError.exit_code,
+        )
+    for name in outside_chain(rig.chain, description):
+        yield Lack(
+            "head chain",
+            f"{name!r} was recorded, but is not a joint between {rig.chain.base_frame} and {rig.chain.head_frame}",
+            "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
+            SolveError.exit_code,
+        )
+
+
+def _without_priors(rig: Rig, config: RigConfig, missing: list[Lack]) -> list[Lack]:
+    """Parameters that are unobservable in any recording, because too many constants are free."""
+    rows = table(rig.cameras, rig.chain)
+    known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
+    every = {row.kind for row in rows} - known
+    if config.board.square_m is None:
+        every.add("square_size")
+    gaps = []
+    if {"baseline_length", "square_size", "joint_position"} <= every:
+        because = (
+            "the stereo baseline, the squares of the board and the positions of the head joints are all free"
+        )
+        gaps.append(Gap(NINE[6:], because, "state how well one of these lengths is known", ()))
+    if {"joint_axis", "joint_zero"} <= every:
+        because = "the axes and zero positions of the head joints are all free"
+        gaps.append(Gap(NINE[:3], because, "state how well one of the two is known", ()))
+    return _unobservable("priors", rig, gaps, missing)
+
+
+def _covered(
+    rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
+) -> tuple[tuple[int, int] | None, tuple[Lack, ...]]:
+    """Left images within the time of all other topics, and of all left images; and a lack if that are few.
+
+    Log times of one moment differ by what the messages take to arrive.
+    """
+    images = times.get(rig.sources.image["left"])
+    motion = [times.get(t) for t in (rig.sources.image["right"], *rig.sources.motion)]
+    spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
+    if images is None or not len(images) or len(spans) < len(motion):
+        return None, ()
+    late_ns = round(PAIR_AT_REST_S * 1e9)
+    first, last = max(span[0] for span in spans) - late_ns, min(span[1] for span in spans) + late_ns
+    count, total = int(np.sum((images >= first) & (images <= last))), len(images)
+    lack = Lack(
+        "time",
+        f"{count} of {total} left images were recorded while right images, joints and wheels were",
+        "record both cameras, joint states and wheels at the same time",
+        RecordingError.exit_code,
+    )
+    if not count:
+        missing.append(lack)
+    return (count, total), (lack,) if 0 < count < _LEAST_COVERED * total else ()
+
+
+def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> TopicView:
+    if times_ns is None or not len(times_ns):
+        return TopicView(info.name, info.type, info.count, None, None, None, None)
+    ordered = np.sort(times_ns)
+    intervals_s = np.diff(ordered) * 1e-9
+    back = int(np.sum(np.diff(times_ns) < 0))
+    if not len(intervals_s):
+        return TopicView(info.name, info.type, info.count, None, None, None, back)
+    usual, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
+    since = float(ordered[longest] - (recording.start_ns or 0)) * 1e-9
+    rate_hz = 1 / usual if usual > 0 else None
+    return TopicView(info.name, info.type, info.count, rate_hz, float(intervals_s[longest]), since, back)
+
+
+def _motion(
+    recording: Recording, rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
+) -> tuple[MotionView | None, tuple[Lack, ...], tuple[str, ...]]:
+    """Motion of the robot, what is unobservable from it, and notes."""
+    extent = Extent(MOTION_BYTES)
+    try:
+        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
+        wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
+    except RecordingError as error:
+        missing.append(_lack("motion", error))
+        return None, (), ()
+    joints = {}
+    for name in rig.chain.joints:
+        readings = np.concatenate([signals.joints[name].value for signals in logs])
+        scale, unit = (1e3, "mm") if name in rig.chain.prismatic else (180 / np.pi, "deg")
+        joints[name] = JointRange(float(readings.min()) * scale, float(readings.max()) * scale, unit)
+    wrong = [_wrong_unit(name, span) for name, span in joints.items() if not _possible(span)]
+    wheels_deg: dict[str, float] = {
+        side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
+        for side in SIDES
+    }
+    driven_m = turned_deg = None
+    if rig.nominal.wheels is not None:
+        legs = [integrate(cut_at(track, _seconds(track)), rig.nominal.wheels) for track in wheels]
+        driven_m = float(sum(np.linalg.norm(one.t_m, axis=1).sum() for one in legs))
+        turned_deg = float(
+            np.degrees(np.ptp(np.cumsum([0.0, *(psi for one in legs for psi in one.psi_rad)])))
+        )
+    share = recording.share(rig.sources.motion, extent)
+    rests, weak = _rests(rig, logs, times, share, missing)
+    # Gaps between the parts that are read would be noted as irregularities.
+    notes = tuple(note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note)
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), (*wrong, *weak), notes
+
+
+def _possible(span: JointRange) -> bool:
+    return span.high - span.low <= _LARGEST_RANGE[span.unit]
+
+
+def _wrong_unit(name: str, span: JointRange) -> Lack:
+    units = ("degrees", "radians") if span.unit == "deg" else ("millimeters", "meters")
+    return Lack(
+        "joints",
+        f"{name}: range {span.low:.0f} to {span.high:.0f} {span.unit} (limit {_LARGEST_RANGE[span.unit]:g}); "
+        f"the readings look like {units[0]}, and {units[1]} are expected",
+        "set its unit in joints.fields, or correct the driver",
+        SolveError.exit_code,
+    )
+
+
+def _seconds(wheels: WheelTrack) -> IntArray:
+    """Times of the track about a second apart with both ends: shorter steps would count noise as motion."""
+    first, last = int(wheels.time_ns[0]), int(wheels.time_ns[-1])
+    count = min(max(2, (last - first) // 10**9 + 1), len(wheels.time_ns))
+    return np.linspace(first, last, count).astype(np.int64)
+
+
+def _rests(
+    rig: Rig, logs: Sequence[Signals], times: Mapping[str, IntArray], share: float, missing: list[Lack]
+) -> tuple[int | None, tuple[Lack, ...]]:
+    """Number of rests with images, and what is unobservable; what prevents a calibration goes to `missing`."""
+    images = {side: times.get(rig.sources.image[side]) for side in SIDES}
+    # Where a clock steps, log times do not tell which readings belong to an image.
+    if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
+        tracks = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
+        moments = [_seconds(track) for track in tracks]
+        readings = [
+            np.stack([signals.joints[name].at(at) for name in rig.chain.joints], axis=1)
+            for signals, at in zip(logs, moments, strict=True)
+        ]
+        unread: list[Lack] = []  # the rest of the recording may contain this motion
+        limits = _gaps(rig, np.concatenate(readings), tracks, moments, unread if share < 1 else missing)
+        return None, (*unread, *limits)
+    unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
+    signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
+    try:
+        (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
+    except RecordingError as error:
+        missing.append(_lack("motion", error))
+        return None, ()
+    weak: list[Lack] = []
+    if len(plan.stations) < MIN_STATIONS:
+        lack = Lack(
+            "motion",
+            f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
+            f"and {MIN_STATIONS} to pass.",
+            "record at least ten rests of two seconds, and move head and base in between",
+            ObservationError.exit_code,
+        )
+        (missing if len(plan.stations) < FEWEST_STATIONS else weak).append(lack)
+    if plan.stations:
+        at = np.array([station.time_ns for station in plan.stations])
+        stops = np.stack([station.joints for station in plan.stations])
+        weak += _gaps(rig, stops, [plan.wheels], [at], missing)
+    return sum(station.at_rest for station in plan.stations), tuple(weak)
+
+
+def _gaps(
+    rig: Rig,
+    joints: FloatArray,
+    wheels: Sequence[WheelTrack],
+    times_ns: Sequence[IntArray],
+    missing: list[Lack],
+) -> tuple[Lack, ...]:
+    """What the motion between some moments leaves unobservable, see `gaps_between` and `_unobservable`."""
+    return tuple(_unobservable("motion", rig, gaps_between(rig.chain, joints, wheels, times_ns), missing))
+
+
+def _unobservable(about: str, rig: Rig, gaps: Sequence[Gap], missing: list[Lack]) -> list[Lack]:
+    """Limits of a calibration with nominal values; gaps without them go to `missing`."""
+    weak: list[Lack] = []
+    for gap in gaps:
+        what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
+        lack = Lack(about, what, gap.cure, SolveError.exit_code)
+        (weak if _has_nominal(rig, gap) else missing).append(lack)
+    return weak
+
+
+def _has_nominal(rig: Rig, gap: Gap) -> bool:
+    """Whether `calibrate` can fix the unobservable parameters at nominal values."""
+    of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
+    return (rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference) is not None

@@ -1,0 +1,150 @@
+"""Input of the commands: recordings, or the extraction.npz of an earlier run."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from mobilecal_cli import se3
+from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.arguments import AnyPath, path_of
+from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml
+from mobilecal_cli.files.reading import LARGEST_BYTES, read_text, reason_of
+from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.model import (
+    SIDES,
+    CalibratedRobot,
+    Extraction,
+    Parameters,
+    Snapshot,
+)
+from mobilecal_cli.report.numbers import reference_frame
+from mobilecal_cli.rig.config import RigConfig, checked_settings
+from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
+
+
+def _is_extraction(path: Path) -> bool:
+    return path.is_file() and zipfile.is_zipfile(path)
+
+
+def load(
+    logs: Sequence[Path],
+    config: RigConfig,
+    progress: Progress = silent,
+    jobs: int = 1,
+) -> tuple[Extraction, tuple[Snapshot, ...]]:
+    """The extraction of recordings, or the one in an extraction.npz, with its snapshots.
+
+    Args:
+        logs: recordings, or one extraction.npz.
+        config: see `load_rig`.
+        progress: called with the progress.
+        jobs: see `extract`.
+
+    Raises:
+        RecordingError: a recording or an extraction cannot be used.
+        ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
+            a recording twice.
+    """
+    if not any(_is_extraction(path) for path in logs):
+        return extract(logs, config, progress, jobs)
+    if len(logs) > 1 or config.path is not None:
+        raise ConfigError(
+            f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
+            "give it without recordings and without --config, or give the recordings instead",
+        )
+    refuse_others(config.flags, str(logs[0]))
+    return with_settings(read_extraction(logs[0]), config), ()
+
+
+def read_extraction(path: Path) -> Extraction:
+    """The extraction in an extraction.npz.
+
+    Raises:
+        RecordingError: it cannot be read, its parts do not match, or a setting is out of the range of rig.yaml.
+        ConfigError: it contains a recording twice, as those of earlier versions may.
+    """
+    extraction = extraction_from_npz(path)
+    tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
+    if not logs or joints not in (0, tracks) or any(not 0 <= o.log < tracks for o in extraction.observations):
+        raise RecordingError(
+            f"{path}: damaged: {logs} recorded files, {tracks} wheel tracks, {joints} joint tracks, or observations "
+            "without a recording",
+            "calibrate again from the recordings",
+        )
+    try:
+        checked_settings(settings_of(extraction), f"{path}: damaged: ")
+    except (ConfigError, ArithmeticError, KeyError, ValueError) as error:
+        reason = error.message if isinstance(error, ConfigError) else f"{path}: damaged: settings: {error}"
+        raise RecordingError(reason, "calibrate again from the recordings") from error
+    refuse_equal_files(extraction.logs)
+    refuse_equal_recordings(extraction, extraction.log_names)
+    return extraction
+
+
+def read_params(params: AnyPath) -> CalibratedRobot:
+    """The calibration in a params.yaml.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not a params.yaml.
+        TypeError: not a path.
+    """
+    path = path_of("params", params)
+    try:
+        text = read_text(path, LARGEST_BYTES)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: cannot be read: {reason_of(error)}", "give a params.yaml that mobilecal wrote"
+        ) from error
+    return parameters_from_yaml(text, str(path))
+
+
+def used_for(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
+    """Names of the recordings that a calibration was made from, found by their content."""
+    made_from = {log.sha256 for log in robot.logs}
+    return tuple(log.path for log in extraction.logs if log.sha256 in made_from)
+
+
+def differences(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
+    """What shows that a calibration was not made from these measurements: recordings, names and nominal sizes."""
+    rig, nominal = extraction.rig, extraction.rig.nominal.wheels
+    wheel_joints = {side: rig.sources.wheels[side].joint for side in SIDES if rig.sources.wheels[side].joint}
+    logs, other_logs = (", ".join(sorted({log.sha256[:8] for log in of.logs})) for of in (robot, extraction))
+    pairs: list[tuple[str, object, object]] = [
+        ("recordings (SHA-256)", logs, other_logs),
+        ("head frame", robot.parent_frame, rig.chain.head_frame),
+        ("camera frame", robot.child_frame, reference_frame(rig.cameras)),
+        ("wheel joints", dict(robot.wheel_joints), wheel_joints),
+    ]
+    if robot.nominal_wheels is not None and nominal is not None:
+        mm, other_mm = (
+            " ".join(f"{1e3 * m:.6g}" for m in of.vector) for of in (robot.nominal_wheels, nominal)
+        )
+        pairs.append(("nominal wheels in mm", mm, other_mm))
+    return tuple(
+        f"{what}: {own} in the calibration, {other} in the measurements"
+        for what, own, other in pairs
+        if own and other and own != other
+    )
+
+
+def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) -> Parameters:
+    """The nine parameters of a calibration for the left camera of a recording's robot.
+
+    Raises:
+        ConfigError: the calibration is for other frames.
+    """
+    cameras = extraction.rig.cameras
+    here = (extraction.rig.chain.head_frame, reference_frame(cameras))
+    if (robot.parent_frame, robot.child_frame) != here:
+        raise ConfigError(
+            f"{path} gives the pose of {robot.child_frame!r} on {robot.parent_frame!r}; in the recording the camera "
+            f"frame is {here[1]!r} and the head frame is {here[0]!r}",
+            "set head.head_frame and cameras.reference as for the calibration",
+        )
+    rows = table(cameras, extraction.rig.chain)
+    estimated = camera_change(rows, robot.constants or {}).apply(cameras)
+    return Parameters(robot.T_parent_child @ se3.inverse(estimated.T_c_reference), robot.wheels)

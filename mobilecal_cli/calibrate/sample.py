@@ -1,0 +1,173 @@
+"""The board in a few images spread over a recording: its size, how often it is found, and the side of its squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mobilecal_cli.calibrate.detect import check_picture
+from mobilecal_cli.errors import MobilecalError, ObservationError, QualityError, RecordingError
+from mobilecal_cli.model import (
+    SIDES,
+    Board,
+    BoardView,
+    GrayImage,
+    Lack,
+    Rejection,
+    Side,
+    Sources,
+    Station,
+    StereoLayout,
+    StereoRig,
+)
+from mobilecal_cli.readers import Recording, pictures_near
+from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
+from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
+from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
+
+#: Number of moments, evenly spaced, at which an image of either camera is searched for the board.
+PICTURE_MOMENTS = 6
+#: Stereo pairs that measure the squares, for a limit on their stated size.
+_FEWEST_SQUARES = 2
+_Images = Mapping[Side, Sequence[GrayImage | Rejection]]
+
+
+def sample_board(
+    recording: Recording,
+    images: Mapping[Side, str],
+    layout: StereoLayout,
+    cameras: StereoRig | None,
+    board: Board | None,
+    stated_m: float | None = None,
+) -> tuple[BoardView | None, list[Lack], list[Lack]]:
+    """The board in a few images, what is wrong with it, and what limits a calibration.
+
+    Args:
+        recording: the open recording.
+        images: image topic of each side.
+        layout: arrangement of the two images of a pair.
+        cameras: the stereo pair, None if unknown.
+        board: as configured, None if its size is found in the images.
+        stated_m: side of a square as configured, m.
+
+    Returns:
+        The board; None if no image can be read.
+    """
+    start, end = recording.start_ns, recording.end_ns
+    if start is None or end is None:
+        return None, [], []
+    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
+    sources = Sources(images, {}, (), {}, layout=layout)
+    found = {
+        side: list(pictures_near(recording, replace(sources, image={side: images[side]}), moments))
+        for side in SIDES
+    }
+    readable = [image for side in SIDES for image in found[side] if not isinstance(image, Rejection)]
+    if not readable:
+        broken = [image for side in SIDES for image in found[side] if isinstance(image, Rejection)]
+        why = f": {broken[0].detail}" if broken else ""
+        return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")], []
+    lacks = [] if cameras is None else _wrong_sizes(found, cameras)
+    stated, others = board, 0
+    if board is None or not _any_found(readable, board):
+        vote = identify_size(readable)
+        if vote.size is not None and board is not None and set(vote.size) != {board.columns, board.rows}:
+            lacks.append(
+                _lack(
+                    "board",
+                    f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+                    f"{vote.size[0]} x {vote.size[1]}",
+                    "correct board.columns and board.rows",
+                )
+            )
+        board = None if vote.size is None else Board(*vote.size)
+        others = sum(vote.votes.values()) - (vote.votes[vote.size] if vote.size else 0)
+    if board is None:
+        lacks.append(
+            _lack(
+                "board",
+                f"a whole checkerboard is in none of {len(readable)} images spread over the recording"
+                if stated is None or stated.markers is None
+                else f"the configured board is in none of {len(readable)} images spread over the recording",
+                "keep the whole board in both images, in good light, with squares of 7 pixels or more",
+            )
+        )
+        return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
+    detections = {side: [_detected(image, board) for image in found[side]] for side in SIDES}
+    seen = sum(isinstance(one, Detection) for side in SIDES for one in detections[side])
+    squares_m = () if cameras is None or lacks else _squares_m(cameras, board, detections)
+    square_m = float(np.median(squares_m)) if squares_m else None
+    wrong = _wrong_square(stated_m, squares_m) if stated_m and squares_m else None
+    weak: list[Lack] = []
+    if wrong is not None:
+        (weak if wrong.exit_code == QualityError.exit_code else lacks).append(wrong)
+    size = board.columns, board.rows
+    return BoardView(len(readable), seen, size, square_m, squares_m, stated_m, others), lacks, weak
+
+
+def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
+    """A stated size of the squares that `calibrate` refuses, or that several stereo pairs do not confirm."""
+    median = float(np.median(squares_m))
+    if abs(median - stated_m) > SQUARE_TOLERANCE * stated_m:
+        return _lack(
+            "square size",
+            f"the squares measure {median * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
+            f"(limit {100 * SQUARE_TOLERANCE:g} %)",
+            square_cure(stated_m, median),
+        )
+    if len(squares_m) < _FEWEST_SQUARES:
+        return None
+    mean, noise = float(np.mean(squares_m)), float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m))
+    if abs(mean - stated_m) <= max(SQUARE_LOOK_PERCENT / 100 * stated_m, 3 * noise):
+        return None
+    return _lack(
+        "square size",
+        f"the squares measure {mean * 1e3:.2f} mm in {len(squares_m)} stereo pairs, {stated_m * 1e3:.2f} mm "
+        f"are stated (limit {SQUARE_LOOK_PERCENT:g} %)",
+        square_cure(stated_m, mean),
+        QualityError,
+    )
+
+
+def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = ObservationError) -> Lack:
+    return Lack(about, what, cure, kind.exit_code)
+
+
+def _wrong_sizes(found: _Images, cameras: StereoRig) -> list[Lack]:
+    """Images that do not have the size that their camera_info states."""
+    lacks = []
+    for side in SIDES:
+        image = next((image for image in found[side] if not isinstance(image, Rejection)), None)
+        try:
+            if image is not None:
+                check_picture(image, side, cameras)
+        except RecordingError as error:
+            lacks.append(_lack("camera infos", error.message, error.hint, RecordingError))
+    return lacks
+
+
+def _any_found(images: Sequence[GrayImage], board: Board) -> bool:
+    return any(isinstance(find_board(image, board), Detection) for image in images)
+
+
+def _detected(image: GrayImage | Rejection, board: Board) -> Detection | Miss | None:
+    return None if isinstance(image, Rejection) else find_board(image, board)
+
+
+def _squares_m(
+    cameras: StereoRig, board: Board, detections: Mapping[Side, Sequence[Detection | Miss | None]]
+) -> tuple[float, ...]:
+    """Side of a square in each stereo pair that shows the board, m."""
+    if len(detections["left"]) != len(detections["right"]):
+        return ()  # the images cannot be paired without their stamps
+    sides = []
+    station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
+    for left, right in zip(detections["left"], detections["right"], strict=True):
+        if isinstance(left, Detection) and isinstance(right, Detection):
+            measured = measure(0, station, [left], [right], cameras, board)
+            if isinstance(measured, Measured):
+                sides.append(measured.square_m)
+    return tuple(sides)

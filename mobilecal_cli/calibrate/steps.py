@@ -1,0 +1,496 @@
+"""A calibration in three steps, for notebooks and for `calibrate`: extract, solve, report."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from mobilecal_cli import __version__
+from mobilecal_cli.calibrate import Progress, silent, source_date
+from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
+from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
+from mobilecal_cli.calibrate.load import differences, load, read_params
+from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
+from mobilecal_cli.export import (
+    check_output,
+    extraction_to_npz,
+    parameters_from_yaml,
+    params_yaml,
+    write_outputs,
+)
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Method,
+    Parameters,
+    Provenance,
+    Snapshot,
+    Solution,
+    StereoRig,
+)
+from mobilecal_cli.model.text import verdict_lines
+from mobilecal_cli.ranges import HOLD_OUT
+from mobilecal_cli.report.at_work import recommendation
+from mobilecal_cli.report.build import build_report
+from mobilecal_cli.report.case import Case
+from mobilecal_cli.report.changes import change_from_nominal, change_since
+from mobilecal_cli.report.drawn import draw_all
+from mobilecal_cli.report.gates import Gate, gates_of
+from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.verdict import judge, reasons_of
+from mobilecal_cli.report.wording.findings import suggestion_sentences
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.settings import settings_of
+from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
+from mobilecal_cli.solvers import evaluate as evaluate_parameters
+from mobilecal_cli.solvers import solve as solve_extraction
+
+#: Sections of rig.yaml that only the method "ml" uses.
+_ONLY_ML = frozenset({"noise", "priors"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """What recordings contain: everything the numbers need, and images for the report.
+
+    Attributes:
+        extraction: the measurements.
+        snapshots: images of the stations; none from an extraction.npz.
+        gates: limits of the configuration, by name.
+    """
+
+    extraction: Extraction
+    snapshots: tuple[Snapshot, ...]
+    gates: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Data({self.extraction!r})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A solution and its data.
+
+    Attributes:
+        solution: with uncertainty, outliers, constants and residuals.
+        extraction: the measurements it was solved from.
+        method: as requested.
+        hold_out: share of the stations that was held out, if any.
+        trial: test of the parameters on the held-out stations, if there are any.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    method: Method
+    hold_out: float | None = None
+    trial: Evaluation | None = None
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"Fit({self.method!r}, {self.extraction!r}, point error {1e3 * self.solution.point_rms_m:.3g} mm)"
+        )
+
+    @property
+    def parameters(self) -> Parameters:
+        """The nine parameters, of the left camera."""
+        return self.solution.parameters
+
+    @property
+    def cameras(self) -> StereoRig:
+        """The stereo pair as estimated."""
+        return self.solution.cameras
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(9, 9) covariance of the nine parameters with the pose of the reference camera, rad and m.
+
+        None for methods that give none.
+        """
+        found = self.solution.uncertainty
+        return None if found is None else found.reference_covariance
+
+
+def extract(
+    logs: AnyPath | Iterable[AnyPath],
+    config: AnyPath | None = None,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+    jobs: int = 1,
+) -> Data:
+    """Read recordings of one robot, or an extraction.npz.
+
+    Args:
+        logs: recordings, or one extraction.npz.
+        config: rig.yaml.
+        settings: dotted key → value, overriding the file, as `--set`.
+        progress: called with the progress.
+        jobs: worker processes for images; more than one needs a main module without side effects on import, as for
+            `multiprocessing`.
+
+    Raises:
+        MobilecalError: see `errors`.
+        TypeError: an argument of another type.
+    """
+    path = None if config is None else path_of("config", config)
+    flags = by_name("settings", {} if settings is None else settings)
+    files = paths_of("logs", logs)
+    if not files:
+        raise ConfigError("logs: no recording is given", "give a recording, or a list of them")
+    require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
+    if jobs is True or not isinstance(jobs, int | np.integer) or jobs < 1:
+        raise ConfigError(f"jobs: {jobs!r} worker processes are not possible", "give 1 or more")
+    rig = load_rig(path, flags)
+    extraction, snapshots = load(files, rig, progress, int(jobs))
+    return Data(extraction, snapshots, rig.gates)
+
+
+def solve(
+    data: Data | Extraction,
+    *,
+    method: Method = "ml",
+    fix: str | Mapping[str, float | None] | Iterable[str] = (),
+    prior: Mapping[str, tuple[float, float]] | None = None,
+    estimate: str | Iterable[str] = (),
+    hold_out: float | None = None,
+    progress: Progress = silent,
+) -> Fit:
+    """Estimate the nine parameters.
+
+    Args:
+        data: the measurements.
+        method: "ml" (maximum likelihood), "linear", "paper" or "lm", see `--method`.
+        fix: parameters, groups of them or constants to fix, one or several; a mapping gives each a value (m, rad,
+            share), or None for the nominal one. Rotations are relative to the nominal rotation.
+        prior: parameter or constant → (value, standard deviation).
+        estimate: constants, kinds of them, or groups of kinds ("stereo", "lenses", "board", "head"), one or several,
+            whose stated values are ignored.
+        hold_out: share at the end of each recording to hold out and to test the parameters on.
+        progress: called with the progress.
+
+    Raises:
+        MobilecalError: see `errors`.
+        TypeError: an argument of another type.
+    """
+    require("data", data, (Data, Extraction), "what extract() returns")
+    require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
+    fixed = by_name("fix", fix) if isinstance(fix, Mapping) else dict.fromkeys(names_of("fix", fix))
+    priors = by_name("prior", {} if prior is None else prior)
+    constraints = checked_constraints(
+        fixed.items(),
+        [(name, pair_of(f"--prior {name}", pair)) for name, pair in priors.items()],
+        names_of("estimate", estimate),
+    )
+    extraction = data.extraction if isinstance(data, Data) else data
+    return fitted(extraction, method, constraints, hold_out, progress)
+
+
+def check_options(
+    method: Method, constraints: Constraints | None, hold_out: float | None, settings: Iterable[str] = ()
+) -> None:
+    """Check how to solve, before any work.
+
+    Args:
+        method, constraints, hold_out: see `solve`.
+        settings: dotted keys of the settings that the user gives for this run.
+
+    Raises:
+        ConfigError: an unknown method, a share that is out of range, or options that the method does not use.
+    """
+    methods = get_args(Method)
+    if not isinstance(method, str) or method not in methods:
+        raise ConfigError(f"method {method!r}: no such method", f"methods: {', '.join(methods)}")
+    if hold_out is not None:
+        HOLD_OUT.check("hold_out", hold_out)
+    if method != "ml":
+        unused = [*(constraints.given if constraints is not None else ())]
+        unused += [f"--set {key}" for key in settings if key.partition(".")[0] in _ONLY_ML]
+        if unused:
+            raise ConfigError(
+                f"{', '.join(unused)}: not used by --method {method}", "use --method ml, or leave them out"
+            )
+
+
+def fitted(
+    whole: Extraction,
+    method: Method = "ml",
+    constraints: Constraints | None = None,
+    hold_out: float | None = None,
+    progress: Progress = silent,
+) -> Fit:
+    """`solve` with constraints as a value.
+
+    Raises:
+        MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
+    """
+    check_options(method, constraints, hold_out)
+    extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
+    require_stations(extraction)
+    if method != "ml":
+        require_observable(extraction)
+    steps = itertools.count(1)
+    progress("solving", 0, None)
+    try:
+        solution = solve_extraction(
+            extraction,
+            method,
+            constraints=constraints,
+            on_step=lambda: progress("solving", next(steps), None),
+        )
+    except SolveError as error:
+        gaps = motion_gaps(extraction, constraints.fixed if constraints is not None else ())
+        if not gaps:
+            raise
+        because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
+        raise SolveError(f"{error.message}; {because}", f"{cures}; or {error.hint}") from error
+    trial = None
+    if rest is not None:
+        nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)
+        trial = evaluate_parameters(rest, solution.parameters, nominal, offsets_s=offsets)
+    return Fit(solution, extraction, method, hold_out, trial)
+
+
+class Report:
+    """The report on a fit.
+
+    Args:
+        data: the data that were solved.
+        fit: their solution.
+        gates: name → limit, over those of the configuration, as `--gate`.
+        last: params.yaml to compare the result with; the nominal values by default.
+
+    Attributes:
+        data, fit: as given.
+        provenance: version, time, recordings and settings.
+        params: text of params.yaml.
+        robot: what it says.
+        change: difference from the last calibration or from the nominal values, if there is either.
+        verdict: PASS, FAIL or NOT ENOUGH, with all criteria and metrics.
+        values: content of report.json.
+
+    Raises:
+        ConfigError: an unknown gate, a params.yaml that cannot be read, or a fit of other data.
+        TypeError: an argument of another type.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        fit: Fit,
+        gates: Mapping[str, float] | Sequence[Gate] = (),
+        last: AnyPath | None = None,
+    ) -> None:
+        require("data", data, Data, "what extract() returns")
+        require("fit", fit, Fit, "what solve() returns")
+        self.data, self.fit = data, fit
+        solution, extraction = fit.solution, fit.extraction
+        if isinstance(gates, Mapping):
+            limits = {**data.gates, **by_name("gates", gates)}
+            gates = gates_of((), limits, hold_out=fit.trial is not None)
+        require("gates", gates, Sequence, "a mapping from name to limit")
+        for gate in gates:
+            require("gates", gate, Gate, "a mapping from name to limit")
+        settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
+        self.provenance = Provenance(__version__, _created(), fit.method, extraction.logs, settings)
+        robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
+        _require_own(data.extraction, fit.extraction, robot)
+        if last is None:
+            self.change = change_from_nominal(robot, extraction.rig.nominal)
+        else:
+            earlier = read_params(path_of("last", last))
+            name = f"{last} ({earlier.created})" if earlier.created else str(last)
+            self.change = change_since(robot, earlier, name)
+        self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
+        level, reasons = self.verdict.level, reasons_of(self.verdict)
+        self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
+        self.robot = replace(robot, verdict=level, reasons=reasons)
+        case = Case(solution, extraction, self.provenance, self.verdict, fit.trial, self.change)
+        self.values = build_report(case)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Report({self.verdict.level}, {self.fit!r})"
+
+    def __str__(self) -> str:
+        """The summary and the verdict, as `calibrate` prints them."""
+        verdict = self.verdict
+        lines = verdict_lines(verdict.level, verdict.reason, verdict.next_step)
+        return "\n".join((summary_text(self.values), *lines))
+
+    @property
+    def json(self) -> str:
+        """Text of report.json."""
+        return json_text(self.values)
+
+    @cached_property
+    def html(self) -> str:
+        """Text of report.html."""
+        fit = self.fit
+        return report_html(self.values, draw_all(fit.solution, fit.extraction, self.data.snapshots))
+
+    def _repr_html_(self) -> str:
+        """The page in a frame, for notebooks."""
+        from html import escape
+
+        return f'<iframe srcdoc="{escape(self.html)}" width="100%" height="900"></iframe>'
+
+    def save(self, directory: AnyPath, force: bool = False) -> None:
+        """Write params.yaml, report.html, report.json and extraction.npz, completely or not at all.
+
+        Args:
+            directory: to create.
+            force: replace an existing output directory.
+
+        Raises:
+            OutputError: the directory cannot be written.
+        """
+        path = path_of("directory", directory)
+        write_outputs(path, self.files() | {"report.html": self.html.encode()}, force)
+
+    def files(self) -> dict[str, bytes]:
+        """Name → content of params.yaml, report.json and extraction.npz."""
+        return {
+            "params.yaml": self.params.encode(),
+            "report.json": self.json.encode(),
+            "extraction.npz": extraction_to_npz(self.data.extraction),
+        }
+
+
+def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -> None:
+    """Refuse the data of another recording or robot than the fit's; a fit may hold out some of its stations."""
+    if solved is data:
+        return
+    different = differences(robot, data)
+    stations, used = ({(o.log, o.time_ns) for o in each.observations} for each in (data, solved))
+    if not used <= stations:
+        different += (f"{len(used - stations)} of {len(used)} stations of the fit are not in the data",)
+    if different:
+        raise ConfigError(
+            f"Report: the fit was not made from these data: {'; '.join(different)}",
+            "give the data that solve() got",
+        )
+
+
+def _created() -> str:
+    """Current time in UTC; SOURCE_DATE_EPOCH overrides it, for reproducible output."""
+    return (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+#: Two legs between held-out stations are the least that gives an error.
+_LEAST_HELD_OUT = 3
+
+
+def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extraction]:
+    """A recording without the last share of each log's stations, and these held-out stations.
+
+    Raises:
+        ObservationError: too few stations would be held out.
+    """
+    last: set[int] = set()
+    for log in range(len(extraction.wheels)):
+        members = [n for n, o in enumerate(extraction.observations) if o.log == log]
+        last |= set(members[len(members) - math.ceil(share * len(members)) :])
+    if len(last) < _LEAST_HELD_OUT:
+        raise ObservationError(
+            f"--hold-out {share:g} holds out {len(last)} of {len(extraction.observations)} stations; at least "
+            f"{_LEAST_HELD_OUT} are needed",
+            "hold out a larger share, or record more stops",
+        )
+    searched = extraction.counts.get("stations", 0)
+    kept = tuple(o for n, o in enumerate(extraction.observations) if n not in last)
+    tried = tuple(o for n, o in enumerate(extraction.observations) if n in last)
+    counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
+    return replace(extraction, observations=kept, counts=counts), replace(extraction, observations=tried)
+
+
+def default_output(log: Path) -> Path:
+    """`<log name>_calibration` in the working directory."""
+    name = log.resolve().name if log.is_dir() else log.stem
+    return Path(f"{name}_calibration")
+
+
+def suggest(
+    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
+) -> tuple[str, ...]:
+    """What limits the result, and suggested additional stops as numbered lines, the best first.
+
+    Raises:
+        MobilecalError: see `errors`.
+    """
+    extraction, _ = load(logs, load_rig(config_path, flags), progress)
+    solution = fitted(extraction, progress=progress).solution
+    sentences, limiting = suggestion_sentences(solution, extraction), " ".join(recommendation(solution))
+    if not sentences:
+        sentences = ("No stop near the last one shows the whole board. Move the robot and record again.",)
+    else:
+        head = "Additional stop at the end of this recording, most useful first:"
+        sentences = (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
+    return (*filter(None, [limiting]), *sentences)
+
+
+def calibrate(
+    logs: Sequence[Path],
+    output: Path | None = None,
+    *,
+    config_path: Path | None = None,
+    flags: Mapping[str, Any] | None = None,
+    method: Method = "ml",
+    constraints: Constraints | None = None,
+    gates: Sequence[str] = (),
+    hold_out: float | None = None,
+    last: Path | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+    jobs: int = 1,
+) -> tuple[Report, Path]:
+    """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
+
+    Returns:
+        The report, and the output directory.
+
+    Args:
+        logs: recordings of one robot, or one extraction.npz.
+        output: directory to write; `<log name>_calibration` by default.
+        config_path: rig.yaml.
+        flags: dotted key → value, overriding the file.
+        method: see `solvers.solve`.
+        constraints: fixed parameters, priors and additional parameters; for the method "ml".
+        gates: `NAME=LIMIT`, overriding those of the file.
+        hold_out: share at the end of each recording to hold out and to test the calibration on.
+        last: params.yaml to compare the result with; the nominal values by default.
+        force: replace an existing output directory.
+        progress: called with the progress.
+        jobs: worker processes for images; more than one needs a main module without side effects on
+            import, as for `multiprocessing`.
+
+    Raises:
+        MobilecalError: see `errors`; nothing is written then.
+    """
+    settings = [key for key, value in (flags or {}).items() if value is not None]
+    check_options(method, constraints, hold_out, settings)
+    directory = output if output is not None else default_output(logs[0])
+    check_output(directory, force)
+    config = load_rig(config_path, flags)
+    limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
+    if last is not None:
+        read_params(last)
+    data = Data(*load(logs, config, progress, jobs), config.gates)
+    fit = fitted(data.extraction, method, constraints, hold_out, progress)
+    report = Report(data, fit, limits, last)
+    progress("writing the report", 0, None)
+    report.save(directory, force)
+    return report, directory

@@ -1,0 +1,199 @@
+"""Worker processes for tasks in the background."""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from threading import Thread
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+from mobilecal_cli.errors import ResourceError
+from mobilecal_cli.files.interruption import Interrupted, unwind_on_signals
+from mobilecal_cli.files.scratch import enter_scratch, remove_all
+
+#: Errors when processes cannot be started or one died; the caller then does the work itself.
+FAILED = (BrokenProcessPool, OSError)
+#: Settings of libraries that would start several threads in each process.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+#: Time that a task has for its clean-up after the parent was killed, s.
+_GRACE_S = 10.0
+
+#: What a worker process opened and closes at its end.
+resources = ExitStack()
+
+Result = TypeVar("Result")
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Limit the numerical libraries of processes started inside the block to one thread."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _leave_with_the_caller(files: Path | None) -> None:
+    caller = multiprocessing.parent_process()
+    if caller is not None:
+        caller.join()
+        if files is not None:
+            shutil.rmtree(files, ignore_errors=True)
+        os.kill(os.getpid(), signal.SIGTERM)  # the task unwinds in the main thread
+        time.sleep(_GRACE_S)
+        os._exit(1)
+
+
+def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
+    """Initialize a worker process: it ends when its parent ends for any reason, and cleans up on a signal.
+
+    Args:
+        files: directory of the parent, removed if the parent was killed.
+        get_ready: called last.
+        given: arguments of `get_ready`.
+    """
+    unwind_on_signals()
+    atexit.register(resources.close)
+    Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
+    work(_get_ready, get_ready, *given)
+
+
+def _get_ready(get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    get_ready(*given)
+
+
+@contextmanager
+def _blocked(number: signal.Signals) -> Iterator[None]:
+    """Block a signal in processes started inside the block; here, it is delivered at the end of the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
+    """Run a task in a worker process; a signal ends the process after the task has unwound."""
+    try:
+        return task(*given)
+    except Interrupted as leaving:  # the pool would send it to the caller as the task's result
+        resources.close()
+        remove_all()
+        os._exit(int(leaving.code or 1))
+
+
+@contextmanager
+def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
+    """A pool of worker processes; a signal in this process ends them at once.
+
+    Args:
+        count: number of processes.
+        initializer: arguments of `stand_by`.
+
+    Raises:
+        OSError, BrokenProcessPool: a process cannot be started.
+    """
+    # A hangup reaches all processes of the terminal: the one that removes leaked semaphores must outlive them.
+    with _blocked(signal.SIGHUP):
+        resource_tracker.ensure_running()
+    # Spawned, not forked: a fork would copy locked mutexes of other threads.
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
+    try:
+        # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
+        with _blocked(signal.SIGINT):
+            for _ in range(count):  # the pool starts a process with each of the first tasks
+                pool.submit(int)
+        yield pool
+    except Interrupted:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _do(question: Path, answer: Path) -> None:
+    task, given = pickle.loads(question.read_bytes())
+    question.unlink()
+    answer.write_bytes(pickle.dumps(task(*given), pickle.HIGHEST_PROTOCOL))
+
+
+class Task(Generic[Result]):
+    """A task submitted to a worker process."""
+
+    def __init__(self, done: Future[None], answer: Path) -> None:
+        self._done, self._answer = done, answer
+
+    def result(self) -> Result:
+        """Wait for the result; call it once. Raises the task's error, or one of `FAILED`."""
+        self._done.result()
+        result: Result = pickle.loads(self._answer.read_bytes())
+        self._answer.unlink()
+        return result
+
+
+class Processes:
+    """A pool of worker processes, from `start` to the end of a `with` block.
+
+    Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
+    other end would wait forever.
+    """
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._files: Path | None = None
+        self._stack = ExitStack()
+        self._numbers = itertools.count()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    @property
+    def started(self) -> bool:
+        """Whether worker processes are running."""
+        return self._pool is not None
+
+    def start(self, count: int, get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
+        """Start worker processes, each of which calls `get_ready` first; none if that fails."""
+        with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
+            if self._files is None:
+                self._files = enter_scratch(self._stack)
+            self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
+
+    def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
+        """Submit a task to the next free process.
+
+        Raises:
+            OSError, BrokenProcessPool: see `FAILED`.
+        """
+        if self._pool is None or self._files is None:
+            raise OSError("no worker processes are running")
+        number = next(self._numbers)
+        question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
+        question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
+        return Task(self._pool.submit(work, _do, question, answer), answer)

@@ -1,0 +1,106 @@
+"""The commands, a module each; `main` turns errors into messages and exit codes."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from typing import Annotated, NoReturn
+
+import typer
+
+from mobilecal_cli import __version__
+from mobilecal_cli.calibrate import source_date
+from mobilecal_cli.commands import (
+    batch,
+    board,
+    calibrate,
+    check,
+    compare,
+    evaluate,
+    export,
+    init,
+    inspect,
+    simulate,
+    suggest,
+)
+from mobilecal_cli.errors import MobilecalError, RecordingError, ResourceError
+
+#: Error code of OpenCV.
+_OPENCV_NO_MEMORY = -4
+
+app = typer.Typer(
+    name="mobilecal",
+    help="Calibrate the stereo head and the wheels of a differential-drive robot.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _version(requested: bool) -> None:
+    if requested:
+        typer.echo(f"mobilecal {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Calibrate the stereo head and the wheels of a differential-drive robot from a recording of a checkerboard.
+
+    Example: mobilecal calibrate log.mcap
+    """
+
+
+for command in (  # the order of `mobilecal --help`: the everyday commands first
+    calibrate.calibrate,
+    init.init,
+    check.check,
+    inspect.inspect,
+    suggest.suggest,
+    evaluate.evaluate,
+    compare.compare,
+    export.export,
+    batch.batch,
+    board.board,
+    simulate.simulate,
+):
+    app.command()(command)
+
+
+def main() -> None:
+    """Run the command line; on an error, print it and exit with its code."""
+    try:
+        source_date()  # before libraries are imported that read it too
+        app()
+    except MobilecalError as error:
+        _fail(error)
+    except PermissionError as error:  # of a directory on the way to a file
+        hint = "check the permissions of the file and of its directories"
+        _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
+    except Exception as error:
+        if not _is_out_of_memory(error):
+            raise
+        _fail(
+            ResourceError("out of memory", "use --jobs 1, a shorter recording, or a machine with more memory")
+        )
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Whether memory could not be allocated; OpenCV has its own error for it."""
+    opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
+    return opencv or isinstance(error, MemoryError)
+
+
+def _fail(error: MobilecalError) -> NoReturn:
+    from mobilecal_cli.model.text import visible  # names from a recording must not control the terminal
+
+    with suppress(OSError):  # standard error may be full
+        print(f"error: {visible(error.message)}", file=sys.stderr)
+        if error.hint:
+            print(f"hint: {visible(error.hint)}", file=sys.stderr)
+    sys.exit(error.exit_code)

@@ -1,0 +1,110 @@
+"""`mobilecal batch`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import (
+    AsJson,
+    Config,
+    Gates,
+    JUnit,
+    Quiet,
+    Settings,
+    conclude,
+    errors_to,
+    flags_of,
+)
+from mobilecal_cli.errors import OutputError, ResourceError
+
+
+def batch(
+    source: Annotated[
+        Path,
+        typer.Argument(readable=False, help="Directory with one recording per robot, or a manifest (YAML)."),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", readable=False, help="Directory for the results of all robots.")
+    ],
+    config: Config = None,
+    setting: Settings = None,
+    gate: Gates = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one per core]")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
+    ] = None,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Calibrate all robots again, and replace also results that this batch did not write.",
+        ),
+    ] = False,
+    as_json: AsJson = False,
+    junit: JUnit = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate many robots and tabulate the results.
+
+    Writes one directory per robot, and one table of all robots. Robots with a result from the same inputs are
+    skipped; changed inputs replace the results of the same batch, and robots without a result are tried again.
+
+    Example: mobilecal batch recordings/ --output fleet/
+
+    On a cluster: mobilecal batch fleet.yaml --output /shared/fleet --scheduler tcp://host:8786
+    """
+    import os
+
+    from mobilecal_cli.calibrate.batch import batch as calibrate_each
+    from mobilecal_cli.calibrate.batch import run_locally, run_on
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.export import write_file
+    from mobilecal_cli.report.fleet import fleet_json, fleet_text
+    from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
+
+    run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
+    replace = force or (junit is not None and is_junit(junit))
+    with errors_to(junit, [source], replace, [config]):
+        with progress_bar(quiet) as progress:
+            rows = calibrate_each(
+                source,
+                output,
+                config_path=config,
+                flags=flags_of(setting),
+                gates=gate or [],
+                force=force,
+                run=run,
+                progress=progress,
+            )
+        if junit is not None:
+            write_file(junit, junit_fleet_xml(str(source), rows), replace)
+    robots = [row for row in rows if row.verdict != "SKIPPED"]
+    failed = [row for row in robots if row.verdict != "PASS"]
+    if as_json:
+        typer.echo(fleet_json(rows), nl=False)
+    elif not quiet:
+        typer.echo(fleet_text(rows), nl=False)
+    if failed and (as_json or quiet):
+        typer.echo(fleet_text(failed), nl=False, err=True)
+    worst = max(robots, key=lambda row: row.exit_code)
+    if worst.exit_code in (OutputError.exit_code, ResourceError.exit_code):
+        stopped = sum(row.exit_code == worst.exit_code for row in robots)
+        kind = OutputError if worst.exit_code == OutputError.exit_code else ResourceError
+        raise kind(
+            f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
+            "see the reason, then run the same command again: it calibrates only what is missing",
+        )
+    names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
+    conclude(
+        "FAIL" if failed else "PASS",
+        f"{len(failed)} of {len(robots)} robots did not pass: {names}."
+        if failed
+        else f"{len(robots)} of {len(robots)} robots passed.",
+        f"See {output / 'summary.html'}.",
+        written=(output / "summary.csv", output / "summary.html"),
+        quiet=as_json or quiet,
+        exit_code=worst.exit_code,  # a robot without a result has one of its own
+    )

@@ -1,0 +1,120 @@
+"""`mobilecal board`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import Force, counts_of, written_line
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.targets import Paper
+
+if TYPE_CHECKING:
+    from mobilecal_cli.export import BoardPrint
+
+_FAMILIES = (50, 100, 250, 1000)
+
+#: White around the board in squares, below which some detectors miss it in front of a dark wall.
+LEAST_BORDER = 0.3
+
+
+def board(
+    corners: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Inner corners, for example 8x5.")],
+    square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, m.")],
+    charuco: Annotated[
+        bool, typer.Option("--charuco", help="With markers: the board may be partly visible.")
+    ] = False,
+    dictionary: Annotated[
+        str | None,
+        typer.Option(help="ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]"),
+    ] = None,
+    marker_share: Annotated[
+        float | None, typer.Option(help="ChArUco: marker side / square side. [default: 0.75]")
+    ] = None,
+    paper: Annotated[
+        Paper,
+        typer.Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs."),
+    ] = Paper.auto,
+    output: Annotated[Path, typer.Option("--output", "-o", readable=False, help="PDF to write.")] = Path(
+        "board.pdf"
+    ),
+    force: Force = False,
+) -> None:
+    """Make a board to print at true scale, as PDF.
+
+    Prints the line for rig.yaml. The page also has a scale bar to measure after printing.
+
+    Example: mobilecal board --corners 8x5 --square 0.08 --output board.pdf
+
+    With markers: mobilecal board --corners 8x5 --square 0.08 --charuco
+    """
+    from mobilecal_cli.export import check_file, write_file
+
+    check_file(output, force)
+    columns, rows = counts_of("--corners", corners)
+    made = print_board(columns, rows, square, charuco, dictionary, marker_share, paper)
+    write_file(output, made.content, force)
+    typer.echo(made.config)
+    if not charuco and (columns - rows) % 2 == 0:
+        typer.echo(
+            f"A board of {corners} corners looks the same upside down. Prefer counts of different parity, such as 8x5.",
+            err=True,
+        )
+    if made.border_mm < LEAST_BORDER * square * 1e3:
+        typer.echo(
+            f"White border: {made.border_mm:.0f} mm. Mount the board on a light backing, or use a larger page.",
+            err=True,
+        )
+    typer.echo(f"Print at actual size on {made.page}, and measure the scale bar.")
+    typer.echo(written_line(output))
+
+
+def print_board(
+    columns: int,
+    rows: int,
+    square_m: float,
+    charuco: bool = False,
+    dictionary: str | None = None,
+    marker_share: float | None = None,
+    paper: Paper = Paper.auto,
+) -> BoardPrint:
+    """A board as a PDF at true scale.
+
+    Args:
+        columns, rows: inner corners.
+        square_m: side of a square, m.
+        charuco: with markers in the light squares.
+        dictionary: marker family by its OpenCV name; the smallest sufficient one of 5 x 5 cells by default.
+        marker_share: marker side over square side; 0.75 by default.
+        paper: page.
+
+    Raises:
+        ConfigError: a value is out of range, or the board does not fit on the page.
+    """
+    from mobilecal_cli.calibrate.extract import board_of
+    from mobilecal_cli.export import board_pdf
+    from mobilecal_cli.rig.config import load_rig
+
+    flags: dict[str, object] = {
+        "board.kind": "charuco" if charuco else "checkerboard",
+        "board.columns": columns,
+        "board.rows": rows,
+        "board.square_m": square_m,
+        "board.dictionary": dictionary,
+        "board.marker_share": marker_share,
+    }
+    if charuco:
+        flags["board.dictionary"] = dictionary or _smallest((columns + 1) * (rows + 1) // 2)
+        flags["board.marker_share"] = 0.75 if marker_share is None else marker_share
+    elif dictionary is not None or marker_share is not None:
+        raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
+    board = board_of(load_rig(None, flags))
+    assert board is not None
+    return board_pdf(board, paper)
+
+
+def _smallest(markers: int) -> str:
+    """The dictionary of 5 x 5 cells with enough markers: small ones have fewer false detections."""
+    return f"DICT_5X5_{next((size for size in _FAMILIES if size >= markers), _FAMILIES[-1])}"

@@ -1,0 +1,148 @@
+"""`mobilecal calibrate`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mobilecal_cli.commands.options import (
+    AsJson,
+    Config,
+    Force,
+    Gates,
+    JUnit,
+    Logs,
+    OpenReport,
+    Quiet,
+    Settings,
+    Stations,
+    Verbose,
+    conclude,
+    errors_to,
+    flags_of,
+)
+
+
+def calibrate(
+    logs: Logs,
+    config: Config = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", readable=False, help="Directory to write. [default: <log name>_calibration]"
+        ),
+    ] = None,
+    method: Annotated[
+        Literal["linear", "paper", "lm", "ml"],
+        typer.Option(
+            help="ml: maximum likelihood; linear: iterative linear; paper: eq. 19; lm: eq. 19, faster."
+        ),
+    ] = "ml",
+    board: Annotated[
+        str | None, typer.Option(help="Inner corners, for example 9x6. [default: detected]")
+    ] = None,
+    square_m: Annotated[
+        float | None, typer.Option(help="Side of a square, m. [default: measured by the stereo pair]")
+    ] = None,
+    stations: Annotated[
+        Stations | None,
+        typer.Option(
+            help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
+            show_default=False,
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worker processes for images. [default: one per core]"),
+    ] = None,
+    setting: Settings = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=VALUE]",
+            help="Fix a parameter or constant (m, rad, share), or head_eye or wheels. Repeatable.",
+        ),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
+    ] = None,
+    estimate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
+        ),
+    ] = None,
+    gate: Gates = None,
+    hold_out: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=0.8, help="Share at the end of each recording to hold out and to test the result on."
+        ),
+    ] = None,
+    last: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False, help="params.yaml to compare the result with. [default: the nominal values]"
+        ),
+    ] = None,
+    open_report: OpenReport = False,
+    as_json: AsJson = False,
+    junit: JUnit = None,
+    force: Force = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate head and wheels, and write parameters and a report.
+
+    Recordings of one robot are calibrated together. Files that continue each other count as one recording.
+
+    Example: mobilecal calibrate log.mcap --config rig.yaml --output result
+
+    In CI: mobilecal calibrate log.mcap --gate reprojection_rms_px=0.5 --gate std.wheels.separation_m=0.001 --json
+    """
+    from mobilecal_cli.calibrate import steps
+    from mobilecal_cli.commands.terminal import open_page, progress_bar
+    from mobilecal_cli.export import write_file
+    from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.report.text import summary_text
+    from mobilecal_cli.solvers import constraints_of
+
+    with errors_to(junit, logs, force, [config, last], output or steps.default_output(logs[0])):
+        flags = flags_of(setting, board, square_m, stations)
+        constraints = constraints_of(fix or [], prior or [], estimate or [])
+        with progress_bar(quiet, verbose) as progress:
+            report, directory = steps.calibrate(
+                logs,
+                output,
+                config_path=config,
+                flags=flags,
+                method=method,
+                constraints=constraints,
+                gates=gate or [],
+                hold_out=hold_out or None,
+                last=last,
+                force=force,
+                progress=progress,
+                jobs=jobs or os.cpu_count() or 1,
+            )
+        if junit is not None:
+            write_file(junit, junit_xml(str(logs[0]), report.values.verdict), force)
+    if as_json:
+        typer.echo(report.json, nl=False)
+    elif not quiet:
+        typer.echo(summary_text(report.values))
+    if open_report:
+        typer.echo(open_page(directory / "report.html"), err=True)
+    verdict = report.verdict
+    conclude(
+        verdict.level,
+        verdict.reason,
+        verdict.next_step,
+        written=(directory / "params.yaml", directory / "report.html"),
+        quiet=as_json or quiet,
+    )

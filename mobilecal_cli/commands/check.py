@@ -1,0 +1,45 @@
+"""`mobilecal check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, show_each
+
+
+def check(
+    rig: Annotated[Path, typer.Argument(readable=False, help="Configuration to check (rig.yaml).")],
+    logs: Logs,
+    setting: Settings = None,
+    as_json: AsJson = False,
+    quiet: NoBar = False,
+) -> None:
+    """Check a configuration against a recording, without calibrating.
+
+    One line for each criterion: topics and their types, camera infos, wheels, head chain and joints, priors, times,
+    motion, board and size of its squares. Exit code 0: no problem; with a limit, the result may not pass. Exit code 2
+    to 5: a problem, at which a calibration would stop with this code. Writes nothing.
+
+    Only `calibrate` finds wrong signs, ticks_per_revolution and delays of wheels, wrong signs and axes of head joints,
+    and outliers: exit code 0 does not mean that the result passes.
+
+    Example: mobilecal check rig.yaml log.mcap
+    """
+    from mobilecal_cli.calibrate.inspect import check as checked
+    from mobilecal_cli.calibrate.inspect import recordings
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.model.text import visible
+    from mobilecal_cli.report.checklist import checklist_json, checklist_text
+
+    with progress_bar(quiet) as progress:
+        flags = flags_of(setting)
+        found = [checked(rig, parts, flags, progress) for parts in recordings(logs)]
+    if as_json:
+        texts = [checklist_json(each) for each in found]
+    else:
+        titles = [f"{visible(each.name)}\n" if len(found) > 1 else "" for each in found]
+        texts = [title + checklist_text(each) for title, each in zip(titles, found, strict=True)]
+    show_each(found, texts, as_json)

@@ -1,0 +1,58 @@
+"""`mobilecal compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import AsJson, Force, conclude
+
+
+def compare(
+    files: Annotated[
+        list[Path],
+        typer.Argument(readable=False, help="params.yaml files of one robot; the first is the reference."),
+    ],
+    max_sigma: Annotated[
+        float | None, typer.Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
+    ] = None,
+    max_ray_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Limit on the shift of a point 2 m ahead, mm.")
+    ] = None,
+    max_heading_deg: Annotated[
+        float | None, typer.Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(readable=False, help="SVG file to write: every parameter over all calibrations."),
+    ] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Compare calibrations of one robot.
+
+    Prints the change of each parameter in units and in sigmas, and its effect on the robot. A limit that is exceeded
+    ends with exit code 6.
+
+    Example: mobilecal compare monday/params.yaml friday/params.yaml --max-sigma 4
+
+    A history: mobilecal compare */params.yaml --plot drift.svg
+    """
+    from mobilecal_cli.calibrate.compare import Limits
+    from mobilecal_cli.calibrate.compare import compare as compared
+    from mobilecal_cli.report.comparison import comparison_json, comparison_text
+
+    found = compared(files, Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
+    if as_json:
+        typer.echo(comparison_json(found.names, found.robots, found.differences, found.past), nl=False)
+    else:
+        typer.echo(comparison_text(found.names, found.differences, found.past), nl=False)
+    if found.broken:
+        conclude(
+            "FAIL",
+            f"The calibrations differ by more than the limit: {'; '.join(found.broken)}.",
+            "Calibrate again to tell a changed robot from a bad recording.",
+            quiet=as_json,
+        )

@@ -1,0 +1,77 @@
+"""`mobilecal evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import (
+    AsJson,
+    Config,
+    Gates,
+    JUnit,
+    Logs,
+    NoBar,
+    Settings,
+    Verbose,
+    conclude,
+    errors_to,
+    flags_of,
+)
+
+
+def evaluate(
+    logs: Logs,
+    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of the calibration to test.")],
+    before: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False,
+            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]",
+        ),
+    ] = None,
+    config: Config = None,
+    setting: Settings = None,
+    gate: Gates = None,
+    as_json: AsJson = False,
+    junit: JUnit = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing JUnit file.")] = False,
+    verbose: Verbose = False,
+    quiet: NoBar = False,
+) -> None:
+    """Test a calibration on another recording.
+
+    Prints the prediction errors from station to station, the drift of dead reckoning, and a verdict.
+
+    Example: mobilecal evaluate another.mcap log_calibration/params.yaml
+
+    In CI: mobilecal evaluate another.mcap params.yaml --gate translation_rms_mm=15 --gate drift_deg_per_turn=3
+    """
+    from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.export import write_file
+    from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
+    from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.report.verdict import verdict_data
+
+    with errors_to(junit, logs, force, [params, before, config]):
+        with progress_bar(quiet, verbose) as progress:
+            found = evaluated(
+                logs,
+                params,
+                before=before,
+                config_path=config,
+                flags=flags_of(setting),
+                gates=gate or [],
+                progress=progress,
+            )
+        if junit is not None:
+            write_file(junit, junit_xml(str(logs[0]), verdict_data(found.verdict)), force)
+    if as_json:
+        text = evaluation_json(found.evaluation, found.extraction, found.verdict, found.checks, found.used)
+    else:
+        text = evaluation_text(evaluation_data(found.evaluation), found.notes, found.verdict)
+    typer.echo(text, nl=False)
+    conclude(found.verdict.level, found.verdict.reason, found.verdict.next_step, quiet=as_json)

@@ -1,0 +1,110 @@
+"""`mobilecal export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mobilecal_cli.commands.options import Force, written_line
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.targets import Target
+
+
+def export(
+    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of a calibration.")],
+    to: Annotated[Target, typer.Option(help="Output format.")],
+    urdf: Annotated[
+        Path | None,
+        typer.Option(readable=False, help="URDF to patch, for --to urdf; the file itself is not changed."),
+    ] = None,
+    left_joint: Annotated[
+        str | None, typer.Option(help="Joint of the left wheel. [default: as calibrated]")
+    ] = None,
+    right_joint: Annotated[
+        str | None, typer.Option(help="Joint of the right wheel. [default: as calibrated]")
+    ] = None,
+    with_chain: Annotated[
+        bool,
+        typer.Option(
+            "--with-chain",
+            help="For --to urdf: also write the estimated head chain (joint origins and axes).",
+        ),
+    ] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="For --to odometry_covariance: messages per second. [default: 50]"),
+    ] = None,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METERS",
+            help="For --to odometry_covariance: length of straight drives. [default: legs of the recording]",
+        ),
+    ] = None,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            readable=False,
+            help="For --to foxglove: recording of the calibration, for its images. Repeatable.",
+        ),
+    ] = None,
+    allow_failed: Annotated[
+        bool,
+        typer.Option(
+            "--allow-failed",
+            help="Also export a calibration whose verdict is not PASS; the export states the verdict.",
+        ),
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", readable=False, help="File to write. [default: standard output]"),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Export a calibration as URDF, xacro, ros2_control and more.
+
+    Refuses a calibration whose verdict is not PASS with exit code 6.
+
+    Example: mobilecal export out/params.yaml --to urdf --urdf robot.urdf --output robot_calibrated.urdf
+
+    For a controller: mobilecal export out/params.yaml --to ros2_control
+    """
+    from mobilecal_cli.calibrate.export import export as exported
+    from mobilecal_cli.export.formats import format_of
+    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.model.text import visible
+
+    given = {"left": left_joint, "right": right_joint}
+    inputs = [params, urdf, *(log or [])]
+    if output is not None:
+        check_file(output, force, inputs)
+    layout = None
+    if second := format_of(to).second_file:
+        if output is None:
+            raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
+        layout = output.with_suffix(second)
+        check_file(layout, force, inputs)
+    joints = {side: name for side, name in given.items() if name is not None}
+    made = exported(
+        params,
+        to,
+        urdf=urdf,
+        wheel_joints=joints,  # type: ignore[arg-type]
+        with_chain=with_chain,
+        rate_hz=rate,
+        distance_m=distance,
+        logs=log or [],
+        allow_failed=allow_failed,
+    )
+    if output is None:
+        typer.echo(made.content, nl=False)
+    else:
+        write_file(output, made.content, force)
+    if layout is not None:
+        write_file(layout, made.layout.encode(), force)
+    for note in made.notes:
+        typer.echo(visible(note), err=True)
+    if output is not None:
+        typer.echo(written_line(output, *([layout] if layout is not None else [])))

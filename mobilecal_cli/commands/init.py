@@ -1,0 +1,110 @@
+"""`mobilecal init`."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
+
+if TYPE_CHECKING:
+    from mobilecal_cli.model import Draft
+
+
+def init(
+    logs: Logs,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", readable=False, help="File to write; - for standard output.")
+    ] = Path("rig.yaml"),
+    urdf: Annotated[
+        Path | None,
+        typer.Option(readable=False, help="URDF of the robot. [default: robot_description in the recording]"),
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a commented draft of rig.yaml from a recording.
+
+    Fills in what the topics, a few images and the URDF tell, each with its source. What is missing, or has two possible
+    answers, is left to you as TODO, and listed.
+
+    Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
+    """
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.report.draft import draft_text
+
+    stdout = str(output) == "-"
+    if not stdout:
+        check_file(output, force, [*logs, urdf])
+    with progress_bar(quiet) as progress:
+        made = draft(logs, urdf, None if stdout else output.parent, progress)
+        if not stdout:
+            write_file(output, made.text.encode(), force)
+    if stdout:
+        typer.echo(made.text, nl=False)
+    if not quiet:
+        typer.echo(draft_text(made), nl=False, err=stdout)
+        if not stdout:
+            typer.echo(f"\n{written_line(output)}")
+            typer.echo(f"Next: mobilecal check {shlex.join(map(str, (output, *logs)))}")
+
+
+def draft(
+    logs: Sequence[Path], urdf: Path | None = None, beside: Path | None = None, progress: Progress = silent
+) -> Draft:
+    """Commented draft of rig.yaml for a recording.
+
+    Args:
+        logs: parts of one recording.
+        urdf: URDF file to use in place of the one in the recording.
+        beside: directory of the rig.yaml, which the path of the URDF is relative to; the working directory by default.
+        progress: receives the progress.
+
+    Raises:
+        RecordingError: the recording cannot be read.
+        ConfigError: the URDF cannot be read.
+    """
+    from mobilecal_cli.calibrate.sample import sample_board
+    from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS, Draft
+    from mobilecal_cli.readers import number_fields, open_recording, read_description
+    from mobilecal_cli.rig.config import RigConfig, read_urdf
+    from mobilecal_cli.rig.draft import draft_rig
+    from mobilecal_cli.rig.names import may_be_a_reading
+    from mobilecal_cli.rig.resolve import survey_rig
+
+    known = {
+        *IMAGES,
+        CAMERA_INFO,
+        JOINT_STATE,
+        STRING,
+        TRANSFORMS,
+    }  # read by their meaning, not by field paths
+    config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
+    text = read_urdf(config)
+    with open_recording(logs) as recording:
+        progress("topics", 0, None)
+        description = read_description(recording)
+        survey = survey_rig(config, description, text)
+        others = [topic.name for topic in description.topics if topic.type not in known]
+        numbers = () if not survey.lacks else number_fields(recording, others, may_be_a_reading)
+        board = None
+        if survey.images is not None:
+            progress("images", 0, None)
+            board, *_ = sample_board(recording, survey.images, "separate", survey.cameras, None)
+        made = draft_rig(
+            description,
+            logs[0].name,
+            survey=survey,
+            urdf_text=text,
+            urdf_path=None if urdf is None else os.path.relpath(urdf, beside or Path()),
+            board=board,
+            numbers=numbers,
+        )
+        return Draft(made.text, made.filled, made.todo, (*made.notes, *recording.damage))

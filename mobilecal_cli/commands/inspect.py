@@ -1,0 +1,30 @@
+"""`mobilecal inspect`."""
+
+from __future__ import annotations
+
+from mobilecal_cli.commands.options import AsJson, Config, Logs, NoBar, Settings, flags_of, show_each
+
+
+def inspect(
+    logs: Logs,
+    config: Config = None,
+    setting: Settings = None,
+    as_json: AsJson = False,
+    quiet: NoBar = False,
+) -> None:
+    """Show what a recording contains and what is missing.
+
+    Describes the recording: topics, the settings that a calibration would use, the motion and the board; `check` tests
+    a rig.yaml against it. Samples a long recording, so that it takes seconds. Writes nothing.
+
+    Example: mobilecal inspect log.mcap
+    """
+    from mobilecal_cli.calibrate.inspect import inspect as inspected
+    from mobilecal_cli.calibrate.inspect import recordings
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.report.inspection import inspection_json, inspection_text
+
+    with progress_bar(quiet) as progress:
+        flags = flags_of(setting)
+        found = [inspected(parts, config, flags, progress) for parts in recordings(logs)]
+    show_each(found, [inspection_json(each) if as_json else inspection_text(each) for each in found], as_json)

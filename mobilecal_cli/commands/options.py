@@ -1,0 +1,202 @@
+"""What several commands share: options and their completion, the verdict at the end, errors in a JUnit file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
+
+if TYPE_CHECKING:
+    from mobilecal_cli.model import Inspection
+
+_COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
+_LONGEST_SHOWN = 40  # characters of a text that is refused
+
+
+def gate_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Figures that `--gate` of this command can limit, each with "="."""
+    from mobilecal_cli.report.metrics import gate_names
+
+    names = gate_names(evaluating=ctx.info_name == "evaluate")
+    return [f"{name}=" for name in names if name.startswith(incomplete)]
+
+
+def setting_keys(incomplete: str) -> list[tuple[str, str]]:
+    """Keys of rig.yaml, each with "=", and their descriptions."""
+    from mobilecal_cli.likelihood.nuisance import KINDS
+    from mobilecal_cli.rig.config import setting_keys
+
+    keys = dict(setting_keys())
+    keys |= {f"priors.{kind.name}": f"{kind.meaning}, {kind.shown_unit}" for kind in KINDS}
+    return [(f"{key}=", text) for key, text in keys.items() if key.startswith(incomplete)]
+
+
+Logs = Annotated[
+    list[Path],
+    typer.Argument(readable=False, help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag."),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", "-c", readable=False, help="Configuration (rig.yaml); `mobilecal init` drafts one."
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable.",
+        autocompletion=setting_keys,
+    ),
+]
+Gates = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--gate",
+        metavar="NAME=LIMIT",
+        help="Exit with code 6 if the figure exceeds the limit. Repeatable.",
+        autocompletion=gate_names,
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
+NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Print each stage and its duration on standard error.")
+]
+OpenReport = Annotated[
+    bool,
+    typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+JUnit = Annotated[
+    Path | None,
+    typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
+]
+#: Which moments of a recording are used.
+Stations = Literal["auto", "all"]
+
+
+def flags_of(
+    settings: list[str] | None,
+    board: str | None = None,
+    square_m: float | None = None,
+    stations: Stations | None = None,
+) -> dict[str, Any]:
+    """The flags as dotted keys that override rig.yaml.
+
+    Raises:
+        ConfigError: a flag is not a valid setting or board size.
+    """
+    from mobilecal_cli.rig.config import parse_setting
+
+    flags = dict(parse_setting(text) for text in settings or [])
+    if board is not None:
+        columns, rows = counts_of("--board", board)
+        flags |= {"board.columns": columns, "board.rows": rows}
+    if square_m is not None:
+        flags["board.square_m"] = square_m
+    if stations is not None:
+        flags["stations"] = stations
+    return flags
+
+
+def counts_of(option: str, text: str) -> tuple[int, int]:
+    """Columns and rows of inner corners, from "9x6".
+
+    Raises:
+        ConfigError: another text.
+    """
+    found = _COUNTS.fullmatch(text)
+    if found is None:
+        given = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+        raise ConfigError(
+            f"{option} {given}: not of the form COLUMNSxROWS",
+            f"count the inner corners, for example {option} 9x6",
+        )
+    return int(found[1]), int(found[2])
+
+
+@contextmanager
+def errors_to(
+    junit: Path | None,
+    logs: Sequence[Path],
+    force: bool,
+    others: Sequence[Path | None],
+    output: Path | None = None,
+) -> Iterator[None]:
+    """Write an error to the JUnit file as well, unless that file must not be replaced."""
+    from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.report.junit import junit_error_xml
+
+    if junit is not None:
+        if output is not None and junit.resolve().is_relative_to(output.resolve()):
+            raise OutputError(
+                f"--junit {junit}: inside the output directory, which is replaced as a whole",
+                "choose a path outside of it",
+            )
+        check_file(junit, force, [*logs, *others])
+    try:
+        yield
+    except MobilecalError as error:
+        if junit is not None:
+            write_file(junit, junit_error_xml(str(logs[0]), error), force)
+        raise
+
+
+def conclude(
+    level: str,
+    reason: str,
+    next_step: str,
+    *,
+    written: Sequence[Path] = (),
+    quiet: bool = False,
+    exit_code: int = QualityError.exit_code,
+) -> None:
+    """Print the verdict on standard output.
+
+    Args:
+        level: "PASS", "FAIL" or "NOT ENOUGH".
+        reason: one or two sentences.
+        next_step: what to do now.
+        written: the files written.
+        quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
+        exit_code: where the level is not PASS.
+
+    Raises:
+        Exit: with that code, as the level is not PASS.
+    """
+    from mobilecal_cli.commands.terminal import verdict_text
+
+    passed = level == "PASS"
+    if not quiet or not passed:
+        typer.echo(verdict_text(level, reason, next_step, to_stderr=quiet), err=quiet)
+    if written and (not quiet or not passed):
+        typer.echo(written_line(*written), err=quiet)
+    if not passed:
+        raise typer.Exit(exit_code)
+
+
+def written_line(*paths: Path) -> str:
+    """The line that says which files were written; their names must not control the terminal."""
+    from mobilecal_cli.model.text import visible
+
+    return f"Written: {visible(', '.join(map(str, paths)))}"
+
+
+def show_each(found: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> None:
+    """Print one recording after another, in JSON as a list if there are several; end with the largest exit code."""
+    if as_json and len(texts) > 1:
+        typer.echo(f"[\n{','.join(texts)}]")
+    else:
+        typer.echo("\n".join(texts), nl=False)
+    code = max(each.exit_code for each in found)
+    if code:
+        raise typer.Exit(code)

@@ -1,0 +1,83 @@
+"""`mobilecal simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mobilecal_cli.commands.options import Force, Quiet, written_line
+
+Container = Literal[
+    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
+]
+#: Motions of a simulated robot.
+Motion = Literal[
+    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
+]
+_BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
+
+
+def simulate(
+    out: Annotated[
+        Path, typer.Argument(readable=False, help="Recording to write: a file, or a directory for rosbag2.")
+    ],
+    robot: Annotated[
+        Literal["paper", "tick"],
+        typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters."),
+    ] = "paper",
+    motion: Annotated[Motion, typer.Option(help="Motion of the base and the head.")] = "standard",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    stations: Annotated[
+        int, typer.Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
+    ] = 12,
+    container: Annotated[
+        Container | None, typer.Option(help="Container format. [default: from the file extension]")
+    ] = None,
+    pictures: Annotated[Literal["jpeg", "png", "mono8"], typer.Option(help="Image encoding.")] = "jpeg",
+    board: Annotated[
+        Literal["checkerboard", "charuco", "aprilgrid"],
+        typer.Option(help="Board on the wall; boards with markers may be partly visible."),
+    ] = "checkerboard",
+    exact: Annotated[
+        bool, typer.Option("--exact", help="No noise and no encoder quantization (use with png).")
+    ] = False,
+    camera_late: Annotated[
+        float, typer.Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")
+    ] = 0.0,
+    imperfect: Annotated[
+        bool,
+        typer.Option(
+            "--imperfect", help="Robot, cameras and board differ from their description; uneven floor."
+        ),
+    ] = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a recording with known truth.
+
+    The truth is written to a YAML file next to the recording.
+
+    Example: mobilecal simulate drive.mcap --robot paper --seed 7
+    """
+    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.simulate.record import simulate as record
+    from mobilecal_cli.simulate.scenario import Scenario
+
+    scenario = Scenario(
+        robot=robot,
+        motion=motion,
+        seed=seed,
+        stations=stations,
+        container=container or _BY_SUFFIX.get(out.suffix, "rosbag2"),
+        pictures=pictures,
+        kind=board,
+        exact=exact,
+        camera_late_s=camera_late,
+        imperfect=imperfect,
+    )
+    with progress_bar(quiet) as progress:
+        truth = record(scenario, out, force, progress)
+    if not quiet:
+        typer.echo(written_line(out, truth))

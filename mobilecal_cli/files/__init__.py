@@ -1,0 +1,1 @@
+"""Files and processes that outlive nothing: reading within limits, temporary files, placing, signals."""

@@ -1,0 +1,149 @@
+"""Directories for unfinished files. A later run removes those of a process that was killed."""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from mobilecal_cli.errors import ConfigError, ResourceError
+from mobilecal_cli.files.interruption import Interrupted, uninterrupted
+
+try:
+    import fcntl
+except ImportError as error:  # every command and the Python API get here before they read or write anything
+    raise ConfigError(
+        "mobilecal runs on Linux and macOS; this system lacks their file locks",
+        "on Windows, use the Windows Subsystem for Linux (wsl --install), or a Linux container",
+    ) from error
+
+_PREFIX = "mobilecal-"
+#: Directories of this process that exist.
+_existing: set[Path] = set()
+
+
+@contextmanager
+def scratch_directory() -> Iterator[Path]:
+    """A new directory for temporary files, removed at the end of the block.
+
+    Raises:
+        ResourceError: it cannot be created.
+    """
+    with ExitStack() as stack:
+        try:
+            for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+                with abandoned(path) as free:
+                    if free:
+                        shutil.rmtree(path, ignore_errors=True)
+            path = stack.enter_context(locked(_created))
+        except OSError as error:
+            raise _no_space(error) from error
+        try:
+            yield path
+        finally:
+            try:
+                _remove(path)
+            except Interrupted:  # before the removal, or after it
+                _remove(path)
+                raise
+
+
+def _created() -> Path:
+    path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    _existing.add(path)
+    return path
+
+
+def enter_scratch(stack: ExitStack) -> Path:
+    """A scratch directory that is removed with the stack. A signal while it is created takes effect afterwards.
+
+    Raises:
+        ResourceError: it cannot be created.
+    """
+    with uninterrupted():
+        return stack.enter_context(scratch_directory())
+
+
+def _remove(path: Path) -> None:
+    with uninterrupted():
+        shutil.rmtree(path, ignore_errors=True)
+        _existing.discard(path)
+
+
+def remove_all() -> None:
+    """Remove the directories of blocks that a signal ended before anything was responsible for them."""
+    for path in tuple(_existing):
+        _remove(path)
+
+
+atexit.register(remove_all)
+
+
+@contextmanager
+def full_disk_told() -> Iterator[None]:
+    """Write temporary files; a full disk is an error of its own, whatever the block works on.
+
+    Raises:
+        ResourceError: the file system is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise _no_space(error) from error
+
+
+def _no_space(error: OSError) -> ResourceError:
+    where = os.environ.get("TMPDIR") or "temporary files"
+    return ResourceError(
+        f"{where}: cannot be written: {error.strerror or error}",
+        "free space there, or set TMPDIR to a directory with more space",
+    )
+
+
+@contextmanager
+def locked(create: Callable[[], Path]) -> Iterator[Path]:
+    """A new directory, locked while the block runs, so that no other process takes it for abandoned.
+
+    Args:
+        create: creates the directory. It is called again if another process removes the directory before the lock.
+
+    Raises:
+        OSError: the directory cannot be created or opened.
+    """
+    while True:
+        path = create()
+        with suppress(FileNotFoundError):
+            descriptor = os.open(path, os.O_RDONLY)
+            with suppress(OSError):  # not every file system has locks
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if path.exists():
+                break
+            os.close(descriptor)
+    try:
+        yield path
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def abandoned(path: Path) -> Iterator[bool]:
+    """Whether the process that locked a directory with `locked` has ended; it stays so during the block."""
+    descriptor = -1
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        free = True
+    except OSError:
+        free = False
+    try:
+        yield free
+    finally:
+        if descriptor >= 0:
+            os.close(descriptor)

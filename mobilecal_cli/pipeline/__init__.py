@@ -1,1 +1,0 @@
-"""The stages of a calibration joined into commands, one module a command; `steps` is the Python interface."""

@@ -1,0 +1,562 @@
+"""Schema and checks of rig.yaml, and its combination with command-line flags. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    PrivateAttr,
+    Strict,
+    ValidationError,
+    model_validator,
+)
+
+from mobilecal_cli import ranges
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text, reason_of
+
+#: Ten times the size of a URDF with thousands of links.
+LARGEST_URDF_BYTES = 2**24
+
+#: Value of a required key that a draft leaves to the user.
+TODO = "TODO"
+
+Number = Annotated[float, Strict()]  # neither a text nor true
+Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
+Separation = Annotated[Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
+Square = Annotated[Number, AfterValidator(ranges.SQUARE.validated)]
+Ticks = Annotated[Number, AfterValidator(ranges.TICKS.validated)]
+Sigma = Annotated[Number, AfterValidator(ranges.SIGMA.validated)]
+Length = Annotated[Number, AfterValidator(ranges.POSITION.validated)]
+Angle = Annotated[Number, AfterValidator(ranges.ANGLE.validated)]
+Position = tuple[Length, Length, Length]
+Text = Annotated[str, Field(min_length=1)]
+
+
+class _Section(BaseModel):
+    """A section of rig.yaml.
+
+    Attributes:
+        example: as YAML, where a draft leaves the section to the user; "" for none.
+    """
+
+    example: ClassVar[str] = ""
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+
+
+_Dictionary = Literal[
+    "DICT_4X4_50",
+    "DICT_4X4_100",
+    "DICT_4X4_250",
+    "DICT_4X4_1000",
+    "DICT_5X5_50",
+    "DICT_5X5_100",
+    "DICT_5X5_250",
+    "DICT_5X5_1000",
+    "DICT_6X6_50",
+    "DICT_6X6_100",
+    "DICT_6X6_250",
+    "DICT_6X6_1000",
+    "DICT_7X7_50",
+    "DICT_7X7_100",
+    "DICT_7X7_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+]
+
+
+class BoardConfig(_Section):
+    """The board. Counts are inner corners (aprilgrid: tags)."""
+
+    example: ClassVar[str] = "{columns: 9, rows: 6, square_m: 0.08}"
+
+    kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
+    columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
+    rows: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a column")
+    square_m: Square | None = Field(
+        None, description="side of a square (of a tag), m; measured by the stereo pair if not given"
+    )
+    dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
+    marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
+    gap_share: float | None = Field(None, ge=0, le=2, description="aprilgrid: gap between tags / tag side")
+    first_id: int = Field(0, ge=0, le=10_000, description="id of the first marker")
+    border_bits: int = Field(1, ge=1, le=3, description="width of the markers' black border, in cells")
+
+    @model_validator(mode="after")
+    def _markers_told(self) -> BoardConfig:
+        if self.kind == "checkerboard":
+            for key in ("dictionary", "marker_share", "gap_share"):
+                if getattr(self, key) is not None:
+                    raise ValueError(
+                        f"{key} applies only to boards with markers: set kind to charuco or aprilgrid"
+                    )
+            if min(self.columns or 3, self.rows or 3) < 3:
+                raise ValueError("board.columns and board.rows of a checkerboard must be 3 or more")
+            return self
+        needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
+        for key in ("columns", "rows", *needed):
+            if getattr(self, key) is None:
+                raise ValueError(f"a board of kind {self.kind} requires {key}")
+        return self
+
+    @model_validator(mode="after")
+    def _both_counts(self) -> BoardConfig:
+        if (self.columns is None) != (self.rows is None):
+            raise ValueError("give both columns and rows")
+        return self
+
+
+class CameraTopics(_Section):
+    """One camera's topics."""
+
+    image: Text | None = None
+    info: Text | None = None
+
+
+class BothInOneConfig(_Section):
+    """Images of both cameras in one message: the left camera on the left, or on top."""
+
+    image: Text
+    layout: Literal["side_by_side", "stacked"] = "side_by_side"
+
+
+class CamerasConfig(_Section):
+    """The stereo pair."""
+
+    example: ClassVar[str] = (
+        "left:  {image: /stereo/left/image_raw, info: /stereo/left/camera_info}\n"
+        "right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}"
+    )
+
+    left: CameraTopics = CameraTopics()
+    right: CameraTopics = CameraTopics()
+    both: BothInOneConfig | None = None
+    reference: Literal["left", "right"] = "left"
+    rectified: bool | None = None
+
+    @model_validator(mode="after")
+    def _both_or_each(self) -> CamerasConfig:
+        if self.both is not None and (self.left.image or self.right.image):
+            raise ValueError("give both.image, or left.image and right.image")
+        return self
+
+
+class JointFieldConfig(_Section):
+    """Location of one joint's reading, in messages other than JointState."""
+
+    example: ClassVar[str] = "{topic: /head, field: data, unit: rad}"
+
+    topic: Text
+    field: Text
+    unit: Literal["rad", "deg", "m"] = "rad"
+
+
+class JointsConfig(_Section):
+    """The pan-tilt joints."""
+
+    topic: Text | None = None
+    pan: Text | None = None
+    tilt: Text | None = None
+    fields: dict[Text, JointFieldConfig] = Field(
+        {}, description="joint → topic and field path of its reading"
+    )
+
+
+class WheelConfig(_Section):
+    """Source of one wheel's rotation."""
+
+    topic: Text | None = None
+    joint: Text | None = None
+    field: Text | None = None
+    ticks_per_revolution: Ticks | None = None
+    bits: Literal[8, 16, 32, 64] | None = None
+    sign: Literal[1, -1] = 1
+
+    @model_validator(mode="after")
+    def _joint_or_field(self) -> WheelConfig:
+        if self.joint is not None and self.field is not None:
+            raise ValueError("give joint or field, not both")
+        if self.field is not None and self.topic is None:
+            raise ValueError("field requires topic")
+        if self.bits is not None and self.ticks_per_revolution is None:
+            raise ValueError("bits requires ticks_per_revolution")
+        return self
+
+
+class WheelsConfig(_Section):
+    """Sources of both wheels' rotation."""
+
+    example: ClassVar[str] = (
+        "left:  {topic: /ticks/left, field: data, ticks_per_revolution: 4096, bits: 16}\n"
+        "right: {topic: /ticks/right, field: data, ticks_per_revolution: 4096, bits: 16}"
+    )
+
+    left: WheelConfig = WheelConfig()
+    right: WheelConfig = WheelConfig()
+    odometry: Text | None = Field(
+        None, description="topic of a nav_msgs/Odometry computed with nominal.wheels"
+    )
+
+
+class ChainLink(_Section):
+    """One link: a fixed offset (xyz_m, rpy_rad) or a joint (joint, axis, kind)."""
+
+    xyz_m: Position | None = None
+    rpy_rad: tuple[Angle, Angle, Angle] | None = None
+    joint: Text | None = None
+    axis: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    kind: Literal["revolute", "prismatic"] = "revolute"
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> ChainLink:
+        moving = self.joint is not None or self.axis is not None
+        fixed = self.xyz_m is not None or self.rpy_rad is not None
+        if moving == fixed:
+            raise ValueError("a link is either {xyz_m, rpy_rad} or {joint, axis}")
+        if moving and (self.joint is None or self.axis is None):
+            raise ValueError("give both joint and axis")
+        if self.axis is not None and math.hypot(*self.axis) < 1e-6:
+            raise ValueError("axis has zero length")
+        return self
+
+
+class HeadConfig(_Section):
+    """Kinematic chain from base to head."""
+
+    example: ClassVar[str] = """\
+urdf: robot.urdf  # or the chain:
+base_frame: base_link
+head_frame: head_link
+chain:
+  - {xyz_m: [0.05, 0, 0.9], rpy_rad: [0, 0, 0]}
+  - {joint: head_pan_joint, axis: [0, 0, 1]}
+  - {xyz_m: [0.02, 0, 0.06]}
+  - {joint: head_tilt_joint, axis: [0, 1, 0]}"""
+    base_frame: Text | None = None
+    head_frame: Text | None = None
+    urdf: Path | None = None
+    chain: tuple[ChainLink, ...] | None = None
+
+    @model_validator(mode="after")
+    def _urdf_or_chain(self) -> HeadConfig:
+        if self.urdf is not None and self.chain is not None:
+            raise ValueError("give urdf or chain, not both")
+        return self
+
+
+class HeadEyeNominal(_Section):
+    """Nominal head-eye transform."""
+
+    example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
+
+    translation_m: Position
+    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _unit_quaternion(self) -> HeadEyeNominal:
+        norm = math.hypot(*self.quaternion_xyzw)
+        if abs(norm - 1) > 1e-3:
+            raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
+        return self
+
+
+class WheelsNominal(_Section):
+    """Nominal wheels."""
+
+    radius_left_m: Radius
+    radius_right_m: Radius
+    separation_m: Separation
+
+
+class NominalConfig(_Section):
+    """Nominal values, used only for parameters that the recording does not determine."""
+
+    head_eye: HeadEyeNominal | None = None
+    wheels: WheelsNominal | None = None
+
+
+def _prior_entry(value: object) -> object:
+    """One standard deviation, or a word.
+
+    Raises:
+        ValueError: neither of them.
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
+        return value
+    raise ValueError(f"must be a standard deviation (0, or from {ranges.PRIOR_SIGMA}), fixed or free")
+
+
+PriorEntry = float | Literal["fixed", "free"]
+
+
+class NoiseConfig(_Section):
+    """Known standard deviations; the others are estimated from the recording."""
+
+    example: ClassVar[str] = "{pixel_px: 0.2, wheel_rad_per_sqrt_rad: 0.003, joint_rad: 0.001}"
+
+    pixel_px: Sigma | None = Field(None, description="of one corner coordinate")
+    wheel_rad_per_sqrt_rad: Sigma | None = Field(None, description="of a wheel over one radian")
+    encoder_rad: Sigma | None = Field(None, description="of one encoder reading")
+    joint_rad: Sigma | None = Field(None, description="of one joint reading")
+    floor_rad: Sigma | None = Field(None, description="of the floor's roll and pitch under the base")
+    floor_m: Sigma | None = Field(None, description="of the floor's height under the base")
+    floor_length_m: Sigma | None = Field(None, description="distance over which the floor stays alike")
+    sway_rad: Sigma | None = Field(None, description="of the base's roll and pitch beside the floor's")
+    sway_m: Sigma | None = Field(None, description="of the base's height beside the floor's")
+    stamp_s: Sigma | None = Field(None, description="of an image's stamp, in motion")
+    wheel_share: Sigma | None = Field(None, description="of a wheel's scale")
+    wheel_length_m: Sigma | None = Field(None, description="distance over which a wheel's scale stays alike")
+
+
+class RigConfig(_Section):
+    """All of rig.yaml. Every key is optional if the recording contains the information."""
+
+    schema_version: Literal[1] = 1
+    board: BoardConfig = BoardConfig()
+    cameras: CamerasConfig = CamerasConfig()
+    joints: JointsConfig = JointsConfig()
+    wheels: WheelsConfig = WheelsConfig()
+    head: HeadConfig = HeadConfig()
+    nominal: NominalConfig = NominalConfig()
+    noise: NoiseConfig = NoiseConfig()
+    priors: dict[Text, Annotated[PriorEntry, BeforeValidator(_prior_entry)]] = Field(
+        {},
+        description="kind or name of a constant, or all → standard deviation of the stated value, fixed or free",
+    )
+    gates: dict[Text, FiniteFloat] = Field({}, description="metric → limit, as for --gate")
+    stations: Literal["auto", "all"] = Field(
+        "auto",
+        description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",
+    )
+    _path: Path | None = PrivateAttr(None)
+    _flags: frozenset[str] = PrivateAttr(frozenset())
+
+    @property
+    def path(self) -> Path | None:
+        """The file that it was read from."""
+        return self._path
+
+    @property
+    def flags(self) -> frozenset[str]:
+        """Dotted keys that flags gave."""
+        return self._flags
+
+    def source_of(self, key: str) -> Literal["flag", "file"] | None:
+        """What gave a dotted key or a key below it."""
+        if any(flag == key or flag.startswith(f"{key}.") for flag in self._flags):
+            return "flag"
+        value: object = self
+        for part in key.split("."):
+            if part not in getattr(value, "model_fields_set", ()):
+                return None
+            value = getattr(value, part)
+        return "file"
+
+
+def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
+    """Read rig.yaml and override it with flags.
+
+    Args:
+        path: the file; None if there is none.
+        flags: dotted key → value, e.g. ``{"board.columns": 9}``; None values are ignored.
+
+    Raises:
+        ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
+    """
+    data: dict[str, Any] = {} if path is None else _read_yaml(path)
+    given = {key: value for key, value in (flags or {}).items() if value is not None}
+    for key, value in given.items():
+        section, _, name = key.partition(".")  # names of gates contain dots
+        _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
+    todo = sorted(_places_of(data, TODO))
+    if todo:
+        raise ConfigError(
+            f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
+            f"replace each {TODO} by its value; the comments of the draft explain them",
+        )
+    try:
+        rig = RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise _explained(error, data, "" if path is None else f"{path}: ") from error
+    if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
+        head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
+        rig = rig.model_copy(update={"head": head})
+    rig._path, rig._flags = path, frozenset(given)
+    return rig
+
+
+def checked_settings(settings: Mapping[str, Any], where: str) -> RigConfig:
+    """The settings of a result as a configuration, checked like those of rig.yaml.
+
+    Args:
+        settings: nested as in rig.yaml, as in params.yaml; keys that rig.yaml does not have are ignored.
+        where: file and section, for messages.
+
+    Raises:
+        ConfigError: a value is not possible.
+    """
+    data = _known(settings, RigConfig)
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise _explained(error, data, where) from error
+
+
+def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
+    """The keys of a section that rig.yaml has too, without empty texts and measured values."""
+    known = {}
+    measured = {"square_m"} if data.get("square_from", "stated") != "stated" else set()
+    for name, field in section.model_fields.items():
+        value, inner = data.get(name, ""), _section_of(field.annotation)
+        if value == "" or name in measured:
+            continue
+        known[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
+    return known
+
+
+def _section_of(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401
+    """The section that a field holds, also where it may be None; None for a value, a list or a mapping."""
+    if get_origin(annotation) in (dict, tuple):
+        return None
+    inner = (annotation, *get_args(annotation))
+    return next((each for each in inner if isinstance(each, type) and issubclass(each, BaseModel)), None)
+
+
+def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
+    """Dotted keys, below a mapping or list, that have a value."""
+    if isinstance(data, Mapping):
+        for key, inner in data.items():
+            yield from _places_of(inner, value, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(data, list):
+        for number, inner in enumerate(data):
+            yield from _places_of(inner, value, f"{prefix}[{number}]")
+    elif data == value:
+        yield prefix
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = load_yaml(read_text(path, LARGEST_BYTES))
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read: {error.strerror}", "check the path of the configuration"
+        ) from error
+    except ValueError as error:
+        where = " ".join(str(error).split())
+        raise ConfigError(
+            f"{path}: not valid YAML: {where}", "correct the syntax, or write a draft with mobilecal init LOG"
+        ) from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(
+            f"{path}: the top level is a {type(data).__name__}, not a mapping of keys",
+            "compare with the draft that mobilecal init LOG writes",
+        )
+    return data
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """Key and value of one `--set KEY=VALUE`: a dotted key, and a value read as YAML.
+
+    Raises:
+        ConfigError: no "=", or a value that is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise ConfigError(
+            f"--set {text}: not KEY=VALUE", "write KEY=VALUE, for example --set wheels.left.sign=-1"
+        )
+    try:
+        return key, load_yaml(value)
+    except ValueError as error:
+        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
+
+
+def read_urdf(config: RigConfig) -> str | None:
+    """Text of `head.urdf`, None if the configuration names none.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    if config.head.urdf is None:
+        return None
+    try:
+        return read_text(config.head.urdf, LARGEST_URDF_BYTES)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"head.urdf: {config.head.urdf} cannot be read: {reason_of(error)}", "check the path"
+        ) from error
+
+
+def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
+    for key in keys[:-1]:
+        inner = data.setdefault(key, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(
+                f"{key}: a value in the file, not a section",
+                "compare with the draft that mobilecal init LOG writes",
+            )
+        data = inner
+    data[keys[-1]] = value
+
+
+def setting_keys(section: type[BaseModel] = RigConfig, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted keys of rig.yaml that hold a value, with their descriptions ("" if there is none)."""
+    for name, field in section.model_fields.items():
+        inner = _section_of(field.annotation)
+        if inner is not None:
+            yield from setting_keys(inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", field.description or ""
+
+
+def _known_keys(location: tuple[int | str, ...]) -> list[str]:
+    """Keys of the schema in the section at a location."""
+    section: type[BaseModel] = RigConfig
+    for part in location:
+        if isinstance(part, int):
+            section = ChainLink
+            continue
+        if part not in section.model_fields:  # a key of a mapping, such as a joint's name
+            continue
+        annotation = section.model_fields[part].annotation
+        arguments = [annotation, *getattr(annotation, "__args__", ())]
+        inner = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
+        if inner:
+            section = inner[0]
+    return list(section.model_fields)
+
+
+def _explained(error: ValidationError, data: Mapping[str, Any], where: str) -> ConfigError:
+    problems, hints = [], []
+    for item in error.errors():
+        location = item["loc"]
+        key = ".".join(str(part) for part in location) or "the file"
+        if item["type"] == "extra_forbidden":
+            known = _known_keys(location[:-1])
+            near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+            problems.append(f"{key}: unknown key")
+            hints.append(f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}")
+        else:
+            got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
+            problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
+    return ConfigError(
+        where + "; ".join(problems), "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
+    )

@@ -1,0 +1,460 @@
+"""Commented draft of rig.yaml: what a recording and a URDF tell, each with its source, and what is left to the user."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
+from mobilecal_cli.likelihood.nuisance import KINDS
+from mobilecal_cli.model import (
+    IMAGES,
+    SIDES,
+    BoardView,
+    Draft,
+    Filled,
+    FixedLink,
+    FloatArray,
+    HeadChain,
+    Nominal,
+    NumberField,
+    RobotDescription,
+    Side,
+    Todo,
+)
+from mobilecal_cli.model.text import listed, visible
+from mobilecal_cli.rig.config import (
+    TODO,
+    BoardConfig,
+    CamerasConfig,
+    HeadConfig,
+    HeadEyeNominal,
+    JointFieldConfig,
+    NoiseConfig,
+    RigConfig,
+    WheelsConfig,
+)
+from mobilecal_cli.rig.joints import pan_and_tilt
+from mobilecal_cli.rig.names import joint_state_names, named_as, wheel_pairs
+from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
+from mobilecal_cli.rig.wheels import ODOMETRY, nominal_wheels, wheel_distance_m
+
+_WIDTH = 100
+#: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
+_MOST_NAMES = 100
+#: Whole boards that must be seen before their size is filled in.
+_ENOUGH_BOARDS = 3
+#: Stereo pairs, and their largest relative spread, for a suggestion of the size of the squares.
+_ENOUGH_SQUARES, _SQUARE_SPREAD = 3, 0.02
+#: Sizes that boards are made in, m, coarse first; and how far the measured size may be from one, relative.
+_SQUARE_STEPS_M, _SQUARE_NEAR = (0.01, 0.005, 0.001), 0.004
+T = TypeVar("T")
+
+
+def _quoted(text: str) -> str:
+    """YAML string that any loader reads back unchanged, without characters that control a terminal."""
+    return visible(json.dumps(text, ensure_ascii=False))  # YAML reads the escapes of both
+
+
+def _one_line(error: MobilecalError) -> str:
+    said = f"{error.message}; {error.hint}" if error.hint else error.message
+    return " ".join(said.split())
+
+
+def _tried(step: Callable[[], T]) -> T | None:
+    try:
+        return step()
+    except MobilecalError:
+        return None
+
+
+def _example(name: str, section: type[CamerasConfig | WheelsConfig | HeadConfig]) -> list[str]:
+    return [f"{name}:", *(f"  {line}" for line in section.example.splitlines())]
+
+
+def _listing(title: str, names: Iterable[str]) -> str:
+    return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
+
+
+class _Page:
+    """The file as it is written, with what is filled in and what is left."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.filled: list[Filled] = []
+        self.todo: list[Todo] = []
+
+    def add(self, *lines: str) -> None:
+        self.lines += lines
+
+    def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
+        """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
+        self.filled.append(Filled(key, text if value is None else value, source))
+        line = f"  {key.partition('.')[2]}: {text}"
+        both = f"{line}  # {source}"
+        self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
+
+    def ask(self, key: str, why: str, *template: str, needed: bool, indent: str = "") -> None:
+        """A key that is left to the user, and lines to fill in."""
+        self.todo.append(Todo(key, why, needed))
+        said = textwrap.wrap(f"TODO {self.todo[-1]}", _WIDTH, break_long_words=False, break_on_hyphens=False)
+        self.lines += [f"{indent}# {line}" for line in (*said, *template)]
+
+    def ask_for(self, survey: Survey, part: Part, key: str, *template: str, indent: str = "") -> None:
+        """What a survey lacks of one part."""
+        errors = [_one_line(error) for lack, error in survey.lacks if lack == part]
+        for number, why in enumerate(errors):
+            last = number == len(errors) - 1
+            self.ask(key, why, *(template if last else ()), needed=True, indent=indent)
+
+
+def draft_rig(
+    description: RobotDescription,
+    log_name: str,
+    *,
+    survey: Survey | None = None,
+    urdf_text: str | None = None,
+    urdf_path: str | None = None,
+    board: BoardView | None = None,
+    numbers: Sequence[NumberField] = (),
+) -> Draft:
+    """Draft of a rig.yaml.
+
+    Where names, images or readings allow two answers, the user is asked.
+
+    Args:
+        `description`: topics and first messages of the recording.
+        log_name: shown in the first line.
+        survey: of the recording without a configuration, if there is one already.
+        urdf_text: text of the URDF to use in place of the one in the recording.
+        urdf_path: its path, as it is written to the file.
+        board: the board in some images.
+        numbers: numbers that may be the readings of wheels or head joints.
+    """
+    survey = survey or survey_rig(RigConfig(), description, urdf_text)
+    page = _Page()
+    page.add(
+        f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
+        "# The comment of a value says where it comes from. Fill in or delete what is marked TODO, then test the file",
+        "# with mobilecal check. Every key is optional if the recording contains the information.",
+        "schema_version: 1",
+        "",
+    )
+    _board(page, board)
+    _cameras(page, description, survey)
+    _wheels(page, description, survey, numbers)
+    _joints(page, description, survey, numbers)
+    _head(page, survey, urdf_path)
+    _nominal(page, description, survey, urdf_text)
+    page.add(
+        "# known standard deviations; those omitted are estimated from the recording",
+        f"# noise: {NoiseConfig.example}",
+        "",
+        *_priors(),
+    )
+    notes = () if survey.head is None else survey.head.notes
+    # Names from the recording are also in the comments, where YAML allows no control characters.
+    return Draft(
+        "\n".join(visible(line) for line in page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes
+    )
+
+
+def _board(page: _Page, board: BoardView | None) -> None:
+    template = f"board: {BoardConfig.example}"
+    if board is None:
+        page.add("# inner corners and squares of the board; no images to find it in", f"# {template}", "")
+        return
+    if board.size is None or board.seen < _ENOUGH_BOARDS or board.other_sizes:
+        what = f"board of {board.size[0]} x {board.size[1]}" if board.size else "checkerboard of one size"
+        others = f", {board.other_sizes} one of another size" if board.other_sizes else ""
+        page.ask(
+            "board",
+            f"{board.seen} of {board.pictures} images show a whole {what}{others}; count the inner corners, or set "
+            "kind for a board with markers",
+            template,
+            needed=board.size is None,
+        )
+        page.add("")
+        return
+    columns, rows = board.size
+    source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
+    page.add("board:")
+    page.fill("board.columns", str(columns), source)
+    page.fill("board.rows", str(rows), source)
+    _square(page, board)
+    page.add("")
+
+
+def _square(page: _Page, board: BoardView) -> None:
+    """The size of the squares is only suggested: the stereo baseline that it is measured with may be wrong."""
+    why = "measure ten squares with a ruler; until then, the stereo pair gives the scale"
+    sides = board.squares_m
+    if board.square_m is None or len(sides) < _ENOUGH_SQUARES or np.ptp(sides) > _SQUARE_SPREAD * min(sides):
+        page.ask("board.square_m", why, "square_m: 0.08", needed=False, indent="  ")
+        return
+    measured = f"{board.square_m * 1e3:.2f} mm by {len(sides)} stereo pairs and the baseline in camera_info"
+    likely = likely_square_m(board.square_m)
+    suggested = likely if likely is not None else round(board.square_m, 4)
+    kind = "a usual size" if likely is not None else "no usual size"
+    page.ask(
+        "board.square_m",
+        f"{why}. Suggestion: {suggested * 1e3:g} mm, {kind} ({measured})",
+        f"square_m: {suggested:g}",
+        needed=False,
+        indent="  ",
+    )
+
+
+def likely_square_m(measured_m: float) -> float | None:
+    """The coarsest usual size near a measured one, m; None if there is none, or if any size would have a usual one."""
+    for step in _SQUARE_STEPS_M:
+        size = round(measured_m / step) * step
+        if (
+            size
+            and step > 4 * _SQUARE_NEAR * measured_m
+            and abs(size - measured_m) < _SQUARE_NEAR * measured_m
+        ):
+            return round(size, 6)
+    return None
+
+
+def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None:
+    images, infos = survey.images, survey.infos
+    page.add(
+        _listing("image topics in the recording", (t.name for t in description.topics if t.type in IMAGES))
+    )
+    if images is None:
+        page.ask_for(survey, "cameras", "cameras", *_example("cameras", CamerasConfig))
+        page.add("")
+        return
+    page.add("cameras:")
+    for side in SIDES:
+        info = infos.get(side)
+        entry = f"image: {_quoted(images[side])}" + ("" if info is None else f", info: {_quoted(info)}")
+        value = images[side] if info is None else f"{images[side]}, {info}"
+        page.fill(f"cameras.{side}", f"{{{entry}}}", "recording: names and types of the topics", value)
+    page.ask_for(survey, "camera infos", "cameras", indent="  ")
+    page.add("  reference: left  # default: camera of the head-eye transform")
+    rectified = "true" if survey.rectified else "false"
+    page.fill("cameras.rectified", rectified, "name of the image topic")
+    page.add("")
+
+
+def _wheels(
+    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
+) -> None:
+    page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
+    if survey.wheels is not None:
+        page.add("wheels:")
+        for side in SIDES:
+            source = survey.wheels[side]
+            entry = f"{{topic: {_quoted(source.topic)}, joint: {_quoted(source.joint or '')}, sign: {source.sign}}}"
+            why = "recording: the only pair of joints named as wheels"
+            page.fill(f"wheels.{side}", entry, why, f"{source.joint} on {source.topic}")
+        page.add("")
+        return
+    found = wheel_pairs(numbers)
+    counters = [
+        pair for pair in found if all(field.integer and field.jump is None for field in pair.values())
+    ]
+    if len(found) == 1 and counters:
+        page.add("wheels:")
+        for side in SIDES:
+            _counter(page, side, counters[0][side])
+        page.ask(
+            "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
+            "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
+            needed=True,
+            indent="  ",
+        )
+        page.add("")
+        return
+    page.ask_for(
+        survey,
+        "wheels",
+        "wheels",
+        *(f"candidate: {_described(field)}" for pair in found for field in pair.values()),
+        *_example("wheels", WheelsConfig),
+    )
+    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
+    if odometry:
+        page.add(
+            f"# or, with nominal.wheels exactly as in the driver: wheels: {{odometry: {_quoted(odometry[0])}}}"
+        )
+    page.add("")
+
+
+def _counter(page: _Page, side: Side, field: NumberField) -> None:
+    width, said = None, "it did not start again"
+    if field.wraps is not None:
+        width, said = field.wraps, f"bits: it starts again after 2^{field.wraps} steps"
+    elif field.bits in (8, 16):
+        width, said = field.bits, "bits: width of its type"
+    bits = "" if width is None else f", bits: {width}"
+    entry = f"topic: {_quoted(field.topic)}, field: {_quoted(field.path)}, ticks_per_revolution: {TODO}{bits}"
+    source = f"recording: the only pair of whole numbers named as counters; {said}"
+    page.fill(f"wheels.{side}", f"{{{entry}}}", source, f"{field.path} on {field.topic}{bits}")
+
+
+def _described(field: NumberField) -> str:
+    kind = "whole number" if field.integer else "number, unit unknown"
+    jumps = "" if field.jump is None else f", jumps by {field.jump}"
+    return f"topic {_quoted(field.topic)}, field {_quoted(field.path)} ({kind}{jumps})"
+
+
+def _joints(
+    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
+) -> None:
+    names = joint_state_names(description)
+    page.add(_listing("joints in the recording's joint states", names))
+    if survey.head is not None:
+        chain = survey.head.chain
+        pan, tilt = chain.pan, chain.tilt
+    else:
+        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), description, names)) or ("", "")
+    keys = (
+        {"topic": survey.joints[0]}
+        if survey.joints and len(survey.joints) == 1 and not survey.elsewhere
+        else {}
+    )
+    keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}
+    if keys:
+        page.add("joints:")
+    for key, value in keys.items():
+        source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
+        page.fill(f"joints.{key}", _quoted(value), source, value)
+    missing = () if survey.head is None else [n for n in survey.head.chain.joints if n not in names]
+    candidates = [f"candidate: {_described(field)}" for name in missing for field in named_as(name, numbers)]
+    page.ask_for(
+        survey,
+        "joints",
+        "joints.fields",
+        *candidates,
+        *([] if keys else ["joints:"]),
+        *(
+            f"{'' if keys else '  '}{line}"
+            for line in (
+                "fields:",
+                *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing),
+            )
+        ),
+        indent="  " if keys else "",
+    )
+    page.add("")
+
+
+def _head(page: _Page, survey: Survey, urdf_path: str | None) -> None:
+    if survey.head is None:
+        page.ask_for(survey, "head chain", "head", *_example("head", HeadConfig))
+        page.add("")
+        return
+    chain, origin = survey.head.chain, survey.head.origin
+    source = "the given URDF" if urdf_path else origin
+    page.add("head:")
+    if urdf_path is not None:
+        page.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
+    page.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)
+    last = f"{source}: link of the last head joint"
+    page.fill("head.head_frame", _quoted(chain.head_frame), last, chain.head_frame)
+    page.add(
+        f"  # joint positions, from the {source}: from the vehicle frame (midway between the wheels) to the head;",
+        "  # to change them, delete the comment signs" + (" and the line urdf" if urdf_path else ""),
+        "  # chain:",
+        *(f"  #   - {link}" for link in _links(chain)),
+    )
+    page.ask_for(survey, "head chain", "head", indent="  ")
+    page.add("")
+
+
+def _links(chain: HeadChain) -> list[str]:
+    """The links of a chain as in rig.yaml; a mimic joint with its relation as a comment."""
+    lines = []
+    for link in chain.links:
+        if isinstance(link, FixedLink):
+            T = link.T_parent_child
+            turned = se3.to_rpy(T[:3, :3])
+            rpy = f", rpy_rad: {_numbers(turned)}" if np.any(np.abs(turned) > 1e-12) else ""
+            lines.append(f"{{xyz_m: {_numbers(T[:3, 3])}{rpy}}}")
+            continue
+        kind = ", kind: prismatic" if link.kind == "prismatic" else ""
+        mimic = (
+            ""
+            if (link.multiplier, link.offset) == (1.0, 0.0)
+            else f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
+        )
+        lines.append(f"{{joint: {_quoted(link.joint)}, axis: {_numbers(link.axis)}{kind}}}{mimic}")
+    return lines
+
+
+def _numbers(values: FloatArray) -> str:
+    return f"[{', '.join(f'{0.0 if abs(value) < 1e-12 else value:.10g}' for value in values)}]"
+
+
+def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_text: str | None) -> None:
+    urdf = _parsed(description, urdf_text)
+    drawn = Nominal() if survey.head is None else survey.head.drawn
+    if urdf is not None and drawn.wheels is None:
+        drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
+    page.add("# nominal values: for what the recording does not determine, and to unwrap large turns")
+    filled = drawn.wheels is not None or drawn.T_h_reference is not None
+    indent, inner = ("  ", "") if filled else ("", "  ")
+    page.add("nominal:" if filled else "# nominal:")
+    if drawn.wheels is not None:
+        wheels = drawn.wheels
+        value = (
+            f"radius_left_m: {wheels.radius_left_m:.10g}, radius_right_m: {wheels.radius_right_m:.10g}, "
+            f"separation_m: {wheels.separation_m:.10g}"
+        )
+        source = "URDF: cylinders of the wheels' links, distance of the wheels' joints"
+        page.fill("nominal.wheels", f"{{{value}}}", source, value)
+    else:
+        apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
+        told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
+        page.ask(
+            "nominal.wheels",
+            f"measure the wheels with a ruler{told}",
+            f"{inner}wheels: {{radius_left_m: {TODO}, radius_right_m: {TODO}, separation_m: {apart or TODO}}}",
+            needed=False,
+            indent=indent,
+        )
+    if drawn.T_h_reference is not None:
+        T = drawn.T_h_reference
+        quaternion = se3.quaternion_xyzw(T[:3, :3])
+        value = f"translation_m: {_numbers(T[:3, 3])}, quaternion_xyzw: {_numbers(quaternion)}"
+        source = "URDF: fixed joints from the head to the left camera's frame"
+        page.fill("nominal.head_eye", f"{{{value}}}", source, value)
+    else:
+        page.ask(
+            "nominal.head_eye",
+            "pose of the left optical frame in the head frame, by a ruler; only needed if the motion does not show it",
+            f"{inner}head_eye: {HeadEyeNominal.example}",
+            needed=False,
+            indent=indent,
+        )
+    page.add("")
+
+
+def _parsed(description: RobotDescription, urdf_text: str | None) -> Urdf | None:
+    """The URDF that is given, or that of the recording; None without a valid one."""
+    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
+    return None if text is None else _tried(lambda: parse_urdf(text))
+
+
+def _priors() -> list[str]:
+    """The section `priors` with all defaults, as comments."""
+    entries = [(f"#   {kind.name}: {kind.sigma * kind.shown:.4g}", kind) for kind in KINDS]
+    width = max(len(entry) for entry, _ in entries)
+    return [
+        "# how well the stated constants of the robot are known: one standard deviation of each, fixed (exact) or free",
+        "# (ignored). all: fixed makes every constant exact; an entry for a single constant, such as focal_left,",
+        "# overrides that of its kind.",
+        "# priors:",
+        *(f"{entry:{width}}  # {kind.shown_unit}: {kind.meaning}" for entry, kind in entries),
+    ]

@@ -1,0 +1,290 @@
+"""The head: chain from the base, by rig.yaml, a URDF or the recording's transforms; and its nominal camera pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.kinematics.urdf import (
+    Urdf,
+    UrdfJoint,
+    head_chain,
+    parse_urdf,
+    vehicle_frame,
+    wheel_centres,
+)
+from mobilecal_cli.model import (
+    FixedLink,
+    FloatArray,
+    HeadChain,
+    JointLink,
+    Nominal,
+    RobotDescription,
+    Side,
+    WheelSource,
+    listed,
+)
+from mobilecal_cli.rig.config import ChainLink, RigConfig
+from mobilecal_cli.rig.joints import pan_and_tilt
+from mobilecal_cli.rig.wheels import nominal_wheels, urdf_wheels
+
+_MIDWAY_M = 1e-6
+#: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
+_STILL_RAD, _STILL_M = 2e-3, 5e-4
+#: A transform that deviates by more from the motion of a joint is not a joint.
+_OFF_RAD, _OFF_M = 0.02, 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Head:
+    """The head chain and its source.
+
+    Attributes:
+        chain: base to head.
+        urdf: its URDF, None for a chain given in the configuration.
+        drawn: nominal values of the URDF.
+        origin: source of the chain, in words.
+        notes: remarks for the report.
+    """
+
+    chain: HeadChain
+    urdf: Urdf | None
+    drawn: Nominal
+    origin: str
+    notes: tuple[str, ...]
+
+
+def head_of(
+    config: RigConfig,
+    description: RobotDescription,
+    urdf_text: str | None,
+    wheels: dict[Side, WheelSource],
+    camera_frame: str,
+) -> Head:
+    """The head chain of the configuration, of a URDF, or of the recording's transforms.
+
+    Raises:
+        RecordingError: none of them gives it.
+        ConfigError: several joints match, or the URDF is invalid.
+    """
+    if config.head.chain is not None:
+        moving = [link.joint for link in config.head.chain if link.joint]
+        pan, tilt = pan_and_tilt(config, description, dict.fromkeys(moving))
+        base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
+        chain = explicit_chain(config, base, head, pan, tilt)
+        return Head(chain, None, Nominal(), "head.chain of the configuration", ())
+    origin = "head.urdf of the configuration"
+    notes = []
+    if urdf_text is None and not description.urdfs:
+        return _head_of_transforms(config, description, wheels, camera_frame)
+    if urdf_text is None:
+        topic, urdf_text = next(iter(sorted(description.urdfs.items())))
+        origin = f"URDF on {topic}"
+        if len(set(description.urdfs.values())) > 1:
+            notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
+    urdf = parse_urdf(urdf_text)
+    pan, tilt = _pan_and_tilt_of_urdf(config, description, urdf)
+    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
+
+
+def _head_of_transforms(
+    config: RigConfig, description: RobotDescription, wheels: dict[Side, WheelSource], camera_frame: str
+) -> Head:
+    """The head of a recording without a URDF, from the motion of its transforms."""
+    urdf = urdf_of_transforms(description.transforms)
+    if camera_frame not in urdf.links:
+        to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
+        raise RecordingError(
+            f"the head chain is unknown: no robot_description in the recording, {to}and no head.urdf or head.chain in "
+            "the configuration",
+            "set head.urdf or head.chain in rig.yaml; mobilecal init LOG --urdf FILE drafts it",
+        )
+    base = config.head.base_frame or next(
+        (name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root
+    )
+    moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
+    pan, tilt = pan_and_tilt(config, description, moving)
+    if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
+        tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
+    note = (
+        "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
+        "joint angles are zero at the first transform."
+    )
+    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the recording", [note])
+
+
+def _pan_and_tilt_of_urdf(config: RigConfig, description: RobotDescription, urdf: Urdf) -> tuple[str, str]:
+    in_states = {name for names in description.joint_names.values() for name in names} | set(
+        config.joints.fields
+    )
+    pan, tilt = pan_and_tilt(config, description, [name for name in urdf.joints if name in in_states])
+    if not tilt and config.head.head_frame is None:
+        # Joint states may lack some of the head's joints; the URDF still names them.
+        pan, tilt = pan_and_tilt(config, description, list(urdf.joints))
+    return pan, tilt
+
+
+def _mounted(
+    config: RigConfig,
+    urdf: Urdf,
+    pan: str,
+    tilt: str,
+    wheels: dict[Side, WheelSource],
+    camera_frame: str,
+    origin: str,
+    notes: list[str],
+) -> Head:
+    chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
+    base, _ = frames(config, urdf, tilt)
+    drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+
+
+def check_moves(chain: HeadChain) -> None:
+    """Refuse a chain without a joint.
+
+    Raises:
+        ConfigError: the camera is fixed to the base.
+    """
+    if not any(isinstance(link, JointLink) for link in chain.links):
+        raise ConfigError(
+            f"no moving joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
+            "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
+        )
+
+
+def explicit_chain(config: RigConfig, base_frame: str, head_frame: str, pan: str, tilt: str) -> HeadChain:
+    """The chain given in rig.yaml."""
+    links = tuple(_chain_link(link) for link in config.head.chain or ())
+    return HeadChain(base_frame, head_frame, links, pan, tilt)
+
+
+def _chain_link(link: ChainLink) -> FixedLink | JointLink:
+    if link.joint is not None and link.axis is not None:
+        axis = np.array(link.axis)
+        return JointLink(link.joint, axis / math.hypot(*link.axis), link.kind)
+    rotation = se3.from_rpy(np.array(link.rpy_rad or (0, 0, 0)))
+    return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
+
+
+def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
+    """Base and head link of a URDF: as configured, or base_link and the child of the tilt joint.
+
+    Raises:
+        ConfigError: no tilt joint to derive the head link from.
+    """
+    base = config.head.base_frame
+    if base is None:
+        base = next((name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root)
+    if config.head.head_frame is not None:
+        return base, config.head.head_frame
+    if tilt not in urdf.joints:
+        raise ConfigError(
+            f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",
+            f"set joints.tilt or head.head_frame in rig.yaml; joints present: {listed(urdf.joints)}",
+        )
+    carried = urdf.joints[tilt].child
+    if "head_link" in urdf.links and carried != "head_link":
+        above = {joint.child: joint for joint in urdf.joints.values()}
+        link = "head_link"
+        while link in above and above[link].kind == "fixed":
+            link = above[link].parent
+        if link == carried:
+            return base, "head_link"
+    return base, carried
+
+
+def chain_from_urdf(
+    config: RigConfig, urdf: Urdf, sources: dict[Side, WheelSource], pan: str, tilt: str
+) -> tuple[HeadChain, list[str]]:
+    """Kinematic chain from v to the head, and notes on the position of v.
+
+    The vehicle frame v lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
+    differs, the offset is computed from the origins of the wheel joints.
+
+    Raises:
+        ConfigError: a link is missing or not connected.
+    """
+    base, head = frames(config, urdf, tilt)
+    wheels = urdf_wheels(urdf, sources, base)
+    if len(wheels) < 2:
+        return head_chain(urdf, base, head, pan, tilt), []
+    T_base_v = vehicle_frame(*wheel_centres(urdf, base, wheels["left"], wheels["right"]))
+    notes = _moving_wheels(urdf, base, wheels)
+    shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
+    if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
+        return head_chain(urdf, base, head, pan, tilt), notes
+    note = (
+        f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
+        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
+    )
+    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
+
+
+def _moving_wheels(urdf: Urdf, base: str, wheels: dict[Side, str]) -> list[str]:
+    """A note if the wheels move against the base, as on a robot that steers its axle."""
+    path = urdf.path(base, urdf.joints[wheels["left"]].parent)
+    moving = [joint.name for joint in path if joint.kind != "fixed"]
+    if not moving:
+        return []
+    return [
+        f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
+        "calibrated, with these joints at zero."
+    ]
+
+
+def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
+    """(4, 4) camera-to-head transform of the URDF; None unless only fixed joints connect the two frames."""
+    if camera_frame not in urdf.links:
+        return None
+    try:
+        path = urdf.path(head, camera_frame)
+    except ConfigError:
+        return None  # the camera is not below the head
+    if any(joint.kind != "fixed" for joint in path):
+        return None
+    T_h_reference = np.eye(4)
+    for joint in path:
+        T_h_reference = T_h_reference @ joint.T_parent_child
+    return T_h_reference
+
+
+def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
+    """Joints that would publish these transforms, each named by its child frame.
+
+    A transform that does not change is a fixed joint. One that only rotates about one axis is revolute, and one that
+    only translates along one axis is prismatic. Any other is "floating". A joint is at zero at the first sample; this
+    choice does not change the poses of the links.
+
+    Args:
+        transforms: (parent, child) → (n, 4, 4) samples of T_parent_child over the recording.
+    """
+    joints = {child: _joint(parent, child, T) for (parent, child), T in sorted(transforms.items())}
+    return Urdf("transforms", joints, {})
+
+
+def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:
+    moved = se3.inverse(T[0]) @ T
+    turn, way = se3.log_so3(moved[:, :3, :3]), moved[:, :3, 3]
+    turned, slid = (float(np.linalg.norm(values, axis=1).max()) for values in (turn, way))
+    if turned < _STILL_RAD and slid < _STILL_M:
+        return UrdfJoint(child, "fixed", parent, child, T[0], np.array([1.0, 0.0, 0.0]), None)
+    values, kind, other = (
+        (turn, "revolute", slid < _OFF_M) if turned >= _STILL_RAD else (way, "prismatic", True)
+    )
+    axis, off = _axis(values)
+    limit = _OFF_RAD if kind == "revolute" else _OFF_M
+    return UrdfJoint(child, kind if other and off < limit else "floating", parent, child, T[0], axis, None)
+
+
+def _axis(values: FloatArray) -> tuple[FloatArray, float]:
+    """The axis of vectors (n, 3), its largest component positive, and their largest deviation from it."""
+    axis = np.linalg.svd(values, full_matrices=False)[2][0]
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    off = values - np.outer(values @ axis, axis)
+    return axis, float(np.linalg.norm(off, axis=1).max())

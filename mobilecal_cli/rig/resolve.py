@@ -1,0 +1,205 @@
+"""Resolve the rig: flags first, then the file, the recording, and defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, TypeVar
+
+from mobilecal_cli.errors import ConfigError, RecordingError
+from mobilecal_cli.model import (
+    SIDES,
+    JointField,
+    JointTransform,
+    KnownNoise,
+    Nominal,
+    Rig,
+    RobotDescription,
+    Side,
+    Sources,
+    StereoLayout,
+    StereoRig,
+    WheelSource,
+)
+from mobilecal_cli.rig.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
+from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.head import Head, check_moves, head_of
+from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
+from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
+from mobilecal_cli.rig.wheels import wheel_sources
+
+T = TypeVar("T")
+_Lack = RecordingError | ConfigError
+#: Parts of a rig that can be unknown.
+Part = Literal["cameras", "camera infos", "wheels", "head chain", "joints", "priors"]
+
+
+@dataclass(frozen=True, slots=True)
+class ResolvedRig:
+    """A resolved rig, and notes on it.
+
+    Attributes:
+        rig: the complete rig.
+        notes: complete sentences for the report.
+    """
+
+    rig: Rig
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """The parts of a rig that configuration and recording determine, and why the others are unknown.
+
+    Attributes:
+        images, infos: topics of each side.
+        rectified: whether the images are rectified.
+        cameras: the stereo pair.
+        wheels: source of each wheel's rotation.
+        head: the head chain.
+        elsewhere: the head's joints without joint states.
+        joints: JointState topics.
+        lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
+            error has none of its own.
+    """
+
+    images: dict[Side, str] | None
+    infos: dict[Side, str]
+    rectified: bool
+    cameras: StereoRig | None
+    wheels: dict[Side, WheelSource] | None
+    head: Head | None
+    elsewhere: dict[str, JointField | JointTransform]
+    joints: tuple[str, ...] | None
+    lacks: tuple[tuple[Part, _Lack], ...]
+
+
+def resolve_rig(
+    config: RigConfig,
+    description: RobotDescription,
+    urdf_text: str | None = None,
+) -> ResolvedRig:
+    """Complete a configuration with the contents of the recording.
+
+    Args:
+        config: the configuration.
+        `description`: topics and first messages of the recording.
+        urdf_text: contents of `head.urdf`, if the configuration names one.
+
+    Raises:
+        RecordingError: the recording lacks something that the configuration does not give.
+        ConfigError: configuration and recording contradict each other, or several choices remain.
+    """
+    return complete_rig(survey_rig(config, description, urdf_text), config)
+
+
+def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
+    """The rig of a survey.
+
+    Args:
+        survey: of the same configuration.
+        config: see `resolve_rig`.
+
+    Raises:
+        RecordingError, ConfigError: the first error of the survey.
+    """
+    images, cameras, wheels, head, joints = (
+        survey.images, survey.cameras, survey.wheels, survey.head, survey.joints,
+    )  # fmt: skip
+    if survey.lacks or not (images and cameras and wheels and head) or joints is None:
+        raise survey.lacks[0][1]
+    infos, chain, drawn, given = survey.infos, head.chain, head.drawn, nominal_of(config)
+    nominal = Nominal(
+        drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
+        given.wheels or drawn.wheels,
+    )
+
+    def source_of(key: str, otherwise: str = "log") -> str:
+        return config.source_of(key) or otherwise
+
+    setting_sources = {
+        "board size": source_of("board.columns", "images"),
+        "board square_m": source_of("board.square_m", "stereo"),
+        f"left images {images['left']}": source_of("cameras.left.image"),
+        f"right images {images['right']}": source_of("cameras.right.image"),
+        f"left camera info {infos['left']}": source_of("cameras.left.info"),
+        f"right camera info {infos['right']}": source_of("cameras.right.info"),
+        f"images are {'rectified' if survey.rectified else 'raw'}": source_of(
+            "cameras.rectified", "topic name"
+        ),
+        f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
+        f"joint states {', '.join(joints)}": source_of("joints.topic"),
+        f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
+        f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
+        f"head chain {chain.base_frame} to {chain.head_frame}": head.origin,
+        **{
+            f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
+            for side, source in wheels.items()
+        },
+        "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
+        "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
+    }
+    return ResolvedRig(
+        Rig(
+            cameras,
+            chain,
+            nominal,
+            Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
+            setting_sources,
+            KnownNoise(**config.noise.model_dump()),
+            prior_sigmas(config.priors, cameras, chain),
+        ),
+        head.notes,
+    )
+
+
+def stereo_layout(config: RigConfig) -> StereoLayout:
+    """Arrangement of the two images of a pair."""
+    return "separate" if config.cameras.both is None else config.cameras.both.layout
+
+
+def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str | None = None) -> Survey:
+    """Everything that configuration and recording determine, and all errors, except those that follow from another.
+
+    Args:
+        config, `description`, urdf_text: see `resolve_rig`.
+    """
+    lacks: list[tuple[Part, _Lack]] = []
+
+    def tried(part: Part, step: Callable[[], T]) -> T | None:
+        try:
+            return step()
+        except (RecordingError, ConfigError) as error:
+            lacks.append((part, error))
+            return None
+
+    reference = config.cameras.reference
+    images = tried("cameras", lambda: image_topics(config, description))
+    topics: dict[Side, str] = {}
+    rectified, cameras = False, None
+    if images is not None:
+        for side in SIDES:
+            topic = tried("camera infos", partial(info_topic, side, images[side], config, description))
+            topics |= {side: topic} if topic is not None else {}
+        told = config.cameras.rectified
+        rectified = is_rectified(images["left"]) if told is None else told
+    infos = {side: description.infos[topic] for side, topic in topics.items()}
+    if len(infos) == len(SIDES):
+        tried("camera infos", lambda: check_sizes(infos))
+        cameras = tried(
+            "camera infos", lambda: stereo_rig(infos["left"], infos["right"], rectified, reference)
+        )
+    wheels = tried("wheels", lambda: wheel_sources(config, description))
+    frame = infos[reference].frame_id if reference in infos else ""
+    head = tried("head chain", lambda: head_of(config, description, urdf_text, wheels or {}, frame))
+    elsewhere: dict[str, JointField | JointTransform] = {}
+    joints: tuple[str, ...] | None = None
+    if head is not None:
+        tried("head chain", lambda: check_moves(head.chain))
+        elsewhere |= tried("joints", lambda: joint_fields(config, description, head.chain)) or {}
+        elsewhere |= joint_transforms(config, description, head.chain, head.urdf)
+        joints = tried("joints", lambda: joint_topics(config, description, head.chain, elsewhere))
+        if cameras is not None:
+            tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
+    return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, tuple(lacks))

@@ -1,0 +1,323 @@
+"""The effective settings, structured as in rig.yaml."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.likelihood.nuisance import KINDS, Constant, table
+from mobilecal_cli.model import (
+    SIDES,
+    Board,
+    Extraction,
+    FixedLink,
+    FloatArray,
+    HeadChain,
+    Nominal,
+    Rig,
+    Side,
+    StereoRig,
+    Track,
+    WheelGeometry,
+    WheelSource,
+    WheelTrack,
+)
+from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig
+
+
+def _numbers(array: FloatArray) -> list[float]:
+    return [float(value) + 0.0 for value in array]
+
+
+def _chain(chain: HeadChain) -> list[dict[str, Any]]:
+    links: list[dict[str, Any]] = []
+    for link in chain.links:
+        if isinstance(link, FixedLink):
+            links.append(
+                {
+                    "xyz_m": _numbers(link.T_parent_child[:3, 3]),
+                    "rpy_rad": _numbers(se3.to_rpy(link.T_parent_child[:3, :3])),
+                }
+            )
+            continue
+        joint: dict[str, Any] = {"joint": link.joint, "axis": _numbers(link.axis)}
+        if link.kind == "prismatic":
+            joint["kind"] = link.kind
+        links.append(joint)
+    return links
+
+
+def _wheel(source: WheelSource) -> dict[str, Any]:
+    settings = {
+        "topic": source.topic,
+        "joint": source.joint,
+        "field": source.field,
+        "ticks_per_revolution": source.ticks_per_revolution,
+        "bits": source.bits,
+        "sign": source.sign,
+        "odometry_made_with": asdict(source.baked_in) if source.baked_in is not None else None,
+    }
+    return {key: value for key, value in settings.items() if value is not None}
+
+
+def _board(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:
+    settings: dict[str, Any] = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
+    if board.square_m is not None:
+        settings["square_from"] = "stated"
+    elif measured_m:
+        settings |= {"square_m": float(np.median(measured_m)), "square_from": "measured by the stereo pair"}
+    markers = board.markers
+    if markers is not None:
+        share = "marker_share" if markers.kind == "charuco" else "gap_share"
+        settings |= {"kind": markers.kind, "dictionary": markers.dictionary, share: markers.share}
+        settings |= {"first_id": markers.first_id, "border_bits": markers.border_bits}
+    return settings
+
+
+def settings_of(extraction: Extraction) -> dict[str, Any]:
+    """Every setting that the result depends on, nested as in rig.yaml, with its source."""
+    rig, board = extraction.rig, extraction.board
+    elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
+    settings: dict[str, Any] = {
+        "board": _board(board, [o.square_m for o in extraction.observations]),
+        "cameras": {
+            **{
+                side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}
+                for side in ("left", "right")
+            },
+            **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
+            "reference": rig.cameras.reference,
+            "rectified": rig.cameras.rectified,
+        },
+        "joints": {
+            "topics": list(rig.sources.joints),
+            "pan": rig.chain.pan,
+            "tilt": rig.chain.tilt,
+            **({"elsewhere": elsewhere} if elsewhere else {}),
+        },
+        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in ("left", "right")},
+        "head": {
+            "base_frame": rig.chain.base_frame,
+            "head_frame": rig.chain.head_frame,
+            "chain": _chain(rig.chain),
+        },
+        "setting_sources": dict(rig.setting_sources),
+    }
+    nominal = rig.nominal
+    if nominal.wheels is not None:
+        wheels = nominal.wheels
+        settings["nominal"] = {
+            "wheels": {
+                "radius_left_m": wheels.radius_left_m,
+                "radius_right_m": wheels.radius_right_m,
+                "separation_m": wheels.separation_m,
+            }
+        }
+    if nominal.T_h_reference is not None:
+        settings.setdefault("nominal", {})["head_eye"] = {
+            "translation_m": _numbers(nominal.T_h_reference[:3, 3]),
+            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(nominal.T_h_reference[:3, :3])),
+        }
+    if rig.noise.given:
+        settings["noise"] = rig.noise.given
+    if rig.prior_sigmas:
+        settings["priors"] = shown_priors(rig.prior_sigmas, rig.cameras, rig.chain)
+    return settings
+
+
+#: Name that stands for all constants.
+ALL = "all"
+
+
+def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: HeadChain) -> dict[str, float]:
+    """Name of each constant that the configuration mentions → its prior sigma, see `Rig.prior_sigmas`.
+
+    An entry for one constant overrides that of its kind, which overrides that of all.
+
+    Args:
+        priors: "all", a kind or a constant → one standard deviation in the kind's unit for people, "fixed" or "free".
+        cameras: the stereo pair.
+        chain: the head chain.
+
+    Raises:
+        ConfigError: a name that this robot does not have.
+    """
+    rows = table(cameras, chain)
+    _check(priors, rows)
+    sigmas = {}
+    for row in rows:
+        for key in (row.name, row.kind, ALL):
+            if key in priors:
+                sigmas[row.name] = _sigma(row, priors[key])
+                break
+    return sigmas
+
+
+def _sigma(row: Constant, entry: PriorEntry) -> float:
+    """Prior sigma in the unit of the code; joints that slide have other units than those that turn."""
+    if isinstance(entry, str):
+        return {"fixed": 0.0, "free": math.inf}[entry]
+    return entry / row.of_kind.shown * (row.sigma / row.of_kind.sigma)
+
+
+def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadChain) -> dict[str, PriorEntry]:
+    """The inverse of `prior_sigmas`: name → standard deviation in the kind's unit for people, "fixed" or "free"."""
+    entries: dict[str, PriorEntry] = {}
+    for row in table(cameras, chain):
+        sigma = sigmas.get(row.name)
+        if sigma is None:
+            continue
+        shown = float(f"{sigma * row.of_kind.shown * (row.of_kind.sigma / row.sigma):.12g}")
+        entries[row.name] = "free" if sigma == math.inf else shown if sigma else "fixed"
+    return entries
+
+
+def _check(priors: Mapping[str, PriorEntry], rows: tuple[Constant, ...]) -> None:
+    kinds, names = [kind.name for kind in KINDS], [row.name for row in rows]
+    known = [ALL, *kinds, *names]
+    for name in priors:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = (
+                f"did you mean {near[0]}?"
+                if near
+                else f"kinds: {', '.join(kinds)}; constants: {', '.join(names)}"
+            )
+            raise ConfigError(f"priors.{name}: this robot has no such constant", hint)
+
+
+def nominal_of(config: RigConfig) -> Nominal:
+    """Nominal values that the configuration gives; None where it gives none."""
+    head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
+    T_h_reference = None
+    if head_eye is not None:
+        rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
+        T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
+    return Nominal(
+        T_h_reference,
+        None
+        if wheels is None
+        else WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m),
+    )
+
+
+#: Keys of rig.yaml, or the sections above them, that apply to an extraction.
+CHANGEABLE = (
+    "priors",
+    "noise",
+    "gates",
+    "nominal",
+    "cameras.reference",
+    *(f"wheels.{side}.{name}" for side in SIDES for name in ("sign", "ticks_per_revolution")),
+)
+
+
+def refuse_others(keys: Collection[str], extraction: str) -> None:
+    """Refuse settings that were used to make an extraction.
+
+    Args:
+        keys: dotted keys that the user gave.
+        extraction: name of the extraction, for the message.
+
+    Raises:
+        ConfigError: naming them, and the settings that can be changed.
+    """
+    used = [key for key in keys if not any(key == name or key.startswith(f"{name}.") for name in CHANGEABLE)]
+    if used:
+        raise ConfigError(
+            f"{extraction}: {', '.join(sorted(used))} cannot be changed in an extraction: the images and readings "
+            "were read with the old value",
+            f"calibrate from the recording; these settings can be changed: {', '.join(CHANGEABLE)}",
+        )
+
+
+def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
+    """The extraction with the settings that flags gave in place of its own.
+
+    Raises:
+        ConfigError: a setting that this robot does not have.
+    """
+    rig, given = extraction.rig, config.flags
+    sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
+    levels = config.noise.model_dump(exclude_none=True)
+    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
+    if "cameras.reference" in given:
+        rig = _seen_from(rig, config.cameras.reference)
+    if any(key.startswith("nominal") for key in given):
+        rig = _with_nominal(rig, config)
+    tracks = extraction.wheels
+    for side in SIDES:
+        keys = {key for key in given if key.startswith(f"wheels.{side}.")}
+        if keys:
+            rig, tracks = _rescaled(rig, tracks, side, getattr(config.wheels, side), keys)
+    return replace(extraction, rig=rig, wheels=tracks)
+
+
+def _seen_from(rig: Rig, reference: Side) -> Rig:
+    """The rig with another reference camera; the nominal head-eye transform is converted."""
+    cameras, nominal = replace(rig.cameras, reference=reference), rig.nominal
+    if nominal.T_h_reference is not None:
+        T_h_c = nominal.T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
+        nominal = replace(nominal, T_h_reference=T_h_c @ cameras.T_c_reference)
+    before, now = (f"reference camera {side}" for side in (rig.cameras.reference, reference))
+    sources = {now if key == before else key: value for key, value in rig.setting_sources.items()}
+    return replace(rig, cameras=cameras, nominal=nominal, setting_sources={**sources, now: "flag"})
+
+
+def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
+    """The rig with the nominal values that the configuration gives.
+
+    Raises:
+        ConfigError: the wheels' rotations were computed with the nominal wheels.
+    """
+    given = nominal_of(config)
+    if given.wheels is not None and any(source.baked_in for source in rig.sources.wheels.values()):
+        raise ConfigError(
+            "nominal.wheels cannot be changed in an extraction whose wheel rotations come from odometry",
+            "calibrate from the recording, with the wheels of the robot's driver",
+        )
+    sources = dict(rig.setting_sources)
+    sources |= {} if given.wheels is None else {"nominal wheels": "flag"}
+    sources |= {} if given.T_h_reference is None else {"nominal head_eye": "flag"}
+    head_eye = rig.nominal.T_h_reference if given.T_h_reference is None else given.T_h_reference
+    return replace(
+        rig, nominal=Nominal(head_eye, given.wheels or rig.nominal.wheels), setting_sources=sources
+    )
+
+
+def _rescaled(
+    rig: Rig, tracks: tuple[WheelTrack, ...], side: Side, wheel: WheelConfig, keys: Collection[str]
+) -> tuple[Rig, tuple[WheelTrack, ...]]:
+    """The rig and the wheel tracks with another sign or resolution of one wheel.
+
+    Raises:
+        ConfigError: the rotation of the wheel was computed from odometry.
+    """
+    old = rig.sources.wheels[side]
+    if old.baked_in is not None:
+        raise ConfigError(
+            f"{', '.join(sorted(keys))}: the rotation of the wheel was computed from odometry",
+            "calibrate from the recording",
+        )
+    new = replace(old, **{key.rsplit(".", 1)[1]: getattr(wheel, key.rsplit(".", 1)[1]) for key in keys})
+    factor = _turn_per_unit(new) / _turn_per_unit(old)
+    scaled = []
+    for track in tracks:
+        one: Track = getattr(track, side)
+        turned = Track(one.time_ns, one.value * factor)
+        scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
+    name = f"{side} wheel {old.topic} {old.joint or old.field}"
+    sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
+    return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)
+
+
+def _turn_per_unit(source: WheelSource) -> float:
+    """Turns per unit of the readings, with the sign."""
+    return source.sign / (source.ticks_per_revolution or 2 * math.pi)

@@ -1,0 +1,138 @@
+"""Segments, processes and threads: the same corners in the same order for any number of processes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli.calibrate import detect as detecting
+from mobilecal_cli.calibrate import detect as detection_workers
+from mobilecal_cli.calibrate import workers as processes
+from mobilecal_cli.calibrate.extract import extract
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import PictureIndex, Station, StereoPair, Track, WheelTrack
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.stations import Plan
+
+EXTRACTING = sys.modules["mobilecal_cli.calibrate.extract"]  # the package's `extract` is the function in it
+
+
+def station(index: int, pairs: int) -> Station:
+    times = [1000 * index + i for i in range(pairs)]
+    return Station(index, True, tuple(StereoPair(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
+
+
+def plan(stations: list[Station]) -> Plan:
+    """A plan with these stations, in images that nobody reads."""
+    times = np.array([pair.left_ns for station in stations for pair in station.pairs])
+    index, track = PictureIndex(times, times, times), Track(np.arange(2), np.zeros(2))
+    return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, (), ())
+
+
+def test_segments_hold_all_stations_in_order():
+    stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
+    segments = detecting.segments_of(plan(stations), True)
+    assert [s.index for segment in segments for s in segment.stations] == list(range(20))
+    pairs = [sum(len(s.pairs) for s in segment.stations) for segment in segments]
+    assert max(pairs) <= detecting.SEGMENT_PAIRS
+    shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
+    assert shown == list(range(20))
+    many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
+    assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
+
+
+def test_a_station_of_more_shots_than_a_segment_stands_alone():
+    segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
+    assert [len(segment.stations) for segment in segments] == [1, 1, 1]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "moving.mcap"
+    simulate(Scenario(motion="moving", stations=2, pictures="jpeg", seed=5), path)
+    return path
+
+
+def everything(log: Path, jobs: int):
+    extraction, snapshots = extract(
+        [log], load_rig(None, {"stations": "all", "board.columns": 9, "board.rows": 6}), jobs=jobs
+    )
+    return extraction, snapshots
+
+
+def same(a, b) -> bool:
+    return len(a.observations) == len(b.observations) and all(
+        np.array_equal(x.left.pixels, y.left.pixels)
+        and np.array_equal(x.T_c_k, y.T_c_k)
+        and np.array_equal(x.right.relative_cov, y.right.relative_cov)
+        for x, y in zip(a.observations, b.observations, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def alone(log):
+    """What one process sees in a log that is split into several segments."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(detecting, "SEGMENT_PAIRS", 12)
+        return everything(log, 1)
+
+
+@pytest.fixture(
+    params=[pytest.param(True, marks=pytest.mark.long), False], ids=["called early", "called when needed"]
+)
+def segmented(request, monkeypatch) -> None:
+    """A short log is split into several segments; the workers start before or after the planning."""
+    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(detection_workers, "_MEASURED_AT_ONCE", 7)
+    monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
+
+
+def test_processes_see_what_one_sees(log, alone, segmented):
+    alone, shown = alone
+    assert len(alone.observations) > 40
+    assert not any(o.at_rest for o in alone.observations)
+    assert alone.counts["pictures"] == 2 * alone.counts["stations"]
+    together, shown_together = everything(log, 2)
+    assert same(alone, together)
+    assert [s.left_jpeg for s in shown] == [s.left_jpeg for s in shown_together]
+
+
+def test_the_threads_of_the_caller_are_left_as_they_are(log):
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(3)
+        everything(log, 1)
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
+
+
+def test_where_processes_cannot_be_started_this_one_looks(log, alone, segmented, monkeypatch):
+    def refused(*_args, **_kwargs):
+        raise OSError("no processes here")
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", refused)
+    assert same(alone[0], everything(log, 2)[0])
+
+
+def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
+    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
+    resolve = EXTRACTING.resolve_rig
+
+    def other_size(*args):
+        resolved = resolve(*args)
+        rig = resolved.rig
+        left = replace(rig.cameras.left, width=641)
+        return replace(resolved, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
+
+    monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
+    with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:
+        everything(log, 2)
+    assert raised.value.hint

@@ -1,0 +1,52 @@
+"""Several recordings of one robot: camera infos that differ, and errors in one of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.calibrate.extract import _other_cameras, extract
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import CAMERA_INFO_CHANGES
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.simulate.robot import ROBOTS
+
+CAMERAS = ROBOTS["paper"]().rig_cameras
+
+
+def seen(name, cameras):
+    return SimpleNamespace(name=name, rig=SimpleNamespace(cameras=cameras))
+
+
+def changed(**fields):
+    return replace(CAMERAS, right=replace(CAMERAS.right, **fields))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        changed(K=CAMERAS.right.K * np.array([[1.001], [1.001], [1]])),
+        changed(D=CAMERAS.right.D + 0.01),
+        changed(D=np.zeros(8), distortion="rational_polynomial"),
+        replace(CAMERAS, T_c_r=CAMERAS.T_c_r + 1e-4),
+    ],
+)
+def test_other_cameras_are_told(other):
+    (note,) = _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other))
+    assert note.startswith(f"b.mcap: {CAMERA_INFO_CHANGES} from that of a.mcap")
+
+
+def test_rounding_is_not_told():
+    other = changed(K=CAMERAS.right.K * (1 + 1e-9), D=CAMERAS.right.D + 1e-9)
+    assert _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other)) == ()
+
+
+def test_the_recording_with_the_error_is_named(sample_logs):
+    logs = [sample_logs / "tick_robot.mcap", sample_logs / "imperfect_robot.mcap"]
+    with pytest.raises(
+        RecordingError, match=r"imperfect_robot\.mcap: wheels\.left: no topic /wheel_ticks/left"
+    ):
+        extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
+from mobilecal_cli.errors import ObservationError, SolveError
+from mobilecal_cli.model import NINE, Rejection
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from tests.extractions import Noise, ideal_extraction
+
+
+def extraction(motion, noise=None):
+    robot = paper_robot()
+    return ideal_extraction(robot, plan_route(robot, motion), noise)
+
+
+@pytest.mark.parametrize("motion", ["standard", "large_turns", "moving"])
+def test_enough_motion_has_no_gap(motion):
+    assert motion_gaps(extraction(motion)) == ()
+    require_observable(extraction(motion))
+
+
+@pytest.mark.parametrize(
+    ("motion", "parameters", "because", "cure"),
+    [
+        (
+            "head_fixed",
+            "translation along the vertical",
+            "the head's tilt spans only 0.",
+            "tilt the head up and down",
+        ),
+        ("straight", "separation", "only drives straight", "turn the base"),
+        ("spin", "common scale", "only turns in place", "drive forward or back"),
+        (
+            "base_fixed",
+            "radius_right, radius_left, separation",
+            "the base stands still",
+            "drive and turn the base",
+        ),
+    ],
+)
+@pytest.mark.parametrize("noise", [None, Noise(0.2, 0.003, 0.0209, 0.001)])
+def test_missing_motion_is_named(motion, parameters, because, cure, noise):
+    with pytest.raises(SolveError) as caught:
+        require_observable(extraction(motion, noise))
+    assert f"unobservable: {parameters}" in caught.value.message
+    assert because in caught.value.message
+    assert cure in caught.value.hint
+
+
+def test_too_few_stations_count_the_reasons():
+    whole = extraction("standard")
+    lost = [Rejection("vision", "blurred", "edge 5 px", 0)] * 5 + [Rejection("vision", "no board", "", 0)] * 4
+    few = replace(whole, observations=whole.observations[:3], rejections=tuple(lost))
+    with pytest.raises(ObservationError, match=r"at 3 of 12 stations \(at least 4 needed\)") as caught:
+        require_stations(few)
+    assert "rejected: 5 x blurred, 4 x no board" in caught.value.message
+
+
+def recordings(count, stations):
+    parts = [
+        replace(extraction("standard"), observations=extraction("standard").observations[:stations])
+    ] * count
+    return replace(
+        parts[0],
+        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
+        wheels=tuple(part.wheels[0] for part in parts),
+        counts={"stations": count * stations},
+    )
+
+
+@pytest.mark.parametrize(("count", "stations", "legs"), [(4, 1, 0), (2, 2, 2), (20, 1, 0)])
+def test_too_few_legs_are_counted(count, stations, legs):
+    with pytest.raises(ObservationError) as caught:
+        require_stations(recordings(count, stations))
+    assert f"in {count} recordings: only {legs} legs" in caught.value.message
+    assert "(at least 3 needed)" in caught.value.message
+    assert caught.value.hint.startswith("record more stations in each recording")
+
+
+def test_three_legs_are_enough():
+    require_stations(recordings(3, 2))
+    require_stations(recordings(1, 4))
+
+
+@pytest.mark.parametrize(
+    ("motion", "fixed"),
+    [
+        ("head_fixed", NINE[:6]),
+        ("head_fixed", NINE[3:6]),
+        ("straight", ("separation",)),
+        ("spin", NINE[6:]),
+        ("spin", ("radius_left",)),
+        ("base_fixed", NINE[6:]),
+    ],
+)
+def test_fixed_parameters_need_no_motion(motion, fixed):
+    assert motion_gaps(extraction(motion), fixed) == ()
+
+
+def test_motion_for_free_parameters_is_still_missing():
+    assert len(motion_gaps(extraction("head_fixed"), NINE[6:])) == 1
+    assert len(motion_gaps(extraction("straight"), NINE[:6])) == 1
+    assert len(motion_gaps(extraction("base_fixed"), ("separation",))) == 1

@@ -1,0 +1,129 @@
+"""Extractions as input: their own settings, and those that may replace them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.calibrate.load import load
+from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
+from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.settings import refuse_others, with_settings
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
+
+
+@pytest.fixture(scope="module")
+def npz(tmp_path_factory):
+    robot = ROBOTS["tick"]()
+    route = plan_route(robot, "standard", 8, seed=5)
+    extraction = imperfect_extraction(robot, route, Imperfection(noise=STATION_NOISE), seed=2)
+    path = tmp_path_factory.mktemp("npz") / "extraction.npz"
+    path.write_bytes(extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))))
+    return path
+
+
+def loaded(npz, **flags):
+    flags = {key.replace("__", "."): value for key, value in flags.items()}
+    return load([npz], load_rig(None, flags))[0]
+
+
+def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
+    rig = loaded(npz, priors__all="fixed", priors__pan_zero=0.2, noise__floor_m=0.001).rig
+    assert rig.prior_sigmas.keys() == {row.name for row in table(rig.cameras, rig.chain)}
+    assert rig.prior_sigmas["pan_zero"] == pytest.approx(math.radians(0.2))
+    assert rig.noise.given == {"floor_m": 0.001}
+    again = tmp_path / "extraction.npz"
+    again.write_bytes(extraction_to_npz(loaded(npz, priors__all="fixed", noise__floor_m=0.001)))
+    kept = loaded(again, priors__focal_length="free").rig
+    assert math.isinf(kept.prior_sigmas["focal_left"])
+    assert kept.prior_sigmas["pan_zero"] == 0
+    assert kept.noise.given == {"floor_m": 0.001}
+
+
+def test_the_solver_uses_them(npz):
+    assert solve(loaded(npz, priors__all="fixed")).constants.keys() <= {"square_scale"}
+    usual = solve(loaded(npz))
+    narrow = solve(loaded(npz, priors__focal_length=0.0005))
+    assert narrow.constants["focal_left"].prior == pytest.approx(5e-6)
+    assert narrow.constants["focal_left"].std < 5.05e-6 < usual.constants["focal_left"].std
+
+
+@pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])
+def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, flag):
+    with pytest.raises(ConfigError, match=f"{flag} cannot be changed in an extraction") as told:
+        refuse_others({flag}, str(npz))
+    assert "priors, noise, gates, nominal, cameras.reference, wheels.left.sign" in told.value.hint
+    with pytest.raises(ConfigError, match="stations cannot be changed in an extraction"):
+        loaded(npz, stations="all")
+
+
+def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
+    old = loaded(npz)
+    source = old.rig.sources.wheels["left"]
+    ticks = source.ticks_per_revolution or 2 * math.pi
+    new = loaded(npz, wheels__left__sign=-1, wheels__left__ticks_per_revolution=ticks / 2)
+    assert new.rig.sources.wheels["left"].sign == -1
+    assert new.rig.sources.wheels["left"].ticks_per_revolution == ticks / 2
+    for before, after in zip(old.wheels, new.wheels, strict=True):
+        np.testing.assert_allclose(after.left.value, -2 * before.left.value, rtol=1e-12)
+        np.testing.assert_array_equal(after.right.value, before.right.value)
+    # The same ticks per revolution again, and the sign as before: nothing changes.
+    same = loaded(npz, wheels__left__sign=1, wheels__left__ticks_per_revolution=ticks)
+    np.testing.assert_allclose(same.wheels[0].left.value, old.wheels[0].left.value, rtol=1e-14)
+
+
+def test_a_wrong_sign_is_repaired_without_the_recording(npz, tmp_path):
+    wrong = tmp_path / "wrong.npz"
+    wrong.write_bytes(extraction_to_npz(loaded(npz, wheels__right__sign=-1)))
+    with pytest.raises(SolveError, match=r"right wheel"):
+        solve(loaded(wrong))
+    found = solve(loaded(wrong, wheels__right__sign=1)).parameters
+    np.testing.assert_allclose(found.wheels.vector, solve(loaded(npz)).parameters.wheels.vector, rtol=1e-9)
+
+
+def test_nominal_values_and_the_reference_camera(npz):
+    head_eye = {"translation_m": [0.1, 0.2, 0.3], "quaternion_xyzw": [0, 0, 0, 1]}
+    wheels = {"radius_left_m": 0.08, "radius_right_m": 0.08, "separation_m": 0.35}
+    rig = loaded(npz, nominal__head_eye=head_eye, nominal__wheels=wheels).rig
+    assert rig.nominal.wheels == WheelGeometry(0.08, 0.08, 0.35)
+    assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
+    assert (rig.setting_sources["nominal wheels"], rig.setting_sources["nominal head_eye"]) == (
+        "flag",
+        "flag",
+    )
+    again = replace(loaded(npz), rig=rig)
+    turned = with_settings(again, load_rig(None, {"cameras.reference": "right"})).rig
+    assert turned.cameras.reference == "right"
+    np.testing.assert_allclose(
+        turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_r, atol=1e-12
+    )
+    assert turned.nominal.wheels == rig.nominal.wheels
+
+
+def test_wheels_from_odometry_keep_their_sizes(npz):
+    extraction = loaded(npz)
+    sizes = WheelGeometry(0.08, 0.08, 0.35)
+    wheels = {side: WheelSource("/odom", baked_in=sizes) for side in ("left", "right")}
+    sources = replace(extraction.rig.sources, wheels=wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, sources=sources))
+    nominal = {"radius_left_m": 0.1, "radius_right_m": 0.1, "separation_m": 0.4}
+    for flags, words in (
+        ({"nominal.wheels": nominal}, "come from odometry"),
+        ({"wheels.left.sign": -1}, "computed from odometry"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            with_settings(extraction, load_rig(None, flags))
+
+
+def test_unknown_constants_are_refused(npz):
+    with pytest.raises(ConfigError, match=r"priors\.pan_zer: this robot has no such constant"):
+        loaded(npz, priors__pan_zer=1)

@@ -1,0 +1,159 @@
+"""The Python surface: its documentation page runs, and it writes what the command writes."""
+
+from __future__ import annotations
+
+import doctest
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mobilecal_cli as mc
+from mobilecal_cli.calibrate import steps
+from mobilecal_cli.calibrate.steps import Data, calibrate
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.solvers import constraints_of
+from tests.command import run
+from tests.conftest import REPOSITORY
+from tests.report.example import make_extraction
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("notebook")
+    (folder / "sample_logs").symlink_to(REPOSITORY / "sample_logs")
+    return folder
+
+
+def test_the_page_runs_as_written(workplace, monkeypatch):
+    monkeypatch.chdir(workplace)
+    page = REPOSITORY / "docs" / "how-to" / "use-from-python.md"
+    results = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
+    assert results.attempted > 10
+    assert results.failed == 0
+
+
+def test_the_command_writes_the_same_files(workplace, monkeypatch):
+    """From the extraction of the page, which needs no images."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    extraction = workplace / "result" / "extraction.npz"
+    calibrate([extraction], workplace / "by_command", gates=["point_rms_mm=12"], hold_out=0.3)
+    data = mc.extract(str(extraction))
+    report = mc.Report(data, mc.solve(data, hold_out=0.3), gates={"point_rms_mm": 12})
+    report.save(Path(workplace / "by_hand"))
+    for name in ("params.yaml", "report.json", "report.html", "extraction.npz"):
+        one, other = (workplace / folder / name for folder in ("by_command", "by_hand"))
+        assert one.read_bytes() == other.read_bytes(), name
+
+
+def test_a_name_that_does_not_exist_is_refused():
+    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
+        _ = mc.calibrat
+
+
+def test_a_group_stands_for_its_kinds_of_constants():
+    kinds = ("stereo_rotation", "baseline_direction", "baseline_length")
+    assert constraints_of([], [], ["stereo"]).constants == kinds
+    with pytest.raises(ConfigError, match="--estimate streo: no such") as caught:
+        constraints_of([], [], ["streo"])
+    assert caught.value.hint == "did you mean stereo?"
+
+
+@pytest.fixture(scope="module")
+def data():
+    return Data(make_extraction(), (), {})
+
+
+@pytest.fixture(scope="module")
+def report(data):
+    return mc.Report(data, mc.solve(data))
+
+
+@pytest.mark.parametrize(
+    "number", [np.float64(0.34), np.float32(0.34), np.array(0.34), Fraction(17, 50), Decimal("0.34")]
+)
+def test_numbers_of_any_kind(data, monkeypatch, number):
+    monkeypatch.setattr(steps, "fitted", lambda _, method, constraints, *rest: constraints)
+    asked = mc.solve(
+        data,
+        fix={"separation": number},
+        prior={"t_x": (number, np.float32(0.5)), "t_y": np.array([float(number), 0.01])},
+    )
+    assert asked.fixed == {"separation": pytest.approx(0.34, abs=1e-7)}
+    assert asked.priors == {"t_x": (pytest.approx(0.34, abs=1e-7), 0.5), "t_y": (float(number), 0.01)}
+    assert {
+        type(value) for value in (asked.fixed["separation"], *asked.priors["t_x"], *asked.priors["t_y"])
+    } == {float}
+
+
+def test_a_numpy_number_fixes(data):
+    fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
+    assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
+
+
+def test_one_name_needs_no_list(data):
+    with pytest.raises(ConfigError, match="--fix separation: relative to nominal"):
+        mc.solve(data, fix="separation")
+    wide = mc.solve(data, estimate="pan_zero").solution.constants["pan_zero"]
+    assert wide.prior > mc.solve(data).solution.constants["pan_zero"].prior
+
+
+def test_a_settings_number_may_be_numpys(data, tmp_path):
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
+    found = mc.extract(tmp_path / "e.npz", settings={"noise.pixel_px": np.float64(0.2)}, jobs=np.int64(1))
+    assert found.extraction.rig.noise.pixel_px == 0.2
+
+
+def test_values_are_shown_in_a_line(data, report):
+    stations = "Extraction(12 stations, 1 recording: robot_0.mcap)"
+    assert repr(data) == f"Data({stations})"
+    assert repr(data.extraction) == stations
+    for value in (report.fit, report.fit.solution, report):
+        assert "point error 11.7 mm" in repr(value)
+        assert "\n" not in repr(value)
+        assert len(repr(value)) < 150
+    assert repr(report).startswith("Report(PASS, Fit('ml', ")
+
+
+def test_a_report_is_printed_as_the_command_prints_it(data, report, tmp_path, capsys):
+    print(report)
+    lines = capsys.readouterr().out.splitlines()
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
+    printed = run("calibrate", "e.npz", cwd=tmp_path).out.splitlines()
+    assert lines == printed[:-1]  # without the names of the files
+    assert lines[-1] == "Next: Use params.yaml on the robot."
+
+
+def test_the_public_names_are_completed():
+    assert set(mc.__all__) <= set(dir(mc))
+    assert not {"Any", "TYPE_CHECKING", "import_module"} & set(dir(mc))
+    assert mc.MobilecalError.__subclasses__()
+    from rlcompleter import Completer
+
+    completer = Completer({"mc": mc})
+    assert {completer.complete("mc.sol", n) for n in range(2)} == {"mc.solve(", None}
+    assert completer.complete("mc.ext", 0) == "mc.extract("
+
+
+@pytest.mark.parametrize("target", ["xacro", "camchain", "odometry_covariance", "foxglove", "json"])
+def test_a_report_is_exported_as_its_file(report, tmp_path, target):
+    report.save(tmp_path / "result")
+    from_file = mc.export_to(tmp_path / "result" / "params.yaml", target)
+    assert mc.export_to(report, target).notes == from_file.notes
+    assert mc.export_to(report, target).content == from_file.content
+
+
+def test_the_report_is_named_where_its_export_is_refused(report):
+    with pytest.raises(ConfigError, match="--to urdf changes"):
+        mc.export_to(report, "urdf")
+    linear = mc.Report(report.data, mc.solve(report.data, method="linear"))
+    with pytest.raises(ConfigError, match=r"^the report: the stereo pair was not estimated"):
+        mc.export_to(linear, "camera_info_left")
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(ConfigError, match="export to xarco: no such format"):
+        mc.export_to("params.yaml", "xarco")

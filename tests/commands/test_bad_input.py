@@ -1,0 +1,294 @@
+"""Every bad input on the real command: its exit code, its message, and nothing left behind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.command import run
+from tests.commands.edited import edited
+
+IMAGES = ("/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed")
+
+
+@pytest.fixture(scope="module")
+def paper(sample_logs):
+    return sample_logs / "paper_robot.mcap"
+
+
+@pytest.fixture
+def make(paper, tmp_path_factory):
+    """A copy of the paper's log with an edit, outside the directory in which the command runs."""
+
+    def _make(edit):
+        return edited(paper, tmp_path_factory.mktemp("logs") / "bad.mcap", edit)
+
+    return _make
+
+
+def refused(result, code, message, hint=""):
+    assert result.code == code, result.err
+    assert result.err.startswith("error: ")
+    assert message in result.err
+    assert "hint: " in result.err
+    assert hint in result.err
+    assert "Traceback" not in result.err
+    assert result.left == []
+
+
+def at(message, seconds):
+    """The message with its header stamp moved."""
+    stamp = message.header.stamp
+    total = stamp.sec * 10**9 + stamp.nanosec + round(seconds * 1e9)
+    moved = replace(stamp, sec=total // 10**9, nanosec=total % 10**9)
+    return replace(message, header=replace(message.header, stamp=moved))
+
+
+def test_missing_file(tmp_path):
+    refused(run("calibrate", "none.mcap", cwd=tmp_path), 3, "none.mcap", "path")
+
+
+def test_empty_file(tmp_path, tmp_path_factory):
+    empty = tmp_path_factory.mktemp("logs") / "empty.mcap"
+    empty.touch()
+    refused(run("calibrate", empty, cwd=tmp_path), 3, "empty")
+
+
+def test_not_a_recording(tmp_path, tmp_path_factory):
+    text = tmp_path_factory.mktemp("logs") / "notes.mcap"
+    text.write_text("drove around a bit\n" * 100)
+    refused(run("calibrate", text, cwd=tmp_path), 3, "notes.mcap")
+
+
+@pytest.mark.long
+def test_a_log_cut_off_near_its_end_is_used_and_told(paper, tmp_path, tmp_path_factory):
+    cut = tmp_path_factory.mktemp("logs") / "cut.mcap"
+    data = paper.read_bytes()
+    cut.write_bytes(data[: int(0.85 * len(data))])
+    result = run("calibrate", cut, "--output", "out", cwd=tmp_path)
+    assert result.code in (0, 6), result.err
+    assert "out/params.yaml" in result.left
+    assert "messages" in (tmp_path / "out/report.json").read_text()
+    report = (tmp_path / "out/report.html").read_text()
+    assert "ends" in report or "cut" in report
+
+
+def test_a_log_cut_off_early_is_too_little(paper, tmp_path, tmp_path_factory):
+    cut = tmp_path_factory.mktemp("logs") / "cut.mcap"
+    data = paper.read_bytes()
+    cut.write_bytes(data[: int(0.15 * len(data))])
+    result = run("calibrate", cut, cwd=tmp_path)
+    assert result.code in (3, 4, 5)
+    assert result.err.startswith("error: ")
+    assert result.left == []
+
+
+def test_a_topic_that_is_not_there(paper, tmp_path):
+    result = run("calibrate", paper, "--set", "cameras.left.image=/nope", cwd=tmp_path)
+    refused(result, 3, "/nope", "/stereo/left/image_raw")
+
+
+@pytest.mark.long
+def test_no_board_anywhere(make, tmp_path):
+    import cv2
+
+    grey = np.random.default_rng(0).integers(90, 110, (480, 640)).astype(np.uint8)
+    jpeg = cv2.imencode(".jpg", grey)[1].reshape(-1)
+    log = make(lambda topic, m: replace(m, data=jpeg) if topic in IMAGES else m)
+    refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "whole board")
+    refused(
+        run("calibrate", log, "--board", "9x6", cwd=tmp_path),
+        4,
+        "images do not change while the robot moves",
+        "whole",
+    )
+
+
+@pytest.mark.long
+def test_the_wrong_board_size(paper, tmp_path):
+    refused(
+        run("calibrate", paper, "--board", "8x6", cwd=tmp_path),
+        4,
+        "but the images show 9 x 6",
+        "--board 9x6",
+    )
+
+
+def test_left_and_right_never_together(make, tmp_path):
+    log = make(lambda topic, m: at(m, 100) if topic == IMAGES[1] else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "no stereo pairs")
+
+
+def test_one_camera_only(make, tmp_path):
+    log = make(lambda topic, m: None if "right" in topic else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "no stereo pair")
+
+
+def test_joints_missing_around_the_pictures(make, tmp_path):
+    log = make(lambda topic, m: at(m, -1000) if topic == "/joint_states" else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "stereo pairs has readings", "clock")
+
+
+def without(message, *names):
+    keep = [i for i, name in enumerate(message.name) if name not in names]
+    return replace(message, name=[message.name[i] for i in keep], position=message.position[keep])
+
+
+def test_a_wheel_that_was_not_recorded(make, tmp_path):
+    log = make(lambda topic, m: without(m, "wheel_left_joint") if topic == "/joint_states" else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "wheels.left", "head_pan_joint")
+
+
+def test_a_head_joint_that_was_not_recorded(make, tmp_path):
+    log = make(lambda topic, m: without(m, "torso_roll_joint") if topic == "/joint_states" else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "torso_roll_joint", "head_pan_joint")
+
+
+def test_nothing_but_nan_in_a_joint(make, tmp_path):
+    def spoil(topic, message):
+        if topic != "/joint_states":
+            return message
+        position = message.position.copy()
+        position[list(message.name).index("head_pan_joint")] = math.nan
+        return replace(message, position=position)
+
+    refused(run("calibrate", make(spoil), cwd=tmp_path), 3, "head_pan_joint")
+
+
+@pytest.mark.long
+def test_a_few_nan_are_left_out_and_told(make, tmp_path):
+    count = iter(range(10**9))
+
+    def spoil(topic, message):
+        if topic != "/joint_states" or next(count) % 50:
+            return message
+        return replace(message, position=np.full_like(message.position, math.nan))
+
+    result = run("calibrate", make(spoil), "--output", "out", cwd=tmp_path)
+    assert result.code == 0, result.err
+    assert "NaN or infinite" in (tmp_path / "out/report.json").read_text()
+
+
+def test_a_calibration_of_zeros(make, tmp_path):
+    log = make(
+        lambda topic, m: replace(m, k=np.zeros(9), p=np.zeros(12)) if topic.endswith("camera_info") else m
+    )
+    refused(run("calibrate", log, cwd=tmp_path), 3, "camera_info", "calibrat")
+
+
+def test_no_baseline(make, tmp_path):
+    def flat(topic, message):
+        if not topic.endswith("camera_info"):
+            return message
+        p = message.p.copy()
+        p[3] = 0
+        return replace(message, p=p)
+
+    refused(run("calibrate", make(flat), cwd=tmp_path), 3, "no baseline")
+
+
+def test_pictures_of_another_size_than_the_camera_info(make, tmp_path):
+    log = make(lambda topic, m: replace(m, width=1280, height=960) if topic.endswith("camera_info") else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "640 x 480 pixels")
+
+
+def test_no_robot_description(make, tmp_path):
+    log = make(lambda topic, m: None if topic == "/robot_description" else m)
+    refused(run("calibrate", log, cwd=tmp_path), 3, "the head chain is unknown", "head.urdf")
+
+
+@pytest.mark.parametrize(
+    ("log", "words", "cure"),
+    [
+        ("head_fixed.mcap", "the head's tilt spans only", "tilt the head up and down"),
+        ("straight.mcap", "the base only drives straight", "turn the base"),
+    ],
+)
+def test_motion_that_does_not_show_everything_to_the_papers_method(sample_logs, tmp_path, log, words, cure):
+    refused(run("calibrate", sample_logs / log, "--method", "paper", cwd=tmp_path), 5, words, cure)
+
+
+def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
+    """The camera's height cannot be seen, and the log's URDF does not draw the camera."""
+    result = run("calibrate", sample_logs / "head_fixed.mcap", cwd=tmp_path)
+    words = "no nominal value (nominal.head_eye) for unobservable parameters: t_y;"
+    refused(result, 5, words, "tilt the head up and down")
+    assert "--fix t_y=VALUE" in result.err
+
+
+@pytest.mark.long
+def test_a_wheel_that_counts_backwards(make, tmp_path):
+    def backwards(topic, message):
+        if topic != "/joint_states":
+            return message
+        position = message.position.copy()
+        position[list(message.name).index("wheel_left_joint")] *= -1
+        return replace(message, position=position)
+
+    log = make(backwards)
+    words = "the left wheel's encoder has the wrong sign"
+    refused(run("calibrate", log, cwd=tmp_path), 5, words, "wheels.left.sign")
+    cured = run("calibrate", log, "--set", "wheels.left.sign=-1", "--output", "out", cwd=tmp_path)
+    assert cured.code == 0, cured.err
+
+
+def test_swapped_wheels(make, tmp_path):
+    def swap(topic, message):
+        if topic != "/joint_states":
+            return message
+        other = {"wheel_left_joint": "wheel_right_joint", "wheel_right_joint": "wheel_left_joint"}
+        return replace(message, name=[other.get(name, name) for name in message.name])
+
+    refused(
+        run("calibrate", make(swap), cwd=tmp_path), 5, "the left and right wheels are swapped", "exchange"
+    )
+
+
+def test_unknown_key(paper, tmp_path, tmp_path_factory):
+    rig = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    rig.write_text("bord: {columns: 9, rows: 6}\n")
+    refused(
+        run("calibrate", paper, "--config", rig, cwd=tmp_path), 2, "bord: unknown key", "did you mean board?"
+    )
+
+
+def test_bad_flags(paper, tmp_path):
+    refused(run("calibrate", paper, "--board", "nine", cwd=tmp_path), 2, "--board nine")
+    refused(
+        run("calibrate", paper, "--set", "board.columns=9", cwd=tmp_path), 2, "give both columns and rows"
+    )
+    assert run("calibrate", cwd=tmp_path).code == 2
+    assert run("calibrate", paper, "--method", "magic", cwd=tmp_path).code == 2
+
+
+def test_an_output_that_exists(paper, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/thesis.txt").write_text("years of work")
+    refused(run("calibrate", paper, "--output", "out", cwd=tmp_path), 7, "already exists", "--force")
+    refused(run("calibrate", paper, "--output", "out", "--force", cwd=tmp_path), 7, "thesis.txt")
+    assert (tmp_path / "out/thesis.txt").read_text() == "years of work"
+
+
+def test_an_output_nobody_can_make(paper, tmp_path):
+    refused(run("calibrate", paper, "--output", "no/such/place", cwd=tmp_path), 7, "is not a directory")
+
+
+@pytest.mark.parametrize(
+    ("flags", "said", "hint"),
+    [
+        (["--fix", "radius_rihgt"], "radius_rihgt: no such parameter", "did you mean radius_right"),
+        (["--prior", "t_x=0.1"], "not in the format NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
+        (["--estimate", "tilt_zero"], "no such parameter", "cannot be estimated separately"),
+        (["--estimate", "pan_zro"], "no such parameter", "did you mean pan_zero?"),
+        (["--estimate", "t_x"], "already estimated", "name a constant"),
+        (["--fix", "focal_length"], "a kind of constants", "--set priors.focal_length=fixed"),
+        (["--prior", "joint_zero=0±1"], "a kind of constants", "--set priors.joint_zero=NUMBER"),
+        (["--set", "priors.focal=1"], "this robot has no such constant", "did you mean"),
+    ],
+)
+def test_what_cannot_be_asked_for(sample_logs, tmp_path, flags, said, hint):
+    result = run("calibrate", sample_logs / "paper_robot.mcap", *flags, cwd=tmp_path)
+    refused(result, 2, said, hint)

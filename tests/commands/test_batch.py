@@ -1,0 +1,503 @@
+"""Many robots: processes here, and a Dask cluster on loopback."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import socket
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.calibrate import batch as batch_module
+from mobilecal_cli.calibrate.batch import run_on
+from mobilecal_cli.calibrate.steps import calibrate
+from mobilecal_cli.errors import ConfigError, OutputError
+from mobilecal_cli.export import extraction_to_npz, write_outputs
+from mobilecal_cli.export.outputs import OUTPUT_NAMES
+from mobilecal_cli.export.params import FIRST_LINE
+from mobilecal_cli.model import FleetJob, FleetRow, LogSource
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text, standing_out
+from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from tests.command import run
+from tests.commands.dask_cluster import local_cluster
+from tests.commands.dying import die_or_answer
+from tests.extractions import Noise, ideal_extraction
+from tests.report.schema import validated
+
+NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
+ROBOTS_HERE = 6
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """A manifest of six robots, one of whose recordings is broken."""
+    folder = tmp_path_factory.mktemp("fleet")
+    robot = ROBOTS["paper"]()
+    lines = ["robots:"]
+    for number in range(ROBOTS_HERE):
+        name = f"robot_{number}"
+        ideal = ideal_extraction(robot, plan_route(robot, seed=number), NOISE, seed=number)
+        extraction = replace(ideal, logs=(LogSource(f"{name}.mcap", f"{number:064}"),))
+        (folder / f"{name}.npz").write_bytes(extraction_to_npz(extraction))
+        lines.append(f"- {{name: {name}, logs: [{name}.npz]}}")
+    lines.append("- {name: broken, logs: [broken.mcap]}")
+    (folder / "broken.mcap").write_bytes(b"not a recording")
+    (folder / "fleet.yaml").write_text("\n".join(lines), encoding="utf-8")
+    return folder / "fleet.yaml"
+
+
+@pytest.fixture(scope="module")
+def local(fleet, tmp_path_factory):
+    """The fleet, calibrated by the real command in two processes."""
+    out = tmp_path_factory.mktemp("local") / "out"
+    command = [sys.executable, "-m", "mobilecal_cli", "batch", fleet, "--output", out, "--jobs", "2"]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    assert done.returncode == 3, done.stderr
+    return out, done
+
+
+def table(out):
+    return (out / "summary.csv").read_text(encoding="utf-8")
+
+
+def without_skipped(out):
+    return [{**row, "skipped": ""} for row in csv.DictReader(table(out).splitlines())]
+
+
+def records(out):
+    """Robot → when its record was completed."""
+    found = (out / batch_module.RECORDS).glob("*.json")
+    return {p.stem: p.stat().st_mtime_ns for p in found if "row" in json.loads(p.read_text(encoding="utf-8"))}
+
+
+def test_a_failure_stops_no_other_robot(local):
+    out, done = local
+    assert "FAIL: 1 of 7 robots did not pass: broken." in done.stdout
+    assert done.stderr == ""
+    rows = list(csv.DictReader(table(out).splitlines()))
+    assert [row["robot"] for row in rows] == ["broken", *(f"robot_{n}" for n in range(ROBOTS_HERE))]
+    assert [row["verdict"] for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
+    assert rows[0]["exit_code"] == "3"
+    truth = ROBOTS["paper"]().wheels.separation_m * 1e3
+    for row in rows[1:]:
+        assert abs(float(row["separation_mm"]) - truth) < 5 * float(row["std_separation_mm"])
+        params = validated((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]
+        assert float(row["separation_mm"]) == pytest.approx(params["separation_mm"], abs=1e-5)
+    page = (out / "summary.html").read_text(encoding="utf-8")
+    assert 'href="robot_3/report.html"' in page
+
+
+def only_the_broken_one(logs, *given, **named):
+    assert [log.name for log in logs] == ["broken.mcap"]
+    return calibrate(logs, *given, **named)
+
+
+def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
+    out, _ = local
+    before = records(out)
+    monkeypatch.setattr(batch_module, "calibrate", only_the_broken_one)
+    monkeypatch.setattr(batch_module, "_write_record", lambda *_: None)
+    rows = batch_module.batch(fleet, out, run=in_this_process)
+    assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
+    assert records(out) == before
+    assert [row.skipped for row in rows] == [""] + ["already done"] * ROBOTS_HERE
+    said = "Skipped, already done: 6 (robot_0, robot_1, robot_2, robot_3, robot_4, and 1 more)."
+    assert fleet_text(rows).splitlines()[-1] == said
+    assert said in (out / "summary.html").read_text(encoding="utf-8")
+    assert [row["skipped"] for row in csv.DictReader(table(out).splitlines())] == [
+        row.skipped for row in rows
+    ]
+
+
+def in_this_process(jobs, done):
+    for job in jobs:
+        done(batch_module.run_job(job))
+
+
+def test_changed_settings_and_lost_outputs_are_done_again(local, fleet, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(batch_module, "calibrate", lambda logs, out, **_: asked.append(out.name) or 1 / 0)
+    rows = batch_module.batch(fleet, tmp_path / "out", run=in_this_process)
+    assert len(asked) == ROBOTS_HERE + 1
+    assert all(row.reason.startswith("a bug in mobilecal: ZeroDivisionError") for row in rows)
+    asked.clear()
+    batch_module.batch(fleet, tmp_path / "out", run=in_this_process, gates=["stations=3"])
+    assert len(asked) == ROBOTS_HERE + 1
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    with local_cluster(tmp_path, workers=2) as started:
+        yield started
+
+
+@pytest.mark.long
+def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
+    """The same table as of the processes here; what was done when the worker died is not done again."""
+    address, workers = cluster
+    out = tmp_path / "out"
+    then = {}
+
+    def progress(stage, done, total):
+        if done == 3:
+            workers[0].send_signal(signal.SIGKILL)
+            workers[0].wait()
+            then.update(records(out))
+
+    rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
+    assert len(rows) == ROBOTS_HERE + 1
+    assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
+    assert len(then) >= 3
+    del then["broken"]  # without a result, it is tried again if its worker dies
+    assert then.items() <= records(out).items()
+
+
+def test_no_scheduler(fleet, tmp_path):
+    with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
+        batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+
+
+def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
+    jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(3)]
+    monkeypatch.setattr(batch_module, "run_job", die_or_answer)
+    rows = []
+    batch_module.run_locally(2)(jobs, rows.append)
+    assert sorted(row.name for row in rows) == ["r0", "r1", "r2"]
+    verdicts = {row.name: row.verdict for row in rows}
+    assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS"}
+    assert "died" in next(row.reason for row in rows if row.name == "r1")
+
+
+def row(number, **changes):
+    rng = np.random.default_rng(number)
+    rotvec = tuple((np.array([0.1, -1.5, 0.3]) + 1e-3 * rng.normal(size=3)).tolist())
+    lengths = np.array([0.01, -0.06, 0.07, 0.22, 0.22, 0.5]) + 1e-4 * rng.normal(size=6)
+    return FleetRow(
+        f"r{number:02}", "PASS", 0, "fine", 12, rotvec, tuple(lengths.tolist()), (1e-4,) * 9, **changes
+    )
+
+
+def test_a_robot_that_stands_out():
+    rows = [row(n) for n in range(12)]
+    assert standing_out(rows) == {}
+    lengths = np.add(rows[4].lengths_m, [0, 0, 0, 0, 0, 0.01])
+    turned = se3.log_so3(se3.exp_so3(np.array([0, 0, 0.05])) @ se3.exp_so3(np.array(rows[7].rotvec_rad)))
+    rows[4] = replace(rows[4], lengths_m=tuple(lengths.tolist()))
+    rows[7] = replace(rows[7], rotvec_rad=tuple(turned.tolist()))
+    assert standing_out(rows) == {"r04": ("separation",), "r07": ("r_z",)}
+    assert "separation" in fleet_csv(rows).splitlines()[5]
+    assert standing_out(rows[2:6]) == {}  # too few to say
+
+
+def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_path):
+    folder, out = tmp_path / "recordings", tmp_path / "recordings" / "out"
+    folder.mkdir()
+    (folder / "paper_robot.mcap").symlink_to(sample_logs / "paper_robot.mcap")
+    (folder / "paper_robot.rig.yaml").write_text("{}", encoding="utf-8")
+    (folder / "notes.txt").write_text("monday", encoding="utf-8")
+    (folder / "empty").mkdir()
+    (folder / ".hidden").write_bytes(b"")
+    rows = batch_module.batch(
+        folder, out, run=lambda jobs, done: [done(FleetRow(j.name, "PASS", 0, "")) for j in jobs]
+    )
+    assert [(row.name, row.verdict, row.skipped) for row in rows] == [
+        ("paper_robot", "PASS", ""),
+        ("empty", "SKIPPED", "no recording"),
+        ("notes.txt", "SKIPPED", "no recording"),
+    ]
+    said = "Skipped, no recording: 2 (empty, notes.txt)."
+    assert fleet_text(rows).splitlines()[-1] == said
+    page = (out / "summary.html").read_text(encoding="utf-8")
+    assert "1 of 1 robots pass" in page
+    assert said in page
+    lines = list(csv.DictReader((out / "summary.csv").read_text(encoding="utf-8").splitlines()))
+    assert [line["skipped"] for line in lines] == ["", "no recording", "no recording"]
+
+
+def test_texts_cannot_break_the_tables():
+    evil = FleetRow("r", "ERROR", 3, '=HYPERLINK("x")<script>alert(1)</script>\x1b[2J')
+    page = fleet_html([evil])
+    assert "<script" not in page
+    assert "\x1b" not in page
+    cells = next(csv.reader(fleet_csv([evil]).splitlines()[1:]))
+    assert cells[-2].startswith("'=")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("robots: []", "robots"),
+        ("robots: [{name: a}]", "robots.0.logs"),
+        ("robots: [{name: ../a, logs: [x]}]", "is not a valid robot name"),
+        ("robots: [{name: a, logs: [x]}, {name: a, logs: [y]}]", "two robots are named 'a'"),
+        ("- a", "robots|manifest|dictionary"),
+        ("[", "not a valid manifest"),
+    ],
+)
+def test_bad_manifests(tmp_path, text, says):
+    (tmp_path / "fleet.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=says):
+        batch_module.batch(tmp_path / "fleet.yaml", tmp_path / "out", run=in_this_process)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_directory_of_recordings(sample_logs, tmp_path):
+    for name in (
+        "tick_robot.mcap",
+        "tick_robot.rig.yaml",
+        "straight.mcap",
+        "paper_robot_rosbag2",
+        "README.md",
+    ):
+        (tmp_path / name).symlink_to(sample_logs / name)
+    jobs = batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
+    assert [job.name for job in jobs] == ["paper_robot_rosbag2", "straight", "tick_robot"]
+    assert [job.config.name if job.config else None for job in jobs] == [None, None, "tick_robot.rig.yaml"]
+    (tmp_path / "straight.bag").symlink_to(sample_logs / "paper_robot.bag")
+    with pytest.raises(ConfigError, match="two robots are named 'straight'"):
+        batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
+
+
+def manifest(folder, *robots):
+    path = folder / "fleet.yaml"
+    path.write_text("robots:\n" + "\n".join(f"- {robot}" for robot in robots), encoding="utf-8")
+    return path
+
+
+def refused_before_the_work(source, out, monkeypatch, error, says):
+    monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("the work began"))
+    with pytest.raises(error, match=says) as caught:
+        batch_module.batch(source, out, run=in_this_process)
+    return caught.value
+
+
+@pytest.mark.parametrize("name", batch_module.SUMMARIES)
+def test_a_robot_named_like_a_file_of_the_batch(tmp_path, monkeypatch, name):
+    source = manifest(tmp_path, f"{{name: {name}, logs: [x]}}")
+    refused_before_the_work(
+        source, tmp_path / "out", monkeypatch, ConfigError, "like a file that batch writes"
+    )
+
+
+def test_robots_that_share_a_recording(fleet, tmp_path, monkeypatch):
+    (tmp_path / "copy.npz").write_bytes((fleet.parent / "robot_1.npz").read_bytes())
+    for first, second in ((fleet.parent / "robot_1.npz", "copy.npz"), ("copy.npz", "./copy.npz")):
+        source = manifest(tmp_path, f"{{name: a, logs: [{first}]}}", f"{{name: b, logs: [{second}]}}")
+        says = "a and b have the same recording"
+        refused_before_the_work(source, tmp_path / "out", monkeypatch, ConfigError, says)
+
+
+@pytest.mark.parametrize(
+    "text", ["root:$6$secret:19000", "secret: [", "secret: 1", "board: {columns: secret}"]
+)
+def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch, text):
+    (tmp_path / "shadow").write_text(text)
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}], config: shadow}}")
+    error = refused_before_the_work(
+        source, tmp_path / "out", monkeypatch, ConfigError, r"configuration of a is not a valid rig\.yaml"
+    )
+    assert "secret" not in error.message + error.hint
+    assert error.__cause__ is None
+
+
+@pytest.fixture
+def one(fleet, tmp_path):
+    """A batch of one robot, calibrated."""
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
+    batch_module.batch(source, tmp_path / "out", run=in_this_process)
+    return source, tmp_path / "out"
+
+
+def test_a_result_of_someone_else_needs_force(one, monkeypatch):
+    source, out = one
+    params = out / "a" / "params.yaml"
+    edited = params.read_bytes() + b"# edited\n"
+    params.write_bytes(edited)
+    with monkeypatch.context() as patch:
+        error = refused_before_the_work(source, out, patch, OutputError, "already exists")
+    assert "--force" in error.hint
+    assert params.read_bytes() == edited
+    batch_module.batch(source, out, force=True, run=in_this_process)
+    assert not params.read_bytes().endswith(b"# edited\n")
+    (out / "a" / "thesis.tex").write_text("precious")
+    for record in (out / batch_module.RECORDS).iterdir():
+        record.unlink()
+    with pytest.raises(OutputError, match=r"thesis\.tex"):
+        batch_module.batch(source, out, force=True, run=in_this_process)
+    assert (out / "a" / "thesis.tex").exists()
+
+
+def test_an_own_result_is_replaced_without_force(one):
+    source, out = one
+    rows = batch_module.batch(source, out, gates=["stations=3"], run=in_this_process)
+    assert not rows[0].skipped
+    (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
+    assert not batch_module.batch(source, out, run=in_this_process)[0].skipped
+    assert batch_module.batch(source, out, run=in_this_process)[0].skipped == "already done"
+
+
+def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
+    (tmp_path / "summary.csv").write_text("precious")
+    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
+    refused_before_the_work(source, tmp_path, monkeypatch, OutputError, r"summary\.csv: already exists")
+    assert (tmp_path / "summary.csv").read_text() == "precious"
+
+
+def outcome(out, name="a"):
+    return next(row for row in csv.DictReader(table(out).splitlines()) if row["robot"] == name)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """A calibration that returns at once; how often it ran."""
+    ran = []
+
+    def answer(logs, out, *, config_path, flags, force, **_):
+        ran.append(out.name)
+        read_urdf(load_rig(config_path, flags))
+        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
+
+    monkeypatch.setattr(batch_module, "calibrate", lambda *given, **named: (answer(*given, **named), None))
+    monkeypatch.setattr(batch_module, "_row", lambda job, _: replace(row(0), name=job.name))
+    return ran
+
+
+def urdf_robot(tmp_path):
+    """A robot whose configuration names a URDF."""
+    (tmp_path / "a.mcap").write_bytes(b"a")
+    (tmp_path / "head.urdf").write_text("<robot/>")
+    (tmp_path / "a.rig.yaml").write_text("head: {urdf: head.urdf}")
+    return manifest(tmp_path, "{name: a, logs: [a.mcap], config: a.rig.yaml}")
+
+
+def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counted):
+    source, out = urdf_robot(tmp_path), tmp_path / "out"
+
+    def again(**options):
+        (result,) = batch_module.batch(source, out, run=in_this_process, **options)
+        return not result.skipped
+
+    assert again()
+    assert not again()
+    (tmp_path / "head.urdf").write_text("<robot name='other'/>")  # named by the configuration
+    assert again()
+    assert not again()
+    assert again(flags={"board.square_m": 0.08})
+    assert again()
+    (tmp_path / "a.rig.yaml").write_text("# a comment\nhead: {urdf: head.urdf}")
+    assert not again()
+    (out / "a" / "extraction.npz").unlink()
+    assert again()
+    (tmp_path / "a.mcap-wal").write_bytes(b"more")
+    assert again()
+    assert again(force=True)
+    assert not again()
+    assert len(counted) == 7
+    assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
+
+
+def test_the_metadata_of_a_recording_stands_for_all_of_it(tmp_path, counted):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("")
+    (folder / "bag_0.mcap").write_bytes(b"one")
+    source = manifest(tmp_path, "{name: a, logs: [bag/metadata.yaml]}")
+    for content in (b"one", b"other"):
+        (folder / "bag_0.mcap").write_bytes(content)
+        batch_module.batch(source, tmp_path / "out", run=in_this_process)
+    assert len(counted) == 2
+
+
+def test_an_error_whose_cause_is_mended(tmp_path, counted):
+    source, out = urdf_robot(tmp_path), tmp_path / "out"
+    (tmp_path / "head.urdf").rename(tmp_path / "elsewhere")
+    (result,) = batch_module.batch(source, out, run=in_this_process)
+    assert (result.verdict, result.exit_code, result.hint) == ("ERROR", 2, "check the path")
+    (tmp_path / "elsewhere").rename(tmp_path / "head.urdf")
+    (result,) = batch_module.batch(source, out, run=in_this_process)
+    assert (result.verdict, result.skipped) == ("PASS", "")
+    (tmp_path / "a.mcap").unlink()
+    (result,) = batch_module.batch(source, out, run=in_this_process)
+    assert result.reason.endswith("(the files in a/ are of an earlier run)")
+
+
+@pytest.fixture
+def junk(tmp_path):
+    """A directory with two empty recordings, junk in a file and in a directory, and a text."""
+    folder = tmp_path / "recordings"
+    (folder / "unfinished").mkdir(parents=True)
+    (folder / "empty.mcap").write_bytes(b"")
+    (folder / "nothing.mcap").write_bytes(b"")
+    (folder / "junk.bag").write_bytes(b"no recording")
+    (folder / "unfinished" / "unfinished_0.db3").write_bytes(b"nothing")
+    (folder / "notes.txt").write_text("monday")
+    return folder
+
+
+def test_recordings_that_cannot_be_read_are_counted(junk, tmp_path):
+    done = run("batch", junk, "--output", "out", "--jobs", "1", cwd=tmp_path)
+    assert done.code == 3
+    assert done.err == ""
+    assert "FAIL: 4 of 4 robots did not pass: empty, junk, nothing, unfinished." in done.out
+    assert "the file is empty (0 bytes)\n" in done.out
+    assert "hint: copy the recording again, or record a new one\n" in done.out
+    assert "Skipped, no recording: 1 (notes.txt)." in done.out
+    quiet = run("batch", junk, "--output", "out", "--jobs", "1", "--quiet", cwd=tmp_path)
+    assert (quiet.code, quiet.out) == (3, "")
+    assert "FAIL: 4 of 4 robots did not pass" in quiet.err
+    assert "hint: copy the recording again" in quiet.err
+
+
+def test_the_table_for_programs(junk, fleet, tmp_path):
+    (junk / "unfinished" / "unfinished_0.db3").unlink()
+    robots = [f"{{name: good, logs: [{fleet.parent / 'robot_1.npz'}]}}", f"{{name: e, logs: [{junk}]}}"]
+    source = manifest(tmp_path, *robots)
+    for _ in range(2):  # the JUnit file of an earlier run is replaced without --force
+        arguments = ["batch", source, "-o", "out", "--jobs", "1", "--json", "--junit", "junit.xml"]
+        done = run(*arguments, cwd=tmp_path)
+        assert done.code == 3
+        content = json.loads(done.out)
+        assert content["exit_code"] == 3
+        bad, good = content["robots"]
+        assert (good["robot"], good["verdict"], good["exit_code"]) == ("good", "PASS", 0)
+        assert good["separation_mm"] == pytest.approx(
+            float(outcome(tmp_path / "out", "good")["separation_mm"])
+        )
+        assert (bad["verdict"], bad["exit_code"], bad["separation_mm"]) == ("ERROR", 3, None)
+        assert bad["hint"]
+        suite = ET.parse(tmp_path / "junit.xml").getroot()
+        assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "0", "1")
+        assert [case.get("name") for case in suite.iter("testcase") if case.find("error") is not None] == [
+            "e"
+        ]
+    (tmp_path / "junit.xml").write_text("precious")
+    assert run(*arguments, cwd=tmp_path).code == 7
+    assert (tmp_path / "junit.xml").read_text() == "precious"
+    done = run("batch", "absent.yaml", "-o", "out", "--junit", "other.xml", cwd=tmp_path)
+    assert done.code == 2
+    assert "absent.yaml: cannot be read" in (tmp_path / "other.xml").read_text()
+
+
+def test_a_scheduler_that_says_nothing(fleet, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
+            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scheduler_without_workers(fleet, tmp_path):
+    (tmp_path / "cluster").mkdir()
+    refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
+    with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
+        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
+    assert not (tmp_path / "out").exists()

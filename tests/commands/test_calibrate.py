@@ -1,0 +1,404 @@
+"""The main job on the sample logs, as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from mobilecal_cli import se3
+from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.model import NINE, LogSource, NoiseLevels
+from tests.command import run
+from tests.commands.edited import edited
+
+OUTPUTS = ["extraction.npz", "params.yaml", "report.html", "report.json"]
+
+
+def load(path: Path):
+    return YAML(typ="safe").load(path.read_text())
+
+
+def apart(params, truth):
+    """Degrees, mm, and per cent of each wheel number."""
+    found, true = (
+        se3.from_quaternion_xyzw(np.array(p["head_eye"]["quaternion_xyzw"])) for p in (params, truth)
+    )
+    turn = np.degrees(np.linalg.norm(se3.log_so3(true.T @ found)))
+    move = np.subtract(params["head_eye"]["translation_m"], truth["head_eye"]["translation_m"])
+    wheels = [abs(100 * (params["wheels"][key] / truth["wheels"][key] - 1)) for key in truth["wheels"]]
+    return turn, 1e3 * np.linalg.norm(move), max(wheels)
+
+
+def numbers(path: Path) -> str:
+    return path.read_text().split("\n# Provenance: version")[0]
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    return tmp_path_factory.mktemp("work")
+
+
+@pytest.fixture(scope="module")
+def first(sample_logs, workplace):
+    """The paper's robot, no configuration."""
+    return run("calibrate", sample_logs / "paper_robot.mcap", cwd=workplace)
+
+
+def test_all_outputs_are_written(first, workplace):
+    assert first.code == 0, first.err
+    directory = workplace / "paper_robot_calibration"
+    assert sorted(path.name for path in directory.iterdir()) == OUTPUTS
+    assert first.out.count("PASS") == 1
+    assert "\x1b" not in first.out  # color is for terminals
+    assert "Written: paper_robot_calibration/params.yaml" in first.out
+    assert first.err == ""  # no progress bar where there is no terminal
+
+
+def test_the_numbers_are_near_the_truth(first, workplace, sample_logs):
+    params = load(workplace / "paper_robot_calibration/params.yaml")
+    turn, move, wheels = apart(params, load(sample_logs / "paper_robot.truth.yaml"))
+    # The paper's cost on encoder steps of 1.2 degrees: measured 0.56 degrees, 10 mm, 0.33 %.
+    assert turn < 1.0
+    assert move < 15
+    assert wheels < 0.6
+    assert params["head_eye"]["parent_frame"] == "head_link"
+    assert params["head_eye"]["child_frame"] == "stereo_left_optical"
+    assert params["quality"]["stations"] == 12
+
+
+def test_the_report_repeats_table_1(first, workplace):
+    report = json.loads((workplace / "paper_robot_calibration/report.json").read_text())
+    assert report["linear"]["iterations_to_tolerance"] <= 4
+    html = (workplace / "paper_robot_calibration/report.html").read_text()
+    for words in ("PASS", "Levenberg", "iteration"):
+        assert words in html
+    assert "<h2>Uncertainty</h2>" in html
+    assert report["uncertainty"]["std"]["t_x"] > 0
+    assert html.count("data:image/") >= 2  # overlays on the real pictures
+    assert "http://" not in html.replace("http://www.w3.org", "")
+    assert "https://" not in html
+
+
+@pytest.mark.parametrize("name", ["paper_robot.bag", "paper_robot_rosbag2"])
+@pytest.mark.long
+def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, name):
+    result = run("calibrate", sample_logs / name, "--output", f"out_{name}", cwd=workplace)
+    assert result.code == 0, result.err
+    ours = numbers(workplace / f"out_{name}/params.yaml")
+    assert ours == numbers(workplace / "paper_robot_calibration/params.yaml")
+    assert "separation_m" in ours
+
+
+@pytest.mark.long
+def test_the_parts_of_a_rosbag2(first, workplace, sample_logs):
+    (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
+    bare = workplace / "bare.db3"
+    shutil.copy(storage, bare)
+    result = run("calibrate", bare, "--output", "out_bare", cwd=workplace)
+    assert result.code == 0, result.err
+    assert numbers(workplace / "out_bare/params.yaml") == numbers(
+        workplace / "paper_robot_calibration/params.yaml"
+    )
+
+
+def test_an_extraction_is_solved_again(first, workplace):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    again = run("calibrate", npz, "--output", "again", cwd=workplace)
+    assert again.code == 0, again.err
+    assert numbers(workplace / "again/params.yaml") == numbers(
+        workplace / "paper_robot_calibration/params.yaml"
+    )
+    refused = run("calibrate", npz, "--board", "9x6", "--output", "refused", cwd=workplace)
+    assert refused.code == 2
+    assert "board.columns, board.rows cannot" in refused.err
+
+
+def test_each_method(first, workplace):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    rms = {}
+    for method in ("linear", "paper", "lm"):
+        assert run("calibrate", npz, "--method", method, "--output", method, cwd=workplace).code == 0
+        params = load(workplace / method / "params.yaml")
+        rms[method] = params["quality"]["point_rms_mm"]
+        assert params["provenance"]["method"] == method
+    assert rms["lm"] == pytest.approx(rms["paper"], rel=1e-6)
+    assert rms["lm"] < rms["linear"]
+
+
+def test_uncertainty_is_a_contract(first, workplace, sample_logs):
+    params = load(workplace / "paper_robot_calibration/params.yaml")
+    block = params["uncertainty"]
+    assert block["order"] == list(NINE)
+    covariance = np.array(block["covariance"])
+    assert np.array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)).min() > 0
+    assert [block["std"][name] for name in NINE] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+    assert block["observable"] == dict.fromkeys(NINE, True)
+    assert set(block["noise"]) == {field.name for field in fields(NoiseLevels)} - {"redundancy"}
+    turn, move, _ = apart(params, load(sample_logs / "paper_robot.truth.yaml"))
+    assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
+    assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
+
+
+def test_fixed_prior_and_more_numbers(first, workplace):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    asked = [
+        "--fix",
+        "separation=0.5",
+        "--prior",
+        "radius_left=0.2275±0.0001",
+        "--estimate",
+        "pan_zero,focal_length",
+    ]
+    result = run("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
+    assert result.code == 0, result.err
+    params = load(workplace / "asked/params.yaml")
+    assert params["wheels"]["separation_m"] == 0.5
+    assert params["uncertainty"]["observable"]["separation"] is False
+    assert params["uncertainty"]["std"]["separation"] == 0
+    assert params["uncertainty"]["std"]["radius_left"] < 0.00011
+    report = json.loads((workplace / "asked/report.json").read_text())
+    assert set(report["constants"]) >= {"pan_zero", "focal_left", "focal_right"}
+    assert "All constants of the robot description" in (workplace / "asked/report.html").read_text()
+
+
+def test_the_report_says_what_to_record_next(first, workplace):
+    result = run("suggest", workplace / "paper_robot_calibration/extraction.npz", "-q", cwd=workplace)
+    assert result.code == 0, result.err
+    assert "1. " in result.out
+    assert "head_pan_joint" in result.out
+    page = (workplace / "paper_robot_calibration/report.html").read_text()
+    for words in (
+        "What to record next",
+        "heading by dead reckoning per full turn",
+        "jackknife",
+        "Correlations",
+    ):
+        assert words in page
+
+
+def test_a_wrong_square_is_said(workplace, sample_logs):
+    log = sample_logs / "paper_robot.mcap"
+    result = run("calibrate", log, "--square-m", "0.0812", "-o", "square", cwd=workplace)
+    assert result.code == 0, result.err
+    (measured,) = set(
+        re.findall(r"the squares measure ([\d.]+) mm \(stated: 81.20 mm\)", " ".join(result.out.split()))
+    )
+    assert float(measured) == pytest.approx(80.0, abs=0.1)
+
+
+def test_noise_that_the_configuration_knows(workplace, sample_logs):
+    log, known = sample_logs / "paper_robot.mcap", ["--set", "noise.joint_rad=0.0002"]
+    result = run("calibrate", log, *known, "-o", "known", cwd=workplace)
+    assert result.code == 0, result.err
+    params = load(workplace / "known/params.yaml")
+    assert params["uncertainty"]["noise"]["joint_rad"] == 0.0002
+    assert params["provenance"]["config"]["noise"] == {"joint_rad": 0.0002}
+
+
+def test_ticks_that_wrap_round(workplace, sample_logs):
+    log, rig = sample_logs / "tick_robot.mcap", sample_logs / "tick_robot.rig.yaml"
+    result = run("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
+    assert result.code == 0, result.err
+    turn, move, wheels = apart(
+        load(workplace / "tick/params.yaml"), load(sample_logs / "tick_robot.truth.yaml")
+    )
+    # Wheel noise of 0.003 rad per sqrt(rad) moves this method's answer: measured 0.12 degrees, 10 mm, 0.5 %.
+    assert turn < 0.5
+    assert move < 20
+    assert wheels < 1.0
+
+
+def part_of(source, target, first_s, last_s, unstamped=True):
+    """A copy of the messages with stamps in a part of the recording, and of those without stamps."""
+    begin_ns = []
+
+    def edit(topic, message):
+        if not hasattr(message, "header"):
+            return message if unstamped else None
+        stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        begin_ns.append(stamp_ns)
+        return message if first_s <= (stamp_ns - begin_ns[0]) * 1e-9 < last_s else None
+
+    return edited(source, target, edit)
+
+
+def test_two_logs_of_one_robot(first, workplace, sample_logs):
+    """Two parts of one recording, the middle left out, are two logs: nearly the same answer."""
+    whole = sample_logs / "paper_robot.mcap"
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    times = np.array([o.time_ns for o in extraction_from_npz(npz).observations])
+    seconds = (times - min(track.time_ns[0] for track in extraction_from_npz(npz).wheels)) * 1e-9
+    logs = [
+        part_of(whole, workplace / "early.mcap", 0, seconds[6] - 3),
+        part_of(whole, workplace / "late.mcap", seconds[6] + 3, 1e9),
+    ]
+    result = run("calibrate", *logs, "--output", "two", cwd=workplace)
+    assert result.code in (0, 6), result.err
+    two, one = load(workplace / "two/params.yaml"), load(workplace / "paper_robot_calibration/params.yaml")
+    assert two["quality"]["stations"] == 11
+    turn, move, wheels = apart(two, one)
+    std = two["uncertainty"]["std"]
+    assert turn < 3 * np.degrees(std["r_y"])
+    assert move < 3e3 * std["t_y"]
+    assert wheels < 300 * std["radius_right"] / two["wheels"]["radius_right_m"]
+    assert len(two["provenance"]["logs"]) == 2
+
+
+def test_the_same_recording_twice_is_refused(first, workplace, sample_logs):
+    """By content: the same file, a copy, another container, a part, and an extraction that contains it twice."""
+    log = sample_logs / "paper_robot.mcap"
+    copy = workplace / "copy.mcap"
+    shutil.copy(log, copy)
+    part = part_of(log, workplace / "part.mcap", 5, 40)
+    others = (log, copy, sample_logs / "paper_robot.bag", sample_logs / "paper_robot_rosbag2", part)
+    for other in others:
+        result = run("calibrate", log, other, "--output", "refused", cwd=workplace)
+        assert result.code == 2, other
+        said = " ".join(result.err.split())
+        assert f"{log} and {other} " in said
+        assert "give each recording once" in said
+    assert not (workplace / "refused").exists()
+
+    found = extraction_from_npz(workplace / "paper_robot_calibration/extraction.npz")
+    again = tuple(replace(o, log=1) for o in found.observations)
+    source = LogSource("again.bag", "another hash")
+    for tracks in (found.joint_tracks, ()):
+        double = replace(
+            found,
+            observations=(*found.observations, *again),
+            wheels=2 * found.wheels,
+            joint_tracks=2 * tracks,
+            logs=(*found.logs, source),
+        )
+        (workplace / "double.npz").write_bytes(extraction_to_npz(double))
+        result = run("calibrate", "double.npz", "--output", "refused", cwd=workplace)
+        assert result.code == 2
+        assert "paper_robot.mcap and again.bag are the same recording" in " ".join(result.err.split())
+
+
+def test_a_recording_in_two_files_is_one(first, workplace, sample_logs):
+    """Files that follow one another are one recording, also in the extraction of it."""
+    log = sample_logs / "paper_robot.mcap"
+    files = [
+        part_of(log, workplace / "split0.mcap", 0, 30),
+        part_of(log, workplace / "split1.mcap", 30, 1e9, unstamped=False),
+    ]
+    result = run("calibrate", *files, "--output", "split", cwd=workplace)
+    assert result.code == 0, result.err
+    assert numbers(workplace / "split/params.yaml") == numbers(
+        workplace / "paper_robot_calibration/params.yaml"
+    )
+    assert run("calibrate", "split/extraction.npz", "--output", "resolved", cwd=workplace).code == 0
+
+
+def test_the_right_camera_as_reference(first, workplace, sample_logs):
+    npz_run = run(
+        "calibrate",
+        sample_logs / "paper_robot.mcap",
+        "--set",
+        "cameras.reference=right",
+        "-o",
+        "right",
+        cwd=workplace,
+    )
+    assert npz_run.code == 0, npz_run.err
+    right, left = (
+        load(workplace / "right/params.yaml"),
+        load(workplace / "paper_robot_calibration/params.yaml"),
+    )
+    assert right["head_eye"]["child_frame"] == "stereo_right_optical"
+    apart = np.subtract(right["head_eye"]["translation_m"], left["head_eye"]["translation_m"])
+    assert np.linalg.norm(apart) == pytest.approx(0.12, abs=1e-4)
+    assert right["wheels"] == left["wheels"]
+
+
+@pytest.mark.long
+def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for name in ("a", "b"):
+        assert run("calibrate", sample_logs / "paper_robot.bag", "--output", name, cwd=workplace).code == 0
+    for output in OUTPUTS:
+        assert (workplace / "a" / output).read_bytes() == (workplace / "b" / output).read_bytes()
+    assert load(workplace / "a/params.yaml")["provenance"]["created"] == "2023-11-14T22:13:20Z"
+
+
+@pytest.mark.long
+def test_init_drafts_a_configuration_that_works(first, workplace, sample_logs):
+    log = sample_logs / "paper_robot.mcap"
+    assert run("init", log, cwd=workplace).code == 0
+    assert run("init", log, cwd=workplace).code == 7
+    assert run("init", log, "--force", cwd=workplace).code == 0
+    result = run("calibrate", log, "--config", "rig.yaml", "--output", "drafted", cwd=workplace)
+    assert result.code == 0, result.err
+    assert numbers(workplace / "drafted/params.yaml") == numbers(
+        workplace / "paper_robot_calibration/params.yaml"
+    )
+    assert "schema_version: 1" in run("init", log, "--output", "-", cwd=workplace).out
+
+
+def test_help_and_version(tmp_path):
+    shown = run("--help", cwd=tmp_path)
+    assert shown.code == 0
+    for command in ("calibrate", "init", "simulate"):
+        assert command in shown.out
+        assert "Example: mobilecal" in run(command, "--help", cwd=tmp_path).out
+    summaries = shown.out.partition("Commands:\n")[2].splitlines()
+    assert [line.split()[0] for line in summaries][:3] == ["calibrate", "init", "check"]
+    assert all(line.endswith(".") and "..." not in line and len(line) <= 80 for line in summaries)
+    assert run("--version", cwd=tmp_path).out.startswith("mobilecal 0.")
+
+
+def test_force_replaces_an_earlier_output(first, workplace, sample_logs):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    assert run("calibrate", npz, "--output", "twice", cwd=workplace).code == 0
+    before = (workplace / "twice/params.yaml").read_text()
+    assert run("calibrate", npz, "--output", "twice", cwd=workplace).code == 7
+    assert (workplace / "twice/params.yaml").read_text() == before
+    assert (
+        run("calibrate", npz, "--output", "twice", "--force", "--method", "linear", cwd=workplace).code == 0
+    )
+    assert (workplace / "twice/params.yaml").read_text() != before
+
+
+@pytest.mark.parametrize(
+    ("library", "after_s"), [("numpy", 0.0), ("cv2", 0.7)]
+)  # while it loads, while it works
+def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, library, after_s):
+    command = [
+        sys.executable,
+        "-m",
+        "mobilecal_cli",
+        "calibrate",
+        str(sample_logs / "paper_robot.mcap"),
+        "-o",
+        "out",
+    ]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell's background jobs ignore Ctrl-C, and what they start inherits that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    maps, deadline = Path(f"/proc/{process.pid}/maps"), time.monotonic() + 60
+    while library not in maps.read_text() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(after_s)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "interrupted: nothing was written\n"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,98 @@
+"""`mobilecal init`: the draft of a rig.yaml, and what is listed on the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mobilecal_cli.calibrate import inspect
+from mobilecal_cli.commands.init import draft
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
+from tests.command import run
+from tests.commands.edited import edited
+from tests.golden import assert_golden
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Few images are enough where the board does not matter."""
+    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)
+
+
+def keys(draft):
+    return {one.key: one.value for one in draft.filled}
+
+
+def test_what_is_left_is_listed_and_then_checked(sample_logs, tmp_path):
+    """The tick robot: everything but the resolution of its encoders is known."""
+    log = sample_logs / "tick_robot.mcap"
+    done = run("init", log, cwd=tmp_path)
+    assert (done.code, done.left) == (0, ["rig.yaml"])
+    assert "wheels.left   " in done.out
+    assert "data on /wheel_ticks/left, bits: 16 (recording: the only pair" in done.out
+    needed = done.out.split("TODO: needed for a calibration\n")[1].split("\n\n")[0]
+    assert needed.startswith("  wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution: ")
+    optional = done.out.split("TODO: optional\n")[1].split("\n\n")[0]
+    assert "Suggestion: 70 mm, a usual size (70.0" in " ".join(optional.split())
+    assert done.out.endswith(f"Written: rig.yaml\nNext: mobilecal check rig.yaml {log}\n")
+    checked = run("check", "rig.yaml", log, cwd=tmp_path)
+    assert checked.code == 2
+    assert "not filled in yet: wheels.left.ticks_per_revolution" in " ".join(checked.out.split())
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig.read_text(encoding="utf-8").replace("revolution: TODO", "revolution: 4096"))
+    assert run("check", "rig.yaml", log, "--quiet", cwd=tmp_path).code == 0
+
+
+def test_standard_output_holds_the_file_alone(sample_logs, tmp_path):
+    done = run("init", sample_logs / "straight.mcap", "--output", "-", cwd=tmp_path)
+    assert (done.code, done.left) == (0, [])
+    assert done.out.startswith("# rig.yaml for mobilecal")
+    assert done.err.startswith("Filled in\n")
+    assert_golden(done.err, "init")
+    assert "TODO: optional" in done.err
+
+
+def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):
+    def without_urdf(topic, message):
+        return None if topic == "/robot_description" else message
+
+    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", without_urdf)
+    assert {one.key for one in draft([log]).todo if one.needed} == {"head"}
+    urdf, rig = tmp_path / "robot.urdf", tmp_path / "rigs" / "rig.yaml"
+    urdf.write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
+    rig.parent.mkdir()
+    made = draft([log], urdf, rig.parent)
+    rig.write_text(made.text, encoding="utf-8")
+    assert keys(made)["head.urdf"] == "../robot.urdf"
+    assert not any(one.needed for one in made.todo)
+    found = inspect.check(rig, [log])
+    assert found.parts.chain_from == "head.urdf of the configuration"
+    assert {lack.about for lack in found.missing} == {"motion"}  # the head never moves
+
+
+def test_swapped_cameras_are_asked_for(sample_logs, tmp_path, few):
+    """Left and right images under each other's name: nothing about the cameras is filled in as if it were right."""
+
+    def swapped(topic, message):
+        if not topic.endswith("camera_info"):
+            return message
+        p = message.p.copy()
+        p[3] *= -1
+        return replace(message, p=p)
+
+    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", swapped)
+    made = draft([log])
+    (asked,) = [one for one in made.todo if one.needed]
+    assert "to the left of the left camera, according to camera_info" in asked.why
+    assert "square_m" in {one.key.split(".")[-1] for one in made.todo}
+    assert not any("Suggestion" in one.why for one in made.todo)
+
+
+def test_a_dark_room_has_no_board(sample_logs, tmp_path, few):
+    from tests.commands.test_inspect import black_images
+
+    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", black_images)
+    made = draft([log])
+    assert [one.key for one in made.todo if one.needed] == ["board"]
+    assert not any(one.key.startswith("board") for one in made.filled)

@@ -1,0 +1,151 @@
+"""`mobilecal inspect`: what a recording holds, at a glance."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from mobilecal_cli.calibrate import inspect
+from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from tests.command import run
+from tests.commands.edited import edited
+from tests.golden import assert_golden
+from tests.readers import recordings as r
+
+
+@pytest.mark.parametrize("name", ["paper_robot.mcap", "paper_robot.bag", "paper_robot_rosbag2"])
+def test_sample_log(sample_logs, name):
+    found = inspect.inspect([sample_logs / name])
+    topics = {topic.name: topic for topic in found.topics}
+    joints = topics["/joint_states"]
+    assert (joints.messages, joints.steps_back) == (2142, 0)
+    assert joints.rate_hz == pytest.approx(50, abs=0.01)
+    assert joints.longest_gap_s == pytest.approx(0.02, abs=1e-6)
+    assert topics["/robot_description"].rate_hz is None
+    assert found.motion is not None
+    assert found.motion.rests == 12
+    assert found.motion.share_read == 1
+    assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
+    assert (found.missing, found.weak, found.notes) == ((), (), ())
+    assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
+
+
+def test_motion_that_does_not_show_everything(sample_logs):
+    found = inspect.inspect([sample_logs / "straight.mcap"])
+    assert found.missing == ()
+    (lack,) = found.weak
+    assert "the base only drives straight" in lack.what
+    assert "turn the base" in lack.cure
+    assert found.motion.turned_deg < 3
+    # The truth drives 2.7 m in all; wheels with noise go a little further.
+    assert 2 < found.motion.driven_m < 4
+
+
+def test_command_for_people_and_for_programs(sample_logs, tmp_path):
+    log = sample_logs / "tick_robot.mcap"
+    text = run("inspect", log, cwd=tmp_path)
+    assert text.code == 3, text.err
+    assert "wheels.left: no joint is named as a wheel; /wheel_ticks/left" in text.out
+    assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
+    assert_golden(text.out, "inspect")
+    config = sample_logs / "tick_robot.rig.yaml"
+    made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
+    assert made.code == 0, made.err
+    data = json.loads(made.out)
+    assert data["missing"] == []
+    assert data["exit_code"] == 0
+    square_m = data["board"].pop("square_m")
+    assert square_m == pytest.approx(0.07, rel=0.002)
+    assert data["board"] == {"pictures": 12, "seen": 12, "columns": 9, "rows": 6, "square_stated_m": None}
+    assert data["head"]["tilt"] == "tilt_joint"
+    assert data["motion"]["share_read"] == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_everything_that_is_missing_is_named_at_once(tmp_path):
+    items = [
+        r.Item(
+            "/joint_states", "sensor_msgs/msg/JointState", r.START_NS, r.joint_state(["head_tilt"], [0.1])
+        ),
+        r.Item("/left/image_raw", "sensor_msgs/msg/Image", r.START_NS, r.image(r.picture(0), "mono8")),
+    ]
+    found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
+    said = [lack.what for lack in found.missing]
+    assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
+    assert any("the head chain is unknown" in text for text in said)
+    assert all(lack.cure for lack in found.missing)
+
+
+def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
+    monkeypatch.setattr("mobilecal_cli.calibrate.inspect.MOTION_BYTES", 2**20)
+    found = inspect.inspect([sample_logs / "paper_robot.mcap"])
+    assert 0 < found.motion.share_read < 1
+    assert found.motion.rests is None
+    assert "the rest was not read" in inspection_text(found)
+    assert found.missing == ()
+
+
+def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
+    whole = (sample_logs / "paper_robot.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 6 // 10])
+    found = inspect.inspect([cut])
+    assert 0 < found.motion.rests < 8
+    assert "possible stations; a calibration needs 4, and 8 to pass" in found.weak[0].what
+    assert found.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("head_fixed.mcap", 5), ("tick_robot.mcap", 3), ("nothing.mcap", 3), ("board.mcap", 4)]
+)
+def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code):
+    """`inspect` prints all it found, and ends as `calibrate` does."""
+    log = sample_logs / name
+    if name == "nothing.mcap":
+        log = r.write_mcap(tmp_path / name, [])
+    if name == "board.mcap":
+        log = edited(sample_logs / "paper_robot.mcap", tmp_path / name, black_images)
+    done = run("inspect", log, "--json", "--quiet", cwd=tmp_path)
+    assert done.code == code, done.err
+    data = json.loads(done.out)
+    assert data["exit_code"] == code
+    assert {lack["exit_code"] for lack in data["missing"]} == {code}
+    assert run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path).code == code
+
+
+def black_images(topic, message):
+    """A recording of a dark room."""
+    if topic.endswith("compressed"):
+        black = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].ravel()
+        return replace(message, format="png", data=black)
+    return message
+
+
+def test_the_square_beside_the_stated_one(sample_logs):
+    log = [sample_logs / "paper_robot.mcap"]
+    found = inspect.inspect(log, flags={"board.square_m": 0.0801})
+    assert found.board.square_m == pytest.approx(0.08, rel=0.002)
+    assert ", 80.10 mm stated" in inspection_text(found)
+    assert found.exit_code == 0
+    wrong = inspect.inspect(log, flags={"board.square_m": 0.1})
+    assert wrong.exit_code == 4
+    assert "squares measure 80.0 mm, 100.0 mm are stated" in wrong.missing[0].what
+
+
+def test_empty_recording(tmp_path):
+    found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", [])])
+    assert "contains no messages" in found.missing[0].what
+    assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
+
+
+def test_names_cannot_steer_the_terminal(sample_logs):
+    found = inspect.inspect([sample_logs / "head_fixed.mcap"])
+    evil = replace(found.topics[0], name="/evil\x1b[2J\u202e")
+    text = inspection_text(replace(found, topics=(evil,), notes=("a note\r\x07 on it",)))
+    assert "\x1b" not in text
+    assert "\r" not in text
+    assert "/evil\\x1b[2J\\u202e" in text

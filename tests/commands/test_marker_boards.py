@@ -1,0 +1,56 @@
+"""Boards with markers through the whole product."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from mobilecal_cli.calibrate import inspect, steps
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.scenario import PRINTED, Scenario
+from tests.bench.simulated import errors
+
+BOARDS = {
+    "charuco": {"dictionary": "DICT_5X5_1000", "marker_share": 0.75},
+    "aprilgrid": {"gap_share": 0.3, "border_bits": 2},
+}
+
+
+@pytest.mark.parametrize("kind", [pytest.param("charuco", marks=pytest.mark.slow), "aprilgrid"])
+@pytest.mark.long
+def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
+    """The board is larger than the pictures: a checkerboard of its size would be seen nowhere."""
+    log, board = tmp_path / "log.mcap", PRINTED[kind]
+    simulate(Scenario(kind=kind, seed=2), log)
+    flags = {
+        "columns": board.columns,
+        "rows": board.rows,
+        "square_m": board.square_m,
+        "kind": kind,
+        **BOARDS[kind],
+    }
+    flags = {f"board.{key}": value for key, value in flags.items()}
+    found, _ = steps.calibrate([log], tmp_path / "out", flags=flags)
+    seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.left, o.right)]
+    assert len(seen) >= 2 * 9
+    assert not any(mask.all() for mask in seen)
+    robot = paper_robot()
+    error, covariance = (
+        errors(found.fit.solution.parameters, robot),
+        found.fit.solution.uncertainty.covariance,
+    )
+    nees = float(error @ np.linalg.solve(covariance, error)) / 9
+    assert nees < 2.5
+    assert found.verdict.level == "PASS"
+    params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
+    assert params["provenance"]["config"]["board"]["kind"] == kind
+    again, _ = steps.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
+    np.testing.assert_allclose(
+        again.fit.solution.parameters.T_h_c, found.fit.solution.parameters.T_h_c, atol=1e-9
+    )
+    if kind == "aprilgrid":
+        view = inspect.inspect([log], None, flags).board
+        assert view.size == (board.columns, board.rows)
+        assert view.seen >= 9

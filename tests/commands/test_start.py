@@ -1,0 +1,76 @@
+"""What the command line loads before it knows what is asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+#: pydantic is not among them: typer itself loads it where an option has a range.
+HEAVY = (
+    "numpy",
+    "scipy",
+    "cv2",
+    "rosbags",
+    "mcap",
+    "jinja2",
+    "rich",
+    "distributed",
+)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["--version"]])
+def test_help_loads_nothing_heavy(arguments):
+    code = (
+        "import sys\n"
+        f"sys.argv = ['mobilecal', *{arguments!r}]\n"
+        "from mobilecal_cli.__main__ import main\n"
+        "try:\n    main()\nexcept SystemExit as leaving:\n    assert not leaving.code\n"
+        f"loaded = sorted(set({HEAVY!r}) & set(sys.modules))\n"
+        "assert not loaded, loaded\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_command_teaches_with_an_example():
+    from mobilecal_cli.commands import app
+
+    for command in app.registered_commands:
+        assert "Example: mobilecal" in command.callback.__doc__, command.callback.__name__
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate", "a"],
+        ["compare", "a", "b"],
+        ["inspect", "a"],
+        ["board", "--corners", "8x5", "--square", "0.08"],
+    ],
+)
+def test_a_system_that_is_not_supported_is_named(arguments):
+    """Windows lacks these names; nothing else can be said there before."""
+    code = (
+        "import os, signal, sys\n"
+        "sys.modules['fcntl'] = None\n"
+        "del signal.SIGHUP, signal.pthread_sigmask, os.O_DIRECTORY, os.O_NOFOLLOW\n"
+        f"sys.argv = ['mobilecal', *{arguments!r}]\n"
+        "from mobilecal_cli.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: mobilecal runs on Linux and macOS")
+    assert "Windows Subsystem for Linux" in done.stderr
+
+
+def test_the_package_states_the_same_systems():
+    metadata = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    systems = [c for c in metadata["project"]["classifiers"] if c.startswith("Operating System")]
+    assert systems == ["Operating System :: MacOS", "Operating System :: POSIX :: Linux"]
+    assert "Linux or macOS" in (REPOSITORY / "README.md").read_text(encoding="utf-8")

@@ -1,0 +1,155 @@
+"""No option is silently ignored: those that a method or a format does not use are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mobilecal_cli.calibrate.export import export
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.model import Nominal
+from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.targets import Target
+from tests.command import run
+from tests.report.example import ROBOT, make_extraction
+
+SEPARATION = ["--fix", "separation=0.6"]
+CASES = {
+    "--fix separation": SEPARATION,
+    "--prior separation": ["--prior", "separation=0.6±0.01"],
+    "--estimate pan_zero": ["--estimate", "pan_zero"],
+    "--set noise.pixel_px": ["--set", "noise.pixel_px=0.3"],
+    "--set priors.all": ["--set", "priors.all=free"],
+}
+
+
+@pytest.fixture(scope="module")
+def extraction(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "extraction.npz"
+    path.write_bytes(extraction_to_npz(make_extraction()))
+    return path
+
+
+@pytest.mark.parametrize("method", ["linear", "lm", "paper"])
+@pytest.mark.parametrize("option", CASES)
+def test_the_method_does_not_use_it(extraction, tmp_path, method, option):
+    done = run("calibrate", extraction, "--method", method, *CASES[option], cwd=tmp_path)
+    assert (done.code, done.left) == (2, [])
+    assert done.err.startswith(f"error: {option}: not used by --method {method}\nhint: ")
+
+
+@pytest.mark.parametrize("estimate", [",,,", "", " , "])
+def test_no_constant_is_named(extraction, tmp_path, estimate):
+    done = run("calibrate", extraction, "--estimate", estimate, cwd=tmp_path)
+    assert (done.code, done.left) == (2, [])
+    assert "names no constant" in done.err
+
+
+@pytest.mark.parametrize(
+    ("fix", "prior", "estimate"),
+    [
+        (["separation=0.3", "separation=0.4"], [], []),
+        (["separation=0.3", "wheels"], [], []),
+        (["separation=0.3"], ["separation=0.3±0.1"], []),
+        ([], ["separation=0.3±0.1", "separation=0.4±0.1"], []),
+        (["pan_zero"], [], ["pan_zero"]),
+        ([], ["pan_zero=0±0.1"], ["pan_zero"]),
+    ],
+)
+def test_only_one_of_two_would_count(fix, prior, estimate):
+    with pytest.raises(ConfigError, match="given twice"):
+        constraints_of(fix, prior, estimate)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--fix", "time_joints=0.1"), ("--prior", "time_joints=0.1±0.01"), ("--estimate", "time_joints")],
+)
+def test_the_recording_does_not_show_it(extraction, tmp_path, option, value):
+    """The robot rests at every station, so that its clocks have no effect."""
+    done = run("calibrate", extraction, option, value, cwd=tmp_path)
+    assert (done.code, done.left) == (2, [])
+    assert f"{option} time_joints: no effect on the measurements of this recording" in done.err
+
+
+def test_a_constant_without_effect_may_be_fixed_as_stated():
+    found = solve(
+        make_extraction(), constraints=constraints_of(["time_joints", "time_wheels=0"], [], ["clock"])
+    )
+    assert "time_joints" not in found.constants
+
+
+#: Option of `mobilecal export` → the formats that use it.
+OPTIONS = {
+    "--urdf": ["urdf"],
+    "--left-joint": ["ros2_control", "urdf"],
+    "--right-joint": ["ros2_control", "urdf"],
+    "--with-chain": ["urdf"],
+    "--rate": ["odometry_covariance"],
+    "--distance": ["odometry_covariance"],
+    "--log": ["foxglove"],
+}
+
+
+@pytest.mark.parametrize("target", Target)
+@pytest.mark.parametrize("option", OPTIONS)
+def test_the_format_does_not_use_it(tmp_path, option, target):
+    params = tmp_path / "params.yaml"
+    params.write_text(PARAMS)
+    given = {
+        "--urdf": {"urdf": "robot.urdf"},
+        "--left-joint": {"wheel_joints": {"left": "left_wheel"}},
+        "--right-joint": {"wheel_joints": {"right": "right_wheel"}},
+        "--with-chain": {"with_chain": True},
+        "--rate": {"rate_hz": 10.0},
+        "--distance": {"distance_m": 2.0},
+        "--log": {"logs": "log.mcap"},
+    }[option]
+    if target not in OPTIONS[option]:
+        with pytest.raises(
+            ConfigError, match=f"{option} applies only to --to {' and '.join(OPTIONS[option])}$"
+        ):
+            export(params, target, **given)
+
+
+def test_an_empty_name_is_no_joint(tmp_path):
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    done = run("export", "params.yaml", "--to", "ros2_control", "--left-joint", "", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "'left': '' is not a side and the name of its joint" in done.err
+
+
+PARAMS = """\
+schema_version: 2
+head_eye: {parent_frame: head, child_frame: camera, translation_m: [0.0, 0.0, 0.0], quaternion_xyzw: [0, 0, 0, 1]}
+wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 0.4}
+"""
+
+
+@pytest.mark.parametrize(
+    ("fix", "prior", "lacking"),
+    [
+        (["r_y=0.01"], [], "--fix r_y: relative to nominal.head_eye"),
+        (["r_y"], [], "--fix r_y: relative to nominal.head_eye"),
+        (["rotation"], [], "--fix r_x, --fix r_y, --fix r_z: relative to nominal.head_eye"),
+        (["t_x"], [], "--fix t_x: relative to nominal.head_eye"),
+        (["wheels"], [], "relative to nominal.wheels"),
+        ([], ["r_y=0.01±0.0001"], "--prior r_y: relative to nominal.head_eye"),
+    ],
+)
+def test_a_rotation_needs_something_to_be_relative_to(fix, prior, lacking):
+    extraction = make_extraction()
+    assert extraction.rig.nominal.T_h_reference is None
+    with pytest.raises(ConfigError, match=lacking):
+        solve(extraction, constraints=constraints_of(fix, prior, []))
+
+
+def test_a_rotation_is_relative_to_the_nominal_one():
+    extraction = make_extraction()
+    rig = replace(extraction.rig, nominal=Nominal(ROBOT.T_h_c))
+    found = solve(replace(extraction, rig=rig), constraints=constraints_of(["r_y=0.01"], [], []))
+    turn = found.parameters.T_h_c[:3, :3] @ ROBOT.T_h_c[:3, :3].T
+    assert turn[0, 2] == pytest.approx(0.01, abs=1e-3)
+    solve(extraction, constraints=constraints_of(["t_x=0.04"], ["radius_left=0.08±0.01"], []))

@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.files.reading import load_yaml
+from mobilecal_cli.rig import config
+from mobilecal_cli.rig.config import RigConfig, load_rig, parse_setting, read_urdf
+
+CONTRACT = """
+schema_version: 1
+board: {columns: 9, rows: 6, square_m: 0.08}
+cameras:
+  left:  {image: /stereo/left/image_raw,  info: /stereo/left/camera_info}
+  right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}
+  reference: left
+  rectified: false
+joints: {topic: /joint_states, pan: head_pan_joint, tilt: head_tilt_joint}
+wheels:
+  left:  {topic: /joint_states, joint: wheel_left_joint}
+  right: {topic: /wheel_ticks/right, field: data, ticks_per_revolution: 4096, bits: 16, sign: 1}
+head:
+  base_frame: base_link
+  head_frame: head_link
+  chain:
+    - {xyz_m: [0.05, 0, 0.9], rpy_rad: [0, 0, 0]}
+    - {joint: head_pan_joint, axis: [0, 0, 1]}
+    - {xyz_m: [0.02, 0, 0.06]}
+    - {joint: head_tilt_joint, axis: [0, 1, 0]}
+nominal:
+  head_eye: {translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}
+  wheels: {radius_left_m: 0.2, radius_right_m: 0.2, separation_m: 0.5}
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text: str) -> Path:
+        path = tmp_path / "rig.yaml"
+        path.write_text(text)
+        return path
+
+    return _write
+
+
+def test_the_contract_loads(write):
+    rig = load_rig(write(CONTRACT))
+    assert rig.board.columns == 9
+    assert rig.wheels.right.bits == 16
+    assert rig.head.chain is not None
+    assert rig.head.chain[3].axis == (0, 1, 0)
+    assert rig.nominal.wheels is not None
+    assert rig.nominal.wheels.separation_m == 0.5
+
+
+@pytest.mark.parametrize(
+    "section", [s for s in config._Section.__subclasses__() if s.example], ids=lambda s: s.__name__
+)
+def test_the_example_of_a_section_is_valid(section):
+    chain = section.example.replace("urdf: robot.urdf  # or the chain:", "")
+    for example in (
+        {section.example, chain} if section is not config.HeadConfig else {chain, "urdf: robot.urdf"}
+    ):
+        section.model_validate(load_yaml(example))
+
+
+def test_every_key_is_optional(write):
+    assert load_rig(write("")).model_dump() == RigConfig().model_dump()
+    assert load_rig(None) == RigConfig()
+
+
+def test_flags_lie_over_the_file(write):
+    rig = load_rig(write(CONTRACT), {"board.columns": 8, "wheels.left.sign": -1, "board.square_m": None})
+    assert rig.board.columns == 8
+    assert rig.board.square_m == 0.08
+    assert rig.wheels.left.sign == -1
+    assert rig.wheels.left.joint == "wheel_left_joint"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "hint"),
+    [
+        ("bord: {columns: 9}", "bord: unknown key", "did you mean board?"),
+        ("board: {column: 9, rows: 6}", "board.column: unknown key", "did you mean columns?"),
+        ("wheels: {left: {ticks_per_rev: 3}}", "unknown key", "did you mean ticks_per_revolution?"),
+        (
+            "head: {chain: [{joint: a, axes: [0, 0, 1]}]}",
+            "head.chain.0.axes: unknown key",
+            "did you mean axis?",
+        ),
+        ("nominal: {wheel: {}}", "nominal.wheel: unknown key", "did you mean wheels?"),
+        ("zzzzqq: 1", "zzzzqq: unknown key", "known keys: schema_version, board"),
+        ("board: {columns: 9}", "give both columns and rows", ""),
+        ("board: {columns: 2, rows: 6}", "board.columns", ""),
+        ("board: {columns: 9, rows: 6, square_m: -1}", "board.square_m", ""),
+        ("board: {columns: 9, rows: 6, square_m: .nan}", "board.square_m", ""),
+        ("schema_version: 2", "schema_version", ""),
+        ("cameras: {reference: middle}", "cameras.reference", ""),
+        ("wheels: {left: {joint: a, field: b, topic: c}}", "joint or field, not both", ""),
+        ("wheels: {left: {field: data}}", "field requires topic", ""),
+        ("wheels: {left: {topic: t, field: data, bits: 16}}", "bits requires ticks_per_revolution", ""),
+        ("wheels: {left: {sign: 2}}", "wheels.left.sign", ""),
+        ("head: {chain: [{joint: a, axis: [0, 0, 0]}]}", "axis has zero length", ""),
+        ("head: {chain: [{joint: a}]}", "give both joint and axis", ""),
+        ("head: {chain: [{joint: a, axis: [0, 0, 1], xyz_m: [0, 0, 0]}]}", "a link is either", ""),
+        ("head: {urdf: a.urdf, chain: []}", "urdf or chain, not both", ""),
+        (
+            "nominal: {head_eye: {translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 2]}}",
+            "has norm 2 (must be 1)",
+            "",
+        ),
+        ("- a\n- b", "the top level is a list", ""),
+        ("a: [", "not valid YAML", "mobilecal init"),
+        ("board: 1\nboard: 2", "not valid YAML", ""),
+        ("x: !!python/object/apply:os.system [ls]", "not valid YAML", ""),
+    ],
+)
+def test_bad_files(write, text, message, hint):
+    path = write(text)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    assert str(path) in caught.value.message
+    assert message in caught.value.message
+    assert hint in caught.value.hint
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_rig(tmp_path / "none.yaml")
+
+
+def test_a_flag_cannot_enter_a_value(write):
+    with pytest.raises(ConfigError, match="not a section"):
+        load_rig(write("board: 5"), {"board.columns": 9})
+
+
+def test_urdf_is_found_beside_the_file(write, tmp_path):
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    rig = load_rig(write("head: {urdf: robot.urdf}"))
+    assert read_urdf(rig) == "<robot/>"
+    with pytest.raises(ConfigError, match=r"gone\.urdf"):
+        read_urdf(load_rig(write("head: {urdf: gone.urdf}")))
+
+
+def test_settings_are_yaml():
+    assert parse_setting("wheels.left.sign=-1") == ("wheels.left.sign", -1)
+    assert parse_setting("cameras.rectified=true") == ("cameras.rectified", True)
+    assert parse_setting("head.base_frame=base=x") == ("head.base_frame", "base=x")
+    for bad in ("novalue", "=3", "a=[1"):
+        with pytest.raises(ConfigError):
+            parse_setting(bad)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "board: {kind: charuco, columns: 8, rows: 5, marker_share: 0.7}",
+            "a board of kind charuco requires dictionary",
+        ),
+        ("board: {kind: aprilgrid, columns: 6, rows: 6}", "a board of kind aprilgrid requires gap_share"),
+        ("board: {kind: aprilgrid, gap_share: 0.3}", "requires columns"),
+        ("board: {columns: 8, rows: 5, marker_share: 0.7}", "set kind to charuco or aprilgrid"),
+        (
+            "board: {kind: charuco, columns: 8, rows: 5, dictionary: DICT_9X9, marker_share: 0.7}",
+            "board.dictionary",
+        ),
+    ],
+)
+def test_boards_with_markers_say_what_they_need(write, text, said):
+    with pytest.raises(ConfigError, match=said):
+        load_rig(write(text))
+
+
+def test_an_unknown_key_of_a_joints_field_is_explained(write):
+    with pytest.raises(ConfigError, match=r"joints.fields.pan.topics: unknown key") as caught:
+        load_rig(write("joints: {fields: {pan: {topics: /head, field: angle}}}"))
+    assert "did you mean topic" in caught.value.hint
+
+
+def test_priors_are_numbers_or_words(write):
+    rig = load_rig(write("priors: {all: fixed, focal_length: 0.2, pan_zero: free}"), {"priors.clock": 5})
+    assert rig.priors == {"all": "fixed", "focal_length": 0.2, "pan_zero": "free", "clock": 5}
+    key, value = parse_setting("priors.focal_length=0.1")
+    assert load_rig(None, {key: value}).priors == {"focal_length": 0.1}
+
+
+@pytest.mark.parametrize("value", ["-0.1", ".nan", ".inf", "exact", "true", "[1]", "null"])
+def test_other_priors_are_refused(write, value):
+    with pytest.raises(ConfigError) as caught:
+        load_rig(write(f"priors: {{focal_length: {value}}}"))
+    said = "priors.focal_length: must be a standard deviation (0, or from 1e-09 to 1000), fixed or free"
+    assert said in caught.value.message
+
+
+def test_gates_have_dots_in_their_names():
+    key, value = parse_setting("gates.std.wheels.separation_m=0.002")
+    assert load_rig(None, {key: value}).gates == {"std.wheels.separation_m": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
+        ("board: {square_m: true}", "board.square_m: Input should be a valid number (got True)"),
+        ("board: {square_m: '0.1'}", "board.square_m: Input should be a valid number (got '0.1')"),
+        (
+            "nominal: {wheels: {radius_left_m: 1e300, radius_right_m: 0.1, separation_m: 0.5}}",
+            "nominal.wheels.radius_left_m: must be from 0.001 to 10 m (got 1e+300)",
+        ),
+        (
+            "nominal: {wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 1e-9}}",
+            "nominal.wheels.separation_m: must be from 0.01 to 100 m (got 1e-09)",
+        ),
+        (
+            "nominal: {head_eye: {translation_m: [0, 0, 1e200], quaternion_xyzw: [0, 0, 0, 1]}}",
+            "nominal.head_eye.translation_m.2: must be from -20 to 20 m (got 1e+200)",
+        ),
+        (
+            "nominal: {head_eye: {translation_m: [30, 60, 40], quaternion_xyzw: [0, 0, 0, 1]}}",
+            "nominal.head_eye.translation_m.0: must be from -20 to 20 m; 30 looks like millimeters: 0.03 m",
+        ),
+        ("head: {chain: [{xyz_m: [1e300, 0, 0]}]}", "xyz_m.0: must be from -20 to 20 m (got 1e+300)"),
+        ("noise: {pixel_px: 1e-300}", "noise.pixel_px: must be from 1e-09 to 1000 (got 1e-300)"),
+        ("wheels: {left: {ticks_per_revolution: 1e300}}", "must be from 1 to 1e+09 (got 1e+300)"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_with_its_range(write, text, says):
+    with pytest.raises(ConfigError) as caught:
+        load_rig(write(text))
+    assert says in caught.value.message

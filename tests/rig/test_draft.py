@@ -1,0 +1,263 @@
+"""`draft_rig`: what is filled in, from where, and what is left to the user."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from mobilecal_cli import se3
+from mobilecal_cli.files.reading import load_yaml
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import BoardView, NumberField, TopicInfo
+from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.draft import draft_rig, likely_square_m
+from mobilecal_cli.rig.names import may_be_a_reading
+from mobilecal_cli.rig.resolve import resolve_rig
+from tests.rig.test_resolve import AT_BASE, CAMERA, URDF, description
+
+HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+
+
+def loaded(draft):
+    return RigConfig.model_validate(YAML(typ="safe").load(draft.text))
+
+
+def keys(draft):
+    return {one.key: one.value for one in draft.filled}
+
+
+def todo(draft, needed=True):
+    return {one.key: one.why for one in draft.todo if one.needed == needed}
+
+
+def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
+    values = {"pictures": 12, "seen": seen, "size": (9, 6), "square_m": 0.08, "squares_m": squares_m}
+    return BoardView(**(values | changes))
+
+
+def test_a_draft_loads_and_settles_the_same_rig():
+    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
+    draft = draft_rig(description(urdf=urdf), "some log.mcap", board=board())
+    again, first = (
+        resolve_rig(config, description(urdf=urdf)).rig for config in (loaded(draft), RigConfig())
+    )
+    assert again.sources == first.sources
+    assert again.chain.joints == first.chain.joints
+    assert again.nominal.wheels == first.nominal.wheels
+    np.testing.assert_allclose(again.nominal.T_h_reference, first.nominal.T_h_reference, atol=1e-9)
+    assert (loaded(draft).board.columns, loaded(draft).board.rows, loaded(draft).board.square_m) == (
+        9,
+        6,
+        None,
+    )
+    assert todo(draft) == {}
+    assert set(todo(draft, needed=False)) == {"board.square_m"}
+    # Each value stands beside its source.
+    for one in draft.filled:
+        assert one.source in draft.text
+        assert one.key.rsplit(".", 1)[-1] in draft.text
+
+
+def test_a_draft_of_a_poor_log_asks():
+    draft = draft_rig(description(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
+    assert set(todo(draft)) == {"cameras", "wheels", "head"}
+    assert "# TODO cameras: no stereo pair" in draft.text
+    assert draft.filled == ()
+    loaded(draft)
+
+
+def test_templates_can_be_uncommented():
+    """Each template of a poor log is valid where it stands."""
+    draft = draft_rig(description(images=("/one/image",), urdf=None, joint_names={}), "log")
+    for name in ("cameras", "wheels", "nominal"):
+        block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]
+        lines = [line for line in block.splitlines() if re.match(rf"# (  |{name}:)", line)]
+        text = "\n".join(line[2:] for line in lines)
+        assert set(YAML(typ="safe").load(text)) == {name}, text
+        assert len(lines) >= 3
+
+
+def test_the_joint_positions_are_those_of_the_urdf():
+    """The chain that is listed as a comment is the chain of the URDF."""
+    urdf = URDF.format(x=-0.2)
+    draft = draft_rig(description(urdf=urdf), "log")
+    links = [line.strip(" #-") for line in draft.text.splitlines() if line.startswith("  #   - ")]
+    chain = [YAML(typ="safe").load(link) for link in links]
+    given = RigConfig.model_validate(
+        {"head": {"chain": chain}, "joints": {"pan": "head_pan_joint", "tilt": "head_tilt_joint"}}
+    )
+    ours, theirs = (resolve_rig(config, description(urdf=urdf)).rig.chain for config in (given, RigConfig()))
+    angles = np.array([[0.3, -0.2], [-1.0, 0.4]])
+    np.testing.assert_allclose(head_pose(ours, angles), head_pose(theirs, angles), atol=1e-9)
+    assert "not midway between the wheels" in draft.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("seen", "words"),
+    [
+        (board(seen=2), "2 of 12 images show a whole board of 9 x 6;"),
+        (board(other_sizes=1), "show a whole board of 9 x 6, 1 one of another size;"),
+        (
+            board(seen=0, size=None, squares_m=(), square_m=None),
+            "0 of 12 images show a whole checkerboard of one size;",
+        ),
+    ],
+)
+def test_a_board_that_is_not_certain_is_asked_for(seen, words):
+    draft = draft_rig(description(), "log", board=seen)
+    asked = todo(draft, needed=seen.size is None)
+    assert words in asked["board"]
+    assert loaded(draft).board.columns is None
+
+
+@pytest.mark.parametrize(
+    ("measured_m", "likely_m"),
+    [
+        (0.0799, 0.08),
+        (0.0702, 0.07),
+        (0.0251, 0.025),
+        (0.1083, None),
+        (0.0247, None),
+        (0.0731, None),
+        (0.2476, None),
+    ],
+)
+def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
+    assert likely_square_m(measured_m) == (None if likely_m is None else pytest.approx(likely_m))
+    sides = (measured_m, measured_m * 1.001, measured_m * 0.999)
+    draft = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
+    assert f"# square_m: {likely_m or round(measured_m, 4):g}\n" in draft.text
+    assert loaded(draft).board.square_m is None
+    scattered = draft_rig(
+        description(),
+        "log",
+        board=board(square_m=measured_m, squares_m=(measured_m, measured_m * 1.05, measured_m)),
+    )
+    assert "Suggestion" not in scattered.text
+
+
+def counter(side, bits=16, **changes):
+    return NumberField(f"/ticks/{side}", "data", True, bits, **changes)
+
+
+def bare(**changes):
+    topics = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
+    return description(extra=topics, joint_names=HEAD_ONLY, **changes)
+
+
+@pytest.mark.parametrize(
+    ("bits", "wraps", "filled"),
+    [(16, None, 16), (8, None, 8), (32, None, None), (32, 16, 16), (None, None, None), (64, 32, 32)],
+)
+def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
+    """The file cannot be used before the user states the steps per turn."""
+    fields = [counter(side, bits, wraps=wraps) for side in ("left", "right")]
+    draft = draft_rig(bare(), "log", numbers=fields)
+    assert set(todo(draft)) == {"wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution"}
+    wheels = YAML(typ="safe").load(draft.text)["wheels"]
+    expected = {"topic": "/ticks/left", "field": "data", "ticks_per_revolution": "TODO"}
+    assert wheels["left"] == expected | ({} if filled is None else {"bits": filled})
+    with pytest.raises(ValueError, match="ticks_per_revolution"):
+        loaded(draft)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        [
+            counter("left"),
+            counter("right"),
+            NumberField("/encoder/left", "n", True),
+            NumberField("/encoder/right", "n", True),
+        ],
+        [NumberField("/ticks/left", "data", False), NumberField("/ticks/right", "data", False)],
+        [counter("left", jump=4095), counter("right", jump=4095)],
+        [counter("left")],
+    ],
+)
+def test_counters_with_two_answers_are_asked_for(fields):
+    draft = draft_rig(bare(), "log", numbers=fields)
+    assert "look like tick counters" in todo(draft)["wheels"]
+    assert not any(one.key.startswith("wheels") for one in draft.filled)
+    assert len(re.findall("# candidate: topic", draft.text)) == (len(fields) if len(fields) > 1 else 0)
+    loaded(draft)
+
+
+def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
+    names = {"/joint_states": tuple(n for n in ("wheel_left_joint", "wheel_right_joint", "head_pan_joint"))}
+    draft = draft_rig(
+        description(joint_names=names), "log", numbers=[NumberField("/tilt_servo", "angle", False)]
+    )
+    assert "no joint state for 'head_tilt_joint'" in todo(draft)["joints.fields"]
+    assert '# candidate: topic "/tilt_servo", field "angle" (number, unit unknown)' in draft.text
+    loaded(draft)
+
+
+def test_nominal_values_that_the_urdf_lacks_are_asked_for():
+    meshes = AT_BASE.replace('<cylinder radius="0.2" length="0.1"/>', "<mesh/>")
+    draft = draft_rig(description(urdf=meshes), "log")
+    assert "wheel joints are 0.5 m apart, radii are not in it" in todo(draft, needed=False)["nominal.wheels"]
+    assert loaded(draft).nominal.wheels is None
+
+
+def test_a_given_urdf_replaces_that_of_the_recording():
+    draft = draft_rig(description(urdf=None), "log", urdf_text=AT_BASE, urdf_path="robots/mine.urdf")
+    assert keys(draft)["head.urdf"] == "robots/mine.urdf"
+    assert str(loaded(draft).head.urdf) == "robots/mine.urdf"
+    assert loaded(draft).nominal.wheels.separation_m == 0.5
+    assert todo(draft) == {}
+
+
+def test_names_of_readings():
+    assert may_be_a_reading("/wheel_ticks/left", "data")
+    assert may_be_a_reading("/base", "left.encoder")
+    assert may_be_a_reading("/head", "tilt")
+    assert not may_be_a_reading("/wheels/cmd", "left")
+    assert not may_be_a_reading("/head/pan/setpoint", "data")
+    assert not may_be_a_reading("/battery", "voltage")
+
+
+def test_a_chain_of_transforms_is_drafted():
+    T = np.stack([se3.transform(se3.rotation_z(a), np.array([0.1, 0, 1])) for a in np.linspace(0, 1, 5)])
+    fixed = np.stack([se3.transform(np.eye(3), np.array([0, 0.06, 0.1]))] * 5)
+    transforms = {("base_link", "neck"): T, ("neck", "stereo_left_optical"): fixed}
+    tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
+    log = replace(description(urdf=None, extra=(tf,)), transforms=transforms)
+    draft = draft_rig(log, "log")
+    assert keys(draft)["head.head_frame"] == "neck"
+    again, first = (resolve_rig(config, log).rig for config in (loaded(draft), RigConfig()))
+    assert again.chain.joints == first.chain.joints == ("neck",)
+    assert math.isclose(again.nominal.T_h_reference[1, 3], 0.06)
+
+
+@pytest.mark.parametrize(
+    "odd", ["\x1b[31m", "\u202e\u200f", "\x85\u2028", "\x9b", "\U0001f600", "\U000e0001", '"\\']
+)
+def test_names_with_control_characters(odd):
+    """Some stood in comments, where YAML refuses them; characters beyond 16 bits came back as two."""
+    names = ("wheel_left_joint", "wheel_right_joint", f"head_pan_joint{odd}", f"head{odd}")
+    draft = draft_rig(description(joint_names={"/joint_states": names}), f"log{odd}")
+    assert "joints.fields" in todo(draft)
+    assert all(line.isprintable() for line in draft.text.splitlines())
+    assert "\n".join(draft.text.splitlines()) + "\n" == draft.text
+    loaded(draft)
+
+    wheels = (f"wheel_left_joint{odd}", f"wheel_right_joint{odd}", "head_pan_joint", "head_tilt_joint")
+    draft = draft_rig(description(urdf=None, joint_names={"/joint_states": wheels}), "log")
+    assert loaded(draft).wheels.left.joint == wheels[0]
+    assert load_yaml(draft.text)["wheels"]["right"]["joint"] == wheels[1]
+
+
+def test_a_draft_of_very_many_and_very_long_names_can_be_read_again():
+    """It listed them all, and was larger than a rig.yaml may be."""
+    names = [*HEAD_ONLY["/joint_states"], "wheel_left_joint", "wheel_right_joint"]
+    for more in ([f"finger_{k}_joint" for k in range(10_000)], ["x" * 10**6]):
+        for kept in (names, names[1:]):
+            draft = draft_rig(description(joint_names={"/joint_states": (*kept, *more)}), "log")
+            assert len(draft.text) < 20_000
+            load_yaml(draft.text)

@@ -1,0 +1,412 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import (
+    CameraInfo,
+    JointField,
+    RobotDescription,
+    TopicInfo,
+    WheelGeometry,
+    WheelSource,
+)
+from mobilecal_cli.rig.config import RigConfig, load_rig
+from mobilecal_cli.rig.draft import draft_rig
+from mobilecal_cli.rig.head import urdf_of_transforms
+from mobilecal_cli.rig.names import pairs, side_of, words
+from mobilecal_cli.rig.resolve import resolve_rig
+
+URDF = """<robot name="r">
+<joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
+<joint name="wheel_right_joint" type="continuous"><parent link="base_link"/><child link="wr"/><origin xyz="{x} -0.25 0.1"/></joint>
+<link name="wl"><collision><geometry><cylinder radius="0.2" length="0.1"/></geometry></collision></link>
+<link name="wr"><collision><geometry><cylinder radius="0.2" length="0.1"/></geometry></collision></link>
+<joint name="head_pan_joint" type="revolute"><parent link="base_link"/><child link="pan"/><origin xyz="0 0 1"/><axis xyz="0 0 1"/></joint>
+<joint name="head_tilt_joint" type="revolute"><parent link="pan"/><child link="tilt"/><axis xyz="0 1 0"/></joint>
+<joint name="arm_pan" type="revolute"><parent link="base_link"/><child link="arm"/></joint>
+</robot>"""
+AT_BASE = URDF.format(x=0)
+JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
+
+
+def info(side="left", baseline=0.12, **changes):
+    values = {
+        "frame_id": f"stereo_{side}_optical",
+        "width": 640,
+        "height": 480,
+        "K": np.array([[550.0, 0, 320], [0, 551.0, 240], [0, 0, 1]]),
+        "D": np.array([-0.2, 0.1, 0, 0, 0]),
+        "distortion": "plumb_bob",
+        "R": se3.exp_so3(np.array([0.01, -0.02, 0.005]) * (1 if side == "left" else -1)),
+        "P": np.array(
+            [[540.0, 0, 322, 0 if side == "left" else -540 * baseline], [0, 540, 241, 0], [0, 0, 1, 0]]
+        ),
+    }
+    return CameraInfo(**(values | changes))
+
+
+def description(
+    images=("/stereo/left/image_raw", "/stereo/right/image_raw"), extra=(), urdf=AT_BASE, **changes
+):
+    infos = {"/stereo/left/camera_info": info("left"), "/stereo/right/camera_info": info("right")}
+    topics = [TopicInfo(name, "sensor_msgs/msg/Image", 10) for name in images]
+    topics += [TopicInfo(name, "sensor_msgs/msg/CameraInfo", 10) for name in infos]
+    topics += [TopicInfo("/joint_states", "sensor_msgs/msg/JointState", 100), *extra]
+    values = {
+        "topics": tuple(topics),
+        "infos": infos,
+        "image_frames": {},
+        "joint_names": {"/joint_states": JOINTS},
+        "urdfs": {"/robot_description": urdf} if urdf else {},
+    }
+    return RobotDescription(**(values | changes))
+
+
+def config(**sections):
+    return RigConfig.model_validate(sections)
+
+
+def test_a_log_tells_everything():
+    resolved = resolve_rig(RigConfig(), description())
+    rig = resolved.rig
+    assert rig.sources.image == {"left": "/stereo/left/image_raw", "right": "/stereo/right/image_raw"}
+    assert rig.sources.info["right"] == "/stereo/right/camera_info"
+    assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
+    assert (rig.chain.pan, rig.chain.tilt) == ("head_pan_joint", "head_tilt_joint")
+    assert (rig.chain.base_frame, rig.chain.head_frame) == ("base_link", "tilt")
+    assert rig.sources.wheels["left"].joint == "wheel_left_joint"
+    assert rig.nominal.wheels is not None
+    assert (rig.nominal.wheels.radius_left_m, rig.nominal.wheels.separation_m) == (0.2, 0.5)
+    assert rig.cameras.baseline_m == pytest.approx(0.12)
+    assert not rig.cameras.rectified
+
+
+def test_raw_stereo_geometry_is_what_rectification_says():
+    cameras = resolve_rig(RigConfig(), description()).rig.cameras
+    # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
+    point_r = np.array([0.3, -0.2, 2.0])
+    point_c = se3.act(cameras.T_c_r, point_r[None])[0]
+    left, right = info("left"), info("right")
+    assert left.R @ point_c == pytest.approx(right.R @ point_r + [0.12, 0, 0], abs=1e-12)
+
+
+def test_rectified_images_use_the_projection_matrices():
+    topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
+    cameras = resolve_rig(RigConfig(), description(topics)).rig.cameras
+    assert cameras.rectified
+    assert cameras.left.K[0, 0] == 540
+    assert cameras.left.D.size == 0
+    assert cameras.T_c_r[:3, :3] == pytest.approx(np.eye(3))
+
+
+def test_raw_comes_before_rectified_and_full_before_compressed():
+    names = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in ("image_rect", "image_raw")]
+    compressed = [
+        TopicInfo(f"/stereo/{side}/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 1)
+        for side in ("left", "right")
+    ]
+    assert (
+        resolve_rig(RigConfig(), description(names, compressed)).rig.sources.image["left"]
+        == "/stereo/left/image_raw"
+    )
+    rectified = resolve_rig(config(cameras={"rectified": True}), description(names, compressed)).rig
+    assert rectified.sources.image["left"] == "/stereo/left/image_rect"
+    only = resolve_rig(RigConfig(), description((), compressed)).rig
+    assert only.sources.image["right"] == "/stereo/right/image_raw/compressed"
+    assert only.sources.info["right"] == "/stereo/right/camera_info"
+
+
+def test_base_link_off_the_axle_is_taken_out():
+    resolved = resolve_rig(RigConfig(), description(urdf=URDF.format(x=-0.2)))
+    T_v_h = head_pose(resolved.rig.chain, np.zeros(2))
+    assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
+    assert "not midway between the wheels" in resolved.notes[0]
+    assert "x -200.0 mm" in resolved.notes[0]
+
+
+CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
+<joint name="optical" type="fixed"><parent link="cam"/><child link="stereo_left_optical"/><origin rpy="0 0 1"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "parent", "drawn"),
+    [("fixed", "tilt", True), ("revolute", "tilt", False), ("fixed", "base_link", False)],
+)
+def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
+    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind=kind, parent=parent))
+    rig = resolve_rig(config(head={"head_frame": "tilt"}), description(urdf=urdf)).rig
+    assert rig.setting_sources["nominal head_eye"] == ("URDF" if drawn else "none")
+    if drawn:
+        expected = se3.transform(se3.rotation_z(1.0), np.array([0.03, 0.06, 0.05]))
+        assert np.allclose(rig.nominal.T_h_reference, expected)
+    else:
+        assert rig.nominal.T_h_reference is None
+
+
+def test_known_noise_is_settled():
+    rig = resolve_rig(config(noise={"joint_rad": 0.001}), description()).rig
+    assert rig.noise.given == {"joint_rad": 0.001}
+
+
+def test_flag_file_and_log_are_told_apart(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("joints: {pan: head_pan_joint}", encoding="utf-8")
+    rig = resolve_rig(load_rig(path, {"joints.tilt": "head_tilt_joint"}), description()).rig
+    assert rig.setting_sources["pan joint head_pan_joint"] == "file"
+    assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
+    assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
+    assert rig.setting_sources["reference camera left"] == "default"
+
+
+def test_two_stereo_cameras_are_not_guessed():
+    front = tuple(f"/front/{side}/image_{kind}" for side in ("left", "right") for kind in ("raw", "rect"))
+    rear = tuple(name.replace("front", "rear") for name in front)
+    with pytest.raises(ConfigError, match="several pairs of image topics") as told:
+        resolve_rig(RigConfig(), description((*front, *rear)))
+    assert "/front/left/image_raw and /front/right/image_raw; /rear/left" in told.value.message
+    one = config(cameras={"left": {"image": "/rear/left/image_raw"}})
+    infos = {f"/rear/{side}/camera_info": info(side) for side in ("left", "right")}
+    rig = resolve_rig(one, description((*front, *rear), infos=infos)).rig
+    assert rig.sources.image["right"] == "/rear/right/image_raw"
+
+
+def test_wheels_on_a_moving_part_are_noted():
+    steered = AT_BASE.replace(
+        '<joint name="head_pan',
+        '<joint name="roll" type="revolute"><parent link="base_link"/><child link="axle"/></joint>\n<joint name="head_pan',
+    )
+    for side in ("left", "right"):
+        steered = steered.replace(
+            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="base_link"/>',
+            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="axle"/>',
+        )
+    (note,) = resolve_rig(RigConfig(), description(urdf=steered)).notes
+    assert "the wheels move against base_link with roll" in note
+    assert resolve_rig(RigConfig(), description()).notes == ()
+
+
+def test_tick_counters():
+    ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
+    head_only = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+    wheel = {"field": "data", "ticks_per_revolution": 4096, "bits": 16}
+    rig = resolve_rig(
+        config(
+            wheels={
+                "left": {"topic": "/ticks/left", **wheel},
+                "right": {"topic": "/ticks/right", **wheel, "sign": -1},
+            }
+        ),
+        description(extra=ticks, joint_names=head_only),
+    ).rig
+    assert rig.sources.wheels["right"].sign == -1
+    assert rig.sources.wheels["left"].ticks_per_revolution == 4096
+    with pytest.raises(RecordingError, match="look like tick counters") as caught:
+        resolve_rig(RigConfig(), description(extra=ticks, joint_names=head_only))
+    assert "/ticks/left" in caught.value.message
+
+
+def test_explicit_chain_needs_no_urdf():
+    chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
+    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), description(urdf=None)).rig
+    assert rig.chain.joints == ("head_pan_joint",)
+    assert rig.chain.head_frame == "cam_mount"
+    assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("sections", "changes", "error", "words_"),
+    [
+        ({}, {"images": ("/camera/image",)}, RecordingError, "no stereo pair"),
+        ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
+        ({}, {"joint_names": {}}, RecordingError, "no joint states (sensor_msgs/JointState), odometry"),
+        ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
+        ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
+        ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
+        ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
+        ({}, {"urdf": "<robot"}, ConfigError, "not valid XML"),
+        (
+            {},
+            {"joint_names": {"/joint_states": JOINTS[:3]}},
+            RecordingError,
+            "no joint state for 'head_tilt_joint'",
+        ),
+        ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
+        ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
+        ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
+        ({}, {"joint_names": {"/joint_states": JOINTS[2:]}}, RecordingError, "no pair of joints is named"),
+        (
+            {},
+            {"joint_names": {"/joint_states": (*JOINTS, "front_left_wheel", "front_right_wheel")}},
+            ConfigError,
+            "several pairs of joints could be the wheels",
+        ),
+        ({"head": {"head_frame": "base_link"}}, {}, ConfigError, "the camera is fixed to the base"),
+        ({"head": {"head_frame": "nope"}}, {}, ConfigError, "no link 'nope'"),
+    ],
+)
+def test_what_is_missing_is_named(sections, changes, error, words_):
+    with pytest.raises(error) as caught:
+        resolve_rig(config(**sections), description(**changes))
+    assert words_ in caught.value.message
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "words_"),
+    [
+        (info("left"), info("right", baseline=0.0), "no baseline"),
+        (info("left"), info("right", baseline=-0.12), "120.0 mm to the left of the left camera"),
+        (info("left", width=0), info("right"), "0 x 480"),
+    ],
+)
+def test_bad_calibrations(left, right, words_):
+    infos = {"/stereo/left/camera_info": left, "/stereo/right/camera_info": right}
+    with pytest.raises(MobilecalError) as caught:
+        resolve_rig(RigConfig(), description(infos=infos))
+    assert words_ in caught.value.message
+
+
+def test_cameras_of_an_unknown_model_are_refused_and_drafted():
+    """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
+    why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"
+    poor = description(
+        infos={"/stereo/left/camera_info": info("left")},
+        unusable={"/stereo/right/camera_info": RecordingError(why, "calibrate the camera")},
+    )
+    with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
+        resolve_rig(RigConfig(), poor)
+    assert "calibrate the camera" in told.value.hint
+    draft = draft_rig(poor, "log")
+    assert [(todo.key, todo.why.split(";")[0]) for todo in draft.todo if todo.needed] == [
+        ("cameras", why.split(";")[0])
+    ]
+    assert '  left: {image: "/stereo/left/image_raw"' in draft.text
+
+
+def test_hints_list_ten_topics_at_most():
+    many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
+    with pytest.raises(RecordingError) as told:
+        resolve_rig(RigConfig(), description(images=("/one/image",), extra=many))
+    assert told.value.hint.count("/extra") <= 10
+    assert "more" in told.value.hint
+
+
+def test_names():
+    assert words("/leftCamera/image_raw") == ["left", "camera", "image", "raw"]
+    assert side_of("/stereo/left/image") == "left"
+    assert side_of("wheel_joint_r") == "right"
+    assert side_of("/left/right") is None
+    assert pairs(["/a/left", "/a/right", "/b/left", "/c"]) == [{"left": "/a/left", "right": "/a/right"}]
+    assert pairs(["/d400/infra1/image", "/d400/infra2/image"])[0]["right"] == "/d400/infra2/image"
+
+
+def test_joints_in_other_messages_than_joint_states():
+    """Only the pan is in joint states; the tilt has a field of its own."""
+    topic = TopicInfo("/servo", "std_msgs/msg/Float64", 100)
+    names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
+    fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
+    rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names)).rig
+    assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
+    assert rig.sources.joints == ("/joint_states",)
+    with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
+        resolve_rig(config(joints={"fields": fields}), description(joint_names=names))
+    with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
+        resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), description(extra=[topic]))
+
+
+def test_odometry_needs_the_wheels_that_it_was_made_with():
+    topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
+    bare = description(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
+    with pytest.raises(RecordingError, match="odometry is present on /odom") as told:
+        resolve_rig(RigConfig(), bare)
+    assert "wheels.odometry to /odom" in told.value.hint
+    with pytest.raises(ConfigError, match="wheel radii and separation, which are not given"):
+        resolve_rig(config(wheels={"odometry": "/odom"}), bare)
+    nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
+    rig = resolve_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
+    assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
+    with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
+        resolve_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
+    assert told.value.hint == "topics with odometry: /odom"
+
+
+def test_both_cameras_in_one_topic():
+    both = {"image": "/stereo/image_raw", "layout": "stacked"}
+    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",))).rig
+    assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
+    assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
+    assert rig.sources.layout == "stacked"
+    with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
+        resolve_rig(config(cameras={"both": {"image": "/other"}}), description())
+    with pytest.raises(ValueError, match=r"give both\.image, or"):
+        config(cameras={"both": both, "left": {"image": "/l"}})
+
+
+def test_joints_that_only_tf_tells():
+    tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
+    states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
+    rig = resolve_rig(RigConfig(), description(extra=[tf], joint_names=states)).rig
+    assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
+    tilt = rig.sources.elsewhere["head_tilt_joint"]
+    assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
+    # Joint states come first, where there are any.
+    assert resolve_rig(RigConfig(), description(extra=[tf])).rig.sources.elsewhere == {}
+    with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
+        resolve_rig(RigConfig(), description(joint_names=states))
+
+
+def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
+    """(n, 4, 4) of a joint in motion."""
+    T0 = se3.transform(se3.from_rpy(np.array([0.2, -0.1, 0.5])), np.array(origin))
+    axis = np.array(axis) / np.linalg.norm(axis)
+    steps = [
+        se3.transform(np.eye(3), a * axis) if slides else se3.transform(se3.exp_so3(a * axis), np.zeros(3))
+        for a in angles
+    ]
+    return np.stack([T0 @ step for step in steps])
+
+
+TF = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
+
+
+def test_joints_out_of_transforms():
+    angles = np.linspace(-0.4, 0.6, 20)
+    transforms = {
+        ("odom", "base_link"): np.stack([se3.exp(np.array([0, 0, a, a, 2 * a, 0])) for a in angles]),
+        ("base_link", "torso"): moving((0, 0, 1), 0.1 * angles, slides=True),
+        ("torso", "neck"): moving((0.1, 0, 1), angles),
+        ("neck", "skull"): moving((0, -1, 0), angles**2),
+        ("skull", "stereo_left_optical"): moving((0, 0, 1), np.zeros(20)),
+        ("base_link", "antenna"): moving((1, 0, 0), np.zeros(1)),
+    }
+    urdf = urdf_of_transforms(transforms)
+    kinds = {name: joint.kind for name, joint in urdf.joints.items()}
+    assert kinds == {
+        "base_link": "floating",
+        "torso": "prismatic",
+        "neck": "revolute",
+        "skull": "revolute",
+        "stereo_left_optical": "fixed",
+        "antenna": "fixed",
+    }
+    np.testing.assert_allclose(urdf.joints["neck"].axis, np.array([0.1, 0, 1]) / np.hypot(0.1, 1), atol=1e-9)
+    np.testing.assert_allclose(urdf.joints["skull"].axis, [0, 1, 0], atol=1e-9)
+    np.testing.assert_array_equal(urdf.joints["neck"].T_parent_child, transforms["torso", "neck"][0])
+
+    found = resolve_rig(RigConfig(), replace(description(urdf=None, extra=(TF,)), transforms=transforms)).rig
+    assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
+    assert found.chain.joints == ("torso", "neck", "skull")
+    assert found.chain.head_frame == "skull"
+
+
+def test_transforms_that_do_not_lead_to_the_camera_are_said():
+    transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
+    with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
+        resolve_rig(RigConfig(), replace(description(urdf=None), transforms=transforms))
