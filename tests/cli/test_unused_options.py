@@ -11,7 +11,7 @@ from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import Nominal
 from mobilecal_cli.pipeline.exporting import export
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.targets import OPTIONS, Target
+from mobilecal_cli.targets import Target
 from tests.command import run
 from tests.report.example import ROBOT, make_extraction
 
@@ -81,6 +81,18 @@ def test_a_constant_without_effect_may_be_fixed_as_stated():
     assert "time_joints" not in found.constants
 
 
+#: Option of `mobilecal export` → the formats that use it.
+OPTIONS = {
+    "--urdf": ["urdf"],
+    "--left-joint": ["ros2_control", "urdf"],
+    "--right-joint": ["ros2_control", "urdf"],
+    "--with-chain": ["urdf"],
+    "--rate": ["odometry_covariance"],
+    "--distance": ["odometry_covariance"],
+    "--log": ["foxglove"],
+}
+
+
 @pytest.mark.parametrize("target", Target)
 @pytest.mark.parametrize("option", OPTIONS)
 def test_the_format_does_not_use_it(tmp_path, option, target):
@@ -96,7 +108,9 @@ def test_the_format_does_not_use_it(tmp_path, option, target):
         "--log": {"logs": "log.mcap"},
     }[option]
     if target not in OPTIONS[option]:
-        with pytest.raises(ConfigError, match=f"{option} applies only to --to {OPTIONS[option][0]}"):
+        with pytest.raises(
+            ConfigError, match=f"{option} applies only to --to {' and '.join(OPTIONS[option])}$"
+        ):
             export(params, target, **given)
 
 
