@@ -63,7 +63,7 @@ def check(
     """
     from mobilecal_cli.model.text import visible
     from mobilecal_cli.pipeline import inspecting
-    from mobilecal_cli.report.checklist import checklist_json, checklist_text
+    from mobilecal_cli.report.inspection import checklist_json, checklist_text
     from mobilecal_cli.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
@@ -109,7 +109,7 @@ def init(
     Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
     """
     from mobilecal_cli.pipeline import drafting
-    from mobilecal_cli.report.draft import draft_text
+    from mobilecal_cli.report.inspection import draft_text
     from mobilecal_cli.terminal import progress_bar
 
     stdout = str(output) == "-"

@@ -13,9 +13,9 @@ from mobilecal_cli.pipeline.evaluating import read_params
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.steps import Data, Report, check_options, fitted
-from mobilecal_cli.report.at_work import recommendation
-from mobilecal_cli.report.gates import gates_of
-from mobilecal_cli.report.wording.findings import suggestion_sentences
+from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.report.use import recommendation
+from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.solvers import Constraints
 
 

@@ -27,12 +27,10 @@ from mobilecal_cli.model import (
 from mobilecal_cli.pipeline.arguments import AnyPath, path_of
 from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
-from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
-from mobilecal_cli.report.gates import evaluated_figures, gate_checks, gates_of
+from mobilecal_cli.report.criteria import Check
+from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
 from mobilecal_cli.report.numbers import reference_frame, reference_pose
-from mobilecal_cli.report.verdict import Verdict
-from mobilecal_cli.report.wording.evaluation import dependence
+from mobilecal_cli.report.verdict import Verdict, evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.uncertainty import motion_gaps, require_stations

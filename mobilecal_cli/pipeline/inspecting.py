@@ -57,9 +57,8 @@ from mobilecal_cli.readers import (
     read_signals,
     sha256_of,
 )
-from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
-from mobilecal_cli.report.checks.recording import MIN_STATIONS
-from mobilecal_cli.report.gates import gates_of
+from mobilecal_cli.report.checks import MIN_STATIONS, SQUARE_LOOK_PERCENT
+from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 from mobilecal_cli.uncertainty import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.vision import square_cure

@@ -20,12 +20,20 @@ from mobilecal_cli.model import (
     Solution,
     StereoRig,
 )
-from mobilecal_cli.report.at_work import recommendation
 from mobilecal_cli.report.case import Case
-from mobilecal_cli.report.changes import Change
-from mobilecal_cli.report.contradictions import each_once, told
+from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.evaluation import evaluation_data
+from mobilecal_cli.report.findings import (
+    SCALES,
+    contradiction_sentences,
+    each_once,
+    jackknife_sentence,
+    outlier_sentences,
+    reprojection_sentence,
+    scale_sentence,
+    suggestion_sentences,
+)
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
     board_distance_m,
@@ -40,6 +48,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
+from mobilecal_cli.report.use import recommendation
 from mobilecal_cli.report.values import (
     BoardData,
     BudgetData,
@@ -66,14 +75,6 @@ from mobilecal_cli.report.values import (
     UncertaintyData,
 )
 from mobilecal_cli.report.verdict import verdict_data
-from mobilecal_cli.report.wording.contradictions import SCALES
-from mobilecal_cli.report.wording.findings import (
-    jackknife_sentence,
-    outlier_sentences,
-    reprojection_sentence,
-    scale_sentence,
-    suggestion_sentences,
-)
 
 
 def build_report(case: Case) -> ReportData:
@@ -296,7 +297,7 @@ def _evidence(found: Evidence) -> dict[str, Any]:
 
 
 def _contradiction(found: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
-    text, cure = told(found, solution, extraction)
+    text, cure = contradiction_sentences(found, solution, extraction)
     return ContradictionData(**_evidence(found), text=text, cure=cure)
 
 

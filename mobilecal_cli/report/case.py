@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
-from mobilecal_cli.report.changes import Change
+from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.verdict import Verdict
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import FleetRow
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.values import VerdictData
+from mobilecal_cli.report.verdict import VerdictData
 
 _FAILURES = ("fail", "not_enough")
 

@@ -9,8 +9,7 @@ from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import Extraction, FloatArray, Side, Solution, WheelGeometry, WheelTrack
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.drawn import plot
-from mobilecal_cli.report.numbers import lengths_mm, reference_pose, station_names
-from mobilecal_cli.report.parameters import PARAMETERS
+from mobilecal_cli.report.numbers import PARAMETERS, lengths_mm, reference_pose, station_names
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Limits, Scale
 
 _MOST_LABELS = 40  # more labels than this are not readable

@@ -7,12 +7,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import NINE, SIDES, Extraction, FloatArray, Side, Solution
-from mobilecal_cli.report.budget import families
 from mobilecal_cli.report.drawn import plot
-from mobilecal_cli.report.metrics import FIGURES
 from mobilecal_cli.report.numbers import predicted_point_rms_m, station_names
 from mobilecal_cli.report.plots import image_axes
 from mobilecal_cli.report.svg import WIDE, Axes, Canvas, Limits
+from mobilecal_cli.report.use import FIGURES, families
 
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference

@@ -13,18 +13,20 @@ from mobilecal_cli.model import NINE, SIDES, HeadChain, Setting
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
-from mobilecal_cli.report.metrics import FIGURES
 from mobilecal_cli.report.numbers import (
+    PARAMETERS,
+    Parameter,
     lengths_mm,
     reference_pose,
     reference_std,
     rejected_station,
     rejection_counts,
     rotation_of,
+    std_text,
+    value_text,
 )
-from mobilecal_cli.report.parameters import PARAMETERS, Parameter, std_text, value_text
+from mobilecal_cli.report.use import FIGURES
 from mobilecal_cli.report.values import TableData
-from mobilecal_cli.report.wording import words
 from mobilecal_cli.se3 import log_so3
 
 Rows = Sequence[tuple[str, ...]]
@@ -310,8 +312,7 @@ def motion(case: Case) -> Rows:
 @table("checks", "", "tag:result", "criterion", "measured", "limit")
 def checks(case: Case) -> Rows:
     """All criteria."""
-    said = ((check, words(check)) for check in case.verdict.checks)
-    return [(check.label, w.name, w.measured, w.limit) for check, w in said]
+    return [(c.label, c.name, c.measured_text, c.limit_text) for c in case.verdict.checks]
 
 
 @table("rejections", "", "reason", "stage", "number:count")

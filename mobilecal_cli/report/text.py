@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import NEAR_LOCK_DEG
-from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
+from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, PARAMETERS, decimals_of, std_text
 from mobilecal_cli.report.values import ReportData
 
 _WIDTH = 80

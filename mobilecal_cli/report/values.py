@@ -6,22 +6,17 @@ nine parameters in rad and m. Fields that end in `text` are sentences.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
 
-import numpy as np
-
 from mobilecal_cli.model import AtWork, LogSource, NoiseLevels, Outlier, Rejection
+from mobilecal_cli.report.verdict import VerdictData
 
 Number: TypeAlias = float | None
 Three: TypeAlias = tuple[float, float, float]
 ByName: TypeAlias = Mapping[str, float]
 Matrix: TypeAlias = tuple[tuple[float, ...], ...]
-Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
-Outcome = Literal["pass", "warning", "fail", "not_enough"]
-
 _T = TypeVar("_T")
 
 
@@ -29,33 +24,6 @@ _T = TypeVar("_T")
 def _value(cls: type[_T]) -> type[_T]:
     """A frozen dataclass whose fields are given by name."""
     return dataclass(frozen=True, slots=True, kw_only=True)(cls)
-
-
-@_value
-class CheckData:
-    """One criterion of the verdict, with its sentences; `limit` is a lower one if `at_least`."""
-
-    id: str
-    value: Number
-    limit: Number
-    unit: str
-    at_least: bool
-    outcome: Outcome
-    name: str
-    measured_text: str
-    limit_text: str
-    why: str
-    next_step: str
-
-
-@_value
-class VerdictData:
-    """Whether the calibration can be used."""
-
-    level: Level
-    reason: str
-    next_step: str
-    checks: tuple[CheckData, ...]
 
 
 @_value
@@ -420,20 +388,3 @@ class ReportData:
     setting_sources: Mapping[str, str]
     provenance: ProvenanceData
     tables: tuple[TableData, ...]
-
-
-def json_text(value: object, sort_keys: bool = True) -> str:
-    """A value as JSON: the same bytes for the same values."""
-    return json.dumps(_plain(value), indent=1, sort_keys=sort_keys, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return [_plain(item) for item in value.tolist()]
-    return value + 0.0 if isinstance(value, float) else value  # no -0.0

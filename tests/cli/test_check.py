@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.pipeline import inspecting
-from mobilecal_cli.report.checklist import checklist, checklist_text
+from mobilecal_cli.report.inspection import checklist, checklist_text
 from tests.cli.edited import edited
 from tests.command import run
 from tests.golden import assert_golden

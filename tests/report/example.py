@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.build import build_report
 from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.drawn import draw_all
-from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction

@@ -13,18 +13,22 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, LogSource, Nominal
-from mobilecal_cli.report.at_work import FIGURES, recommendation, uses
-from mobilecal_cli.report.budget import families, shares_of
-from mobilecal_cli.report.contradictions import told
 from mobilecal_cli.report.decomposition import error_parts
-from mobilecal_cli.report.gates import gates_of
-from mobilecal_cli.report.parameters import std_text
+from mobilecal_cli.report.findings import contradiction_sentences, jackknife_sentence
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.report.wording import words
-from mobilecal_cli.report.wording.budget import FAMILIES, SOURCES, limiting_sentence
-from mobilecal_cli.report.wording.findings import jackknife_sentence
+from mobilecal_cli.report.use import (
+    FAMILIES,
+    FIGURES,
+    SOURCES,
+    families,
+    limiting_sentence,
+    recommendation,
+    shares_of,
+    uses,
+)
+from mobilecal_cli.report.verdict import gates_of, judge
 from mobilecal_cli.simulate.ideal import Noise
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, draw, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
@@ -107,7 +111,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
     assert check.value == verdict.metrics["predicted.camera_mm"]
-    assert words(check).limit == f"at most {limit:g} mm"
+    assert check.limit_text == f"at most {limit:g} mm"
 
 
 def test_a_gate_on_an_unknown_expected_error_fails():
@@ -157,7 +161,7 @@ def test_methods_without_standard_deviations_say_so():
         assert "Use params.yaml" not in verdict.next_step
 
 
-def test_an_unevenness_of_the_floor_is_told():
+def test_an_unevenness_of_the_floor_is_contradiction_sentences():
     solution, extraction = drawn()
     noise = replace(solution.uncertainty.noise, floor_rad=np.radians(0.5))
     verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, noise=noise)), extraction)
@@ -174,7 +178,7 @@ def test_an_unevenness_of_the_floor_is_told():
 def test_a_turned_camera_is_named_with_its_cure():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
     (found,) = solution.contradictions
-    what, cure = told(found, solution, extraction)
+    what, cure = contradiction_sentences(found, solution, extraction)
     assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
     assert what.endswith("deg from camera_info (prior 0.050 deg).")
     assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
@@ -208,7 +212,7 @@ def test_no_stated_size_is_named_where_none_is_stated():
     solution, extraction = solved(("square_scale", 0.02))
     found = next(one for one in solution.contradictions if one.kind == "square_size")
     unstated = replace(extraction, board=replace(extraction.board, square_m=None))
-    what, cure = told(found, replace(solution, scale=None), unstated)
+    what, cure = contradiction_sentences(found, replace(solution, scale=None), unstated)
     assert what.startswith("Board: size of the squares differs by ")
     assert "from the size that the stereo pair measures at each station (prior " in what
     assert cure == "Check that camera_info belongs to these images, and state board.square_m in rig.yaml."
@@ -218,7 +222,7 @@ def test_constants_that_the_recording_shows_only_together_are_named():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
     (found,) = solution.contradictions
     together = replace(found, values={name: (value, np.inf) for name, (value, _) in found.values.items()})
-    what, _ = told(together, solution, extraction)
+    what, _ = contradiction_sentences(together, solution, extraction)
     assert what.startswith("Right camera: rotation about the left camera's x and rotation about")
     assert what.endswith(" together differ from camera_info (prior 0.050 deg).")
 
@@ -321,7 +325,7 @@ def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
     verdict = judge(fixed, extraction)
     assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
-    assert words(verdict.checks["predicted.camera_mm"]).measured == "fixed by the user"
+    assert verdict.checks["predicted.camera_mm"].measured_text == "fixed by the user"
 
 
 def test_a_camera_info_that_changes_is_no_silent_pass():

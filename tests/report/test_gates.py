@@ -10,13 +10,20 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import Drift, Evaluation
-from mobilecal_cli.report.check import Check, Checks
+from mobilecal_cli.report.criteria import Check, Checks
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
-from mobilecal_cli.report.gates import Gate, evaluated_figures, figures_of, gate_checks, gates_of
+from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
-from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.verdict import Verdict, judge, verdict_data
-from mobilecal_cli.report.wording import words
+from mobilecal_cli.report.verdict import (
+    Gate,
+    Verdict,
+    evaluated_figures,
+    figures_of,
+    gate_checks,
+    gates_of,
+    judge,
+    verdict_data,
+)
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -88,8 +95,8 @@ def test_each_side_of_a_limit():
     gates = [Gate(name, limit) for name, limit in zip(names, (3, 3, 7, 4.0, 100), strict=True)]
     checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
     assert [check.outcome for check in checks] == ["pass", "fail", "fail", "pass", "fail"]
-    assert words(checks[1]).why == "Gate failed: legs = 2 (limit 3)."
-    assert "unknown (limit 100)" in words(checks[4]).why
+    assert checks[1].why == "Gate failed: legs = 2 (limit 3)."
+    assert "unknown (limit 100)" in checks[4].why
 
 
 def test_a_broken_gate_fails_a_sound_calibration():
@@ -133,7 +140,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
 def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
     figures = {"stations": 1234.0, "point_rms_mm": 2.84886, "reprojection_rms_px": 0.5000012}
     gates = [Gate(name, limit) for name, limit in zip(figures, (2000, 0.5, 0.5), strict=True)]
-    assert [words(check).why for check in gate_checks(gates, figures)] == [
+    assert [check.why for check in gate_checks(gates, figures)] == [
         "Gate failed: stations = 1234 (limit 2000).",
         "Gate failed: point_rms_mm = 2.85 (limit 0.5).",
         "Gate failed: reprojection_rms_px = 0.500001 (limit 0.5).",
@@ -142,16 +149,29 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
 
 def test_junit():
     checks = [
-        Check("stations", 9, 8, "pass"),
-        Check("camera_info", 1, 0, "warning", facts={"note": "why\x1b"}),
-        Check("rejected", 60, 50, "fail", facts={"rejected": 6, "found": 10, "often": "<&>\x00"}),
-        Check("gate.legs", 3, 4, "not_enough"),
+        Check("stations", 9, 8, "pass", "stations", "9", "at least 8", "not said"),
+        Check("camera_info", 1, 0, "warning", "camera_info", "1 changes", "none", "why\x1b", "look"),
+        Check(
+            "rejected", 60, 50, "fail", "rejected <&>\x00", "6 of 10", "under 50 %", "often <&>\x00", "again"
+        ),
+        Check("gate.legs", 3, 4, "not_enough", "gate legs", "3", "at least 4", "too few", "more"),
     ]
     verdict = verdict_data(Verdict("FAIL", "", "", Checks(checks)))
     suite = ET.fromstring(junit_xml("log\x07.mcap", verdict)).find("testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
     cases = suite.findall("testcase")
-    assert [case.get("name") for case in cases] == [words(check).name for check in checks]
+    assert [case.get("name") for case in cases] == [
+        "stations",
+        "camera_info",
+        "rejected <&>\\x00",
+        "gate legs",
+    ]
+    failed, text = cases[2].find("failure"), [case.find("system-out").text for case in cases]
+    assert (failed.get("message"), failed.get("type"), failed.text) == ("often <&>\\x00", "fail", "again")
+    assert text[:2] == [
+        "measured: 9; limit: at least 8",
+        "measured: 1 changes; limit: none; warning: why\\x1b",
+    ]
     assert [case.find("failure") is not None for case in cases] == [False, False, True, True]
     broken = ET.fromstring(junit_error_xml("log", RecordingError("no\x00thing", "look")))
     assert broken.find("testsuite/testcase/error").get("type") == "recording"

@@ -7,15 +7,25 @@ import math
 import numpy as np
 import pytest
 
-from mobilecal_cli.report.gates import evaluated_figures, figures_of, gates_of
-from mobilecal_cli.report.metrics import FIGURES, METRICS, gate_names, metric_of
-from mobilecal_cli.report.parameters import PARAMETERS
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.criteria import Calibration, Check, Criterion, Metric
+from mobilecal_cli.report.numbers import PARAMETERS
+from mobilecal_cli.report.use import FIGURES
+from mobilecal_cli.report.verdict import (
+    Gate,
+    evaluated_figures,
+    figures_of,
+    gate_checks,
+    gate_metrics,
+    gate_names,
+    gates_of,
+    judge,
+)
 from mobilecal_cli.solvers import solve
 from tests.conftest import REPOSITORY
 from tests.report.example import made, make_extraction
 from tests.report.test_gates import EVALUATION
 
+METRICS = gate_metrics() | gate_metrics(evaluating=True)
 #: End of a name → unit of the value.
 UNITS = {
     "_mm": "mm",
@@ -119,11 +129,21 @@ def test_errors_are_those_in_si_units(report, solution, extraction):
 
 
 def test_every_criterion_has_the_unit_of_the_table(report):
-    assert all(check.unit == metric_of(check.id).unit for check in report.verdict.checks)
-    assert metric_of("gate.hold_out.legs").at_least
-    assert metric_of("contradiction.joint_zero.pan").unit == "sigma"
+    assert all(
+        (check.unit, check.at_least) == (METRICS[check.id].unit, METRICS[check.id].at_least)
+        for check in report.verdict.checks
+    )
+    (check,) = gate_checks([Gate("hold_out.legs", 3.0)], report.metrics)
+    assert check.at_least
+
+
+def test_an_id_has_the_unit_of_its_kind(solution, extraction):
+    made = Calibration(solution, extraction)
+    checks = [Check(name, 1.0, 2.0, "fail", "", "", "") for name in ("kind.joint_zero.pan", "kind.b")]
+    both = Criterion((Metric("kind", "sigma"), Metric("kind.b", "px")), False, lambda _: iter(checks))
+    assert [check.unit for check in both.checks(made)] == ["sigma", "px"]
     with pytest.raises(KeyError):
-        metric_of("use.camera_m")
+        next(Criterion((Metric("other"),), False, lambda _: iter(checks)).checks(made))
 
 
 @pytest.mark.parametrize(
@@ -146,8 +166,6 @@ def test_a_gate_limits_any_figure(solution, extraction, gate, level):
 
 
 def test_a_gate_limits_the_size_of_a_signed_figure():
-    from mobilecal_cli.report.gates import Gate, gate_checks
-
     (check,) = gate_checks([Gate("nominal.separation", 5.0)], {"nominal.separation": -30.0})
     assert check.outcome == "fail"
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.report.numbers import reference_pose, rotation_of
-from mobilecal_cli.report.parameters import decimals_of, std_text
+from mobilecal_cli.report.numbers import decimals_of, reference_pose, rotation_of, std_text
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route

@@ -1,12 +1,15 @@
 """Outliers in words: a few singly, many by count."""
 
+from dataclasses import replace
+
 from mobilecal_cli.model import Outlier
-from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.wording import words
-from mobilecal_cli.report.wording.findings import outlier_sentences
+from mobilecal_cli.report.checks import outliers_as_noise
+from mobilecal_cli.report.criteria import Calibration
+from mobilecal_cli.report.findings import outlier_sentences
 from mobilecal_cli.simulate.ideal import ideal_extraction
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from tests.report.example import make_extraction, make_solution
 
 EXTRACTION = ideal_extraction(paper_robot(), plan_route(paper_robot(), stations=8))
 
@@ -38,8 +41,13 @@ def test_many_slips_are_named_by_their_legs():
 
 
 def test_noise_is_named_by_its_kind():
+    solution = make_solution(make_extraction(), "ml")
+
     def said(*kinds):
-        return words(Check("outliers_as_noise", len(kinds), 0, "warning", facts={"kinds": kinds})).why
+        made = Calibration(replace(solution, noisy=kinds), make_extraction())
+        (check,) = outliers_as_noise(made)
+        assert (check.value, check.limit, check.outcome) == (len(kinds), 0, "warning")
+        return check.why
 
     assert "joint readings differ" in said("readings")
     assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")

@@ -34,19 +34,17 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.pipeline.settings import settings_of
-from mobilecal_cli.report.changes import change_from_nominal, change_since
-from mobilecal_cli.report.comparison import comparison_text
+from mobilecal_cli.report.comparison import change_from_nominal, change_since, comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
+from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
-from mobilecal_cli.report.glossary import TERMS, link_terms
+from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.junit import junit_xml
-from mobilecal_cli.report.numbers import image_coverage
+from mobilecal_cli.report.numbers import image_coverage, value_text
 from mobilecal_cli.report.overlays import leg_views
-from mobilecal_cli.report.parameters import value_text
+from mobilecal_cli.report.page import TERMS, link_terms
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.wording.findings import suggestion_sentences
 from mobilecal_cli.solvers import evaluate
 from tests.golden import assert_golden
 from tests.report.example import (

@@ -9,9 +9,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
-from mobilecal_cli.report.check import Check, Checks
+from mobilecal_cli.report.criteria import Check, Checks
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.report.wording import words
 from mobilecal_cli.solvers import solve
 from tests.report.example import ROBOT, WHEELS, make_extraction, make_solution, with_nominal
 
@@ -109,7 +108,7 @@ def test_linear_answers_that_both_do_not_fit_are_no_rivals(solution, extraction)
     verdict = judge(dataclasses.replace(solution, linear=linear), extraction)
     assert verdict.level == "PASS"
     (check,) = (check for check in verdict.checks if check.id == "second_solution")
-    assert words(check).measured == "not compared: the linear solution has a point error of 450 mm"
+    assert check.measured_text == "not compared: the linear solution has a point error of 450 mm"
 
 
 def test_wheels_far_from_their_nominal_sizes(solution, extraction):
@@ -134,7 +133,7 @@ def test_a_stereo_pair_that_does_not_fit(solution, extraction):
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
     verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
-    assert words(verdict.checks["stereo_error"]).measured == "0.0031 px (median)"
+    assert verdict.checks["stereo_error"].measured_text == "0.0031 px (median)"
 
 
 def test_squares_of_another_size(solution, extraction):
@@ -278,14 +277,18 @@ class TestWithTheSolver:
 
 def test_a_kind_of_criteria_is_its_worst():
     """The outcome counts first, then the share of the limit."""
+    numbers = (
+        ("noise.joint", 0.1, 0.4, "pass"),
+        ("noise.wheel", 0.02, 0.03, "warning"),
+        ("noise.floor", 0.29, 0.3, "pass"),
+        ("leg_outlier.point", 6.0, 20.0, "pass"),
+        ("leg_outlier.reprojection", 2.0, 5.0, "pass"),
+    )
+    texts = ("name", "measured", "limit")
     made = Checks(
         [
-            Check("noise.joint", 0.1, 0.4, "pass"),
-            Check("noise.wheel", 0.02, 0.03, "warning"),
-            Check("noise.floor", 0.29, 0.3, "pass"),
-            Check("leg_outlier.point", 6.0, 20.0, "pass"),
-            Check("leg_outlier.reprojection", 2.0, 5.0, "pass"),
-            Check("stations", 13, 12, "pass"),
+            *(Check(*each, *texts) for each in numbers),
+            Check("stations", 13, 12, "pass", *texts, at_least=True),
         ]
     )
     assert made["noise"].id == "noise.wheel"

@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
-from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.simulate.drive import Drive, Stretch
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, imperfect_extraction
