@@ -108,7 +108,7 @@ def test_nominal_values_have_no_sigma():
     assert (1e3 * change.value[k], change.percent[k]) == (pytest.approx(-10), pytest.approx(-100 / 11))
     assert np.isnan(change.value[:6]).all()
     assert np.isnan(change.sigmas).all()
-    assert change.chance is None
+    assert change.p_value is None
 
 
 def test_the_text_has_digits_that_match_the_sigma():

@@ -34,14 +34,13 @@ from mobilecal_cli.pipeline.loading import load
 from mobilecal_cli.pipeline.progress import Progress, silent
 from mobilecal_cli.pipeline.settings import settings_of
 from mobilecal_cli.ranges import HOLD_OUT
-from mobilecal_cli.report.build import build_report
-from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
-from mobilecal_cli.report.drawn import draw_all
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
+from mobilecal_cli.report.plots import draw_all
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.verdict import Gate, gates_of, judge, reasons_of
+from mobilecal_cli.report.values import build_report
+from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 from mobilecal_cli.solvers import solve as solve_extraction

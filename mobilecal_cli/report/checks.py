@@ -635,12 +635,12 @@ def change(made: Calibration) -> Iterator[Check]:
     The limit is how often an unchanged robot shows a change this large.
     """
     found, unlikely = made.change, 1e-4
-    if found is None or found.chance is None:
+    if found is None or found.p_value is None:
         return
     worst, limit = int(np.argmax(np.abs(np.nan_to_num(found.sigmas)))), 100 * unlikely
     moved = f"{NINE[worst]} by {float(found.sigmas[worst]):+.1f} sigma"
     yield Check(
-        "change", 100 * found.chance, limit, "warning" if found.chance < unlikely else "pass",
+        "change", 100 * found.p_value, limit, "warning" if found.p_value < unlikely else "pass",
         "change since the last calibration",
         f"largest: {moved}",
         f"probability by chance at least {limit:g} %",

@@ -13,7 +13,7 @@ from mobilecal_cli.comparison import Difference, History, difference, nine_apart
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Limits, standalone
 
@@ -30,21 +30,23 @@ def _unknown() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The nine parameters minus those of before.
+    """Change from the last calibration or from the nominal values, in the order of `order`.
 
     Attributes:
         against: what they are compared with.
+        order: names of the nine parameters.
         value: (9,) rad and m, NaN where there is nothing to compare with.
         sigmas: (9,) divided by the standard deviation of the difference, NaN where none is known.
-        chance: probability of a change this large if the robot did not change; None where it is not known.
         percent: (9,) change of the wheel parameters in percent of the nominal values, NaN for the others.
+        p_value: probability of a change this large if the robot did not change; None where it is not known.
     """
 
     against: str
-    value: FloatArray
-    sigmas: FloatArray
-    chance: float | None
-    percent: FloatArray = field(default_factory=_unknown)
+    order: tuple[str, ...] = field(default=NINE, init=False)
+    value: NumberRow
+    sigmas: NumberRow
+    percent: NumberRow
+    p_value: float | None
 
 
 def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Change:
@@ -54,7 +56,7 @@ def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Ch
         ConfigError: the earlier calibration is of other frames.
     """
     found = difference(last, robot)
-    return Change(name, found.change, found.sigmas, None if found.shared else found.chance)
+    return Change(name, found.change, found.sigmas, _unknown(), None if found.shared else found.chance)
 
 
 def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | None:
@@ -71,7 +73,7 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
     else:
         wheels = nominal.wheels
         percent[6:] = 100 * value[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
-    return Change("the nominal values", value, _unknown(), None, percent)
+    return Change("the nominal values", value, _unknown(), percent, None)
 
 
 def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
@@ -83,17 +85,15 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
     lines = [*(headline(found, visible(names[0]), visible(name)) for name, found in pairs), ""]
     for name, found in zip(names[1:], differences, strict=True):
         lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
-        lines += [f"  {'':<14}{'change':>12}{'1 sigma':>12}{'in sigma':>10}"]
+        rows = []
         for k, parameter in enumerate(PARAMETERS):
-            factor = parameter.factor
-            s, digits = found.std[k] * factor, decimals_of(found.std[k] * factor)
+            change, s = found.change[k] * parameter.factor, found.std[k] * parameter.factor
             std, sigmas = (
                 (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
             )
-            lines.append(
-                f"  {parameter.name:<14}{found.change[k] * factor:>+12.{digits}f}{std:>12}{sigmas:>10}  "
-                f"{parameter.shown_unit}"
-            )
+            rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
+        heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
+        lines += Table.of(heads, rows).lines((14, 12, 12, 10))
         lines += ["", "  r is a small rotation about the head's axes.", ""]
         lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(found))]
         lines += ["", f"  {conclusion(found)}", ""]
@@ -119,7 +119,7 @@ def comparison_json(
             {"name": name, "created": robot.created} for name, robot in zip(names, robots, strict=True)
         ],
         "against_first": [_plain(found) for found in differences],
-        "chance_unchanged": None if past is None else _numbers(past.chance),
+        "chance_unchanged": None if past is None else past.chance,
     }
     return json_text(data, sort_keys=False)
 
@@ -127,8 +127,8 @@ def comparison_json(
 def _plain(found: Difference) -> dict[str, Any]:
     return {
         "change": found.change,
-        "std": _numbers(np.where(found.known, found.std, np.nan)),
-        "sigmas": _numbers(found.sigmas),
+        "std": np.where(found.known, found.std, np.nan),
+        "sigmas": found.sigmas,
         "chi2": found.chi2,
         "chance": found.chance,
         "changed": changed(found),
@@ -139,10 +139,6 @@ def _plain(found: Difference) -> dict[str, Any]:
         "heading_deg_per_m": math.degrees(found.heading_rad_per_m),
         "heading_deg_per_turn": math.degrees(found.heading_rad_per_turn),
     }
-
-
-def _numbers(values: FloatArray) -> list[float | None]:
-    return [float(value) if math.isfinite(value) else None for value in values]
 
 
 def effects(found: Difference) -> tuple[tuple[str, float, str], ...]:

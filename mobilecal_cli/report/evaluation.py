@@ -26,8 +26,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
-from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.values import DriftData, EvaluationData, LegErrorData, SpreadData
+from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
 
 EVALUATION_SCHEMA = 2
@@ -205,6 +204,52 @@ def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray,
     return nine_apart(own, robot) * scales, covariance * np.outer(scales, scales), known
 
 
+@json_value
+class SpreadData:
+    """Root mean square, median and largest error of a leg."""
+
+    rms: float
+    median: float
+    worst: float
+
+
+@json_value
+class DriftData:
+    """Drift of dead reckoning."""
+
+    mm_per_m: Number
+    deg_per_turn: Number
+
+
+@json_value
+class LegErrorData:
+    """Errors on one leg of a recording."""
+
+    log: int
+    from_station: int
+    to_station: int
+    reprojection_px: float
+    rotation_deg: float
+    translation_mm: float
+
+
+@json_value
+class EvaluationData:
+    """Errors of a calibration on stations that it was not made from."""
+
+    stations: int
+    legs: int
+    driven_m: float
+    turned_deg: float
+    reprojection_px: SpreadData
+    rotation_deg: SpreadData
+    translation_mm: SpreadData
+    drift_before: DriftData | None
+    drift_after: DriftData
+    per_leg: tuple[LegErrorData, ...]
+    clock_offsets_s: ByName
+
+
 def evaluation_data(found: Evaluation) -> EvaluationData:
     """Every number of an evaluation."""
     errors = {
@@ -287,6 +332,9 @@ def drift_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
     )  # fmt: skip
 
 
+_PREDICTION = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
+
+
 def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     lines = [f"Note: {visible(note)}" for note in notes]
@@ -299,11 +347,9 @@ def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: V
         lines += [f"Clock offsets: {offsets}"]
     lines += [
         "",
-        f"  {'Prediction from station to station':<36}{'rms':>9}{'median':>9}{'worst':>9}",
-        *(f"  {meaning:<36}{a:>9}{b:>9}{c:>9}  {unit}" for meaning, a, b, c, unit in evaluation_rows(found)),
+        *Table.of(_PREDICTION, evaluation_rows(found)).lines((36, 9, 9, 9)),
         "",
-        f"  {'Drift':<36}{'before':>9}{'after':>9}",
-        *(f"  {meaning:<36}{a:>9}{b:>9}  {unit}" for meaning, a, b, unit in drift_rows(found)),
+        *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(found)).lines((36, 9, 9)),
     ]
     if verdict is not None:
         lines += [

@@ -25,7 +25,7 @@ from mobilecal_cli.model import (
     listed,
 )
 from mobilecal_cli.model.text import visible, wrapped
-from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.formats import Table, json_text
 
 #: Source of a setting in `Rig.setting_sources` → its text.
 _WHY = {
@@ -122,31 +122,20 @@ def _file_facts(found: Inspection) -> str:
 
 
 def _topics(found: Inspection) -> list[str]:
-    rows = [("topic", "type", "messages", "rate", "longest gap", "")]
-    for topic in found.topics:
-        gap = (
+    rows = [
+        (
+            visible(topic.name),
+            visible(topic.type),
+            "?" if topic.messages is None else str(topic.messages),
+            "" if topic.rate_hz is None else f"{topic.rate_hz:.1f} Hz",
             ""
             if topic.longest_gap_s is None
-            else f"{topic.longest_gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s"
+            else f"{topic.longest_gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s",
+            f"{topic.steps_back} out of order" if topic.steps_back else "",
         )
-        back = f"{topic.steps_back} out of order" if topic.steps_back else ""
-        rows.append(
-            (
-                visible(topic.name),
-                visible(topic.type),
-                "?" if topic.messages is None else str(topic.messages),
-                "" if topic.rate_hz is None else f"{topic.rate_hz:.1f} Hz",
-                gap,
-                back,
-            )
-        )
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    lines = []
-    for name, kind, messages, rate, gap, back in rows:
-        left = f"  {name:<{widths[0]}}  {kind:<{widths[1]}}"
-        right = f"  {messages:>{widths[2]}}  {rate:>{widths[3]}}  {gap:<{widths[4]}}  {back}"
-        lines.append(f"{left}{right}".rstrip())
-    return lines
+        for topic in found.topics
+    ]
+    return Table.of(("topic", "type", "number:messages", "number:rate", "longest gap", ""), rows).lines()
 
 
 def _roles(rig: Rig) -> Iterable[str]:

@@ -14,13 +14,16 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS
-from mobilecal_cli.report.drawn import Drawings
+from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import std_text, value_text
+from mobilecal_cli.report.plots import Drawings
 from mobilecal_cli.report.svg import STYLE
-from mobilecal_cli.report.values import ChangeData, ReportData, ResultData
+from mobilecal_cli.report.values import ReportData, ResultData
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -165,8 +168,8 @@ def _orientation(found: ResultData) -> str:
     return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
 
 
-def _change(change: ChangeData) -> str:
-    in_sigma = any(s is not None for s in change.sigmas)
+def _change(change: Change) -> str:
+    in_sigma = np.isfinite(change.sigmas).any()
     more = "; in sigma: divided by the standard deviation of the difference" if in_sigma else ""
     text = f"Change: difference from {change.against}{more}."
     if change.p_value is not None:

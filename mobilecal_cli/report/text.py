@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
+from mobilecal_cli.model import FloatArray
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, PARAMETERS, decimals_of, std_text
@@ -81,7 +82,7 @@ def _rotation(report: ReportData) -> Iterator[str]:
         yield from _angles("Euler angle {} (ZYX)", found.euler_zyx_deg, found.euler_zyx_std_deg)
 
 
-def _angles(name: str, values: Sequence[float], stds: Sequence[float] | None) -> Iterator[str]:
+def _angles(name: str, values: FloatArray, stds: FloatArray | None) -> Iterator[str]:
     for k, (axis, value) in enumerate(zip("xyz", values, strict=True)):
         label = name.format(axis)
         yield _line(label, f"{value:.3f}", "deg") if stds is None else _row(label, value, stds[k], "deg", 3)

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Drift, Evaluation, Extraction, Solution
+from mobilecal_cli.model import Drift, Evaluation, Extraction, Provenance, Solution
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
@@ -54,6 +54,27 @@ class Verdict(VerdictData):
 
     checks: Checks = field(default_factory=Checks)
     metrics: Figures = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A solution with all that belongs to it.
+
+    Attributes:
+        solution: the solution.
+        extraction: the data it was computed from.
+        provenance: time, version, recordings and settings.
+        verdict: result of `judge`.
+        trial: evaluation on the held-out stations, if any.
+        change: difference from the last calibration or from the nominal values, if there is either.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    provenance: Provenance
+    verdict: Verdict
+    trial: Evaluation | None = None
+    change: Change | None = None
 
 
 def judge(

@@ -21,12 +21,10 @@ from mobilecal_cli.model import (
     Snapshot,
     Solution,
 )
-from mobilecal_cli.report.build import build_report
-from mobilecal_cli.report.case import Case
-from mobilecal_cli.report.drawn import draw_all
 from mobilecal_cli.report.page import report_html
-from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.plots import draw_all
+from mobilecal_cli.report.values import ReportData, build_report
+from mobilecal_cli.report.verdict import Case, judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mobilecal_cli.report import criteria, drawn, tables, verdict
+from mobilecal_cli.report import criteria, plots, tables, verdict
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.svg import Canvas
@@ -15,14 +15,14 @@ from tests.report.example import made, make_extraction, make_solution, page_of
 def case():
     extraction = make_extraction()
     solution = make_solution(extraction)
-    drawn.draw_all(solution, extraction)  # all plots are registered
+    plots.draw_all(solution, extraction)  # all plots are registered
     return solution, extraction
 
 
 def test_a_plot_is_one_function(case, monkeypatch):
-    monkeypatch.setattr(drawn, "_PLOTS", [*drawn._PLOTS])
+    monkeypatch.setattr(plots, "_PLOTS", [*plots._PLOTS])
 
-    @drawn.plot("coverage", "Nothing at all. Good: nothing.", each="side")
+    @plots.plot("coverage", "Nothing at all. Good: nothing.", each="side")
     def emptiness(solution, extraction, side):
         return Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg
 

@@ -10,9 +10,8 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters, WheelTrack
-from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.verdict import Case, judge
 from mobilecal_cli.simulate.ideal import Noise, ideal_extraction
 from mobilecal_cli.simulate.imperfect import STATION_NOISE, Imperfection, actual_robot, imperfect_extraction
 from mobilecal_cli.simulate.robot import tick_robot
