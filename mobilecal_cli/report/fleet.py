@@ -131,15 +131,13 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
             for name, value, sigma in zip(NINE, values, sigmas, strict=True)
         ]
         lines.append({"row": row, "cells": cells, "out": out.get(row.name, ())})
-    counts = {
-        level: sum(row.verdict == level for row in rows) for level in ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
-    }
+    levels = ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
         remarks=[line for line in lines if line["out"] or line["row"].verdict != "PASS"],
         fleet_limit=OUT_OF_FLEET,
         sigma_limit=OUT_OF_SIGMA,
-        counts=counts,
+        counts={level: sum(row.verdict == level for row in rows) for level in levels},
         heads=[(parameter.name, parameter.shown_unit) for parameter in PARAMETERS],
         total=len(lines),
         skipped=skipped_text(rows),

@@ -5,7 +5,7 @@ A new plot is a function with the decorator `plot`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
@@ -71,27 +71,7 @@ class Drawings:
     views: Sequence[LegView]
 
 
-@dataclass(frozen=True, slots=True)
-class _Plot:
-    section: str
-    draw: Callable[..., str]
-    caption: str
-    half: bool
-    each: Literal["log", "side"] | None
-
-    def figure(self, solution: Solution, extraction: Extraction) -> Figure:
-        parts = tuple(self._parts(solution, extraction))
-        return Figure(self.section, tuple(part for part in parts if part[1]), self.caption, self.half)
-
-    def _parts(self, solution: Solution, extraction: Extraction) -> Iterator[tuple[str, str]]:
-        logs = sorted({o.log for o in extraction.observations})
-        items: dict[str | None, Sequence[Any]] = {"log": logs[:_MOST_PATHS], "side": ("left", "right")}
-        for item in items.get(self.each, (None,)):
-            title = extraction.log_names[item] if self.each == "log" and len(logs) > 1 else ""
-            yield title, self.draw(solution, extraction, *(() if item is None else (item,)))
-
-
-_PLOTS: list[_Plot] = []
+_PLOTS: list[Callable[[Solution, Extraction], Figure]] = []
 
 
 def plot(
@@ -107,7 +87,21 @@ def plot(
     """
 
     def registered(draw: _Draw) -> _Draw:
-        _PLOTS.append(_Plot(section, draw, caption, half, each))
+        def figure(solution: Solution, extraction: Extraction) -> Figure:
+            logs = sorted({o.log for o in extraction.observations})
+            titles: dict[Any, str] = {None: ""} if each is None else dict.fromkeys(SIDES, "")
+            if each == "log":
+                titles = {
+                    log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]
+                }
+            items = titles.items()
+            drawn = (
+                (title, draw(solution, extraction, *(() if item is None else (item,))))
+                for item, title in items
+            )
+            return Figure(section, tuple(part for part in drawn if part[1]), caption, half)
+
+        _PLOTS.append(figure)
         return draw
 
     return registered
@@ -121,7 +115,7 @@ def draw_all(solution: Solution, extraction: Extraction, snapshots: Sequence[Sna
         extraction: the data it was computed from.
         snapshots: images of some or all stations; may be empty.
     """
-    drawn = [each.figure(solution, extraction) for each in _PLOTS] if extraction.observations else []
+    drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
     figures = tuple(figure for figure in drawn if figure.parts)
     return Drawings(figures, leg_views(solution, extraction, snapshots))
 

@@ -104,12 +104,6 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
     return tuple(Use(f, f.of(found.at_work), limit) for f, limit in pairs if limit is not None)
 
 
-def least_certain(solution: Solution, limits: Mapping[str, float]) -> Use | None:
-    """The expected error that is largest in relation to its limit; None where all are zero or unknown."""
-    worst = max(uses(solution, limits), key=lambda use: use.share, default=None)
-    return worst if worst is not None and worst.share > 0 else None
-
-
 def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
     """Motion of which the recording has little, and which this figure depends on, as sentences."""
     of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
@@ -125,8 +119,8 @@ def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
 
 def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:
     """What limits the least certain expected error, and what to do about it; empty where nothing is known."""
-    worst = least_certain(solution, limits or {})
-    if worst is None:
+    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
+    if worst is None or not worst.share > 0:
         return ()
     shares = shares_of(solution, worst.figure.field)
     return limiting_sentence(shares, worst.figure.meaning), advice(shares)
