@@ -13,8 +13,7 @@ from mobilecal_cli.calibrate.compare import Limits
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
-from mobilecal_cli.report.changes import change_from_nominal
-from mobilecal_cli.report.comparison import comparison_json, comparison_text
+from mobilecal_cli.report.comparison import change_from_nominal, comparison_json, comparison_text
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -109,7 +108,7 @@ def test_nominal_values_have_no_sigma():
     assert (1e3 * change.value[k], change.percent[k]) == (pytest.approx(-10), pytest.approx(-100 / 11))
     assert np.isnan(change.value[:6]).all()
     assert np.isnan(change.sigmas).all()
-    assert change.chance is None
+    assert change.p_value is None
 
 
 def test_the_text_has_digits_that_match_the_sigma():

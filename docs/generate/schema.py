@@ -22,12 +22,15 @@ def schema() -> str:
 
 
 def _closed(node: object) -> object:
-    """The schema without titles; an object has all of its keys, and no others."""
+    """The schema without titles and defaults; an object has all of its keys, and no others."""
     if isinstance(node, list):
         return [_closed(item) for item in node]
     if not isinstance(node, dict):
         return node
-    found = {key: _closed(item) for key, item in node.items() if key != "title" or not isinstance(item, str)}
+    kept = {
+        key: item for key, item in node.items() if key not in ("title", "default") or isinstance(item, dict)
+    }
+    found = {key: _closed(item) for key, item in kept.items()}
     if isinstance(found.get("description"), str):
         found["description"] = found["description"].partition("\n")[0]
     if "properties" in found:

@@ -14,7 +14,7 @@ from mobilecal_cli.comparison import Difference, History, difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import check_file, write_file
 from mobilecal_cli.model import NINE, CalibratedRobot
-from mobilecal_cli.report.history import history_plot
+from mobilecal_cli.report.comparison import history_plot
 
 #: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
 MOST_NOMINAL_SIGMAS = 5.0

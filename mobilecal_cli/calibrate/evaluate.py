@@ -20,12 +20,10 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.evaluation_verdict import OwnEstimate, judge_evaluation
-from mobilecal_cli.report.gates import evaluated_figures, gate_checks, gates_of
+from mobilecal_cli.report.criteria import Check
+from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
 from mobilecal_cli.report.numbers import reference_pose
-from mobilecal_cli.report.verdict import Verdict
-from mobilecal_cli.report.wording.evaluation import dependence
+from mobilecal_cli.report.verdict import Verdict, evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters

@@ -54,8 +54,8 @@ from mobilecal_cli.readers import (
     read_signals,
     sha256_of,
 )
-from mobilecal_cli.report.checks.recording import MIN_STATIONS
-from mobilecal_cli.report.gates import gates_of
+from mobilecal_cli.report.checks import MIN_STATIONS
+from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.joints import outside_chain
 from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout, survey_rig

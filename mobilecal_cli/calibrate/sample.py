@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
     StereoRig,
 )
 from mobilecal_cli.readers import Recording, pictures_near
-from mobilecal_cli.report.checks.estimate import SQUARE_LOOK_PERCENT
+from mobilecal_cli.report.checks import SQUARE_LOOK_PERCENT
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 

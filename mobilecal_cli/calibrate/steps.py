@@ -40,17 +40,15 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
-from mobilecal_cli.report.at_work import recommendation
-from mobilecal_cli.report.build import build_report
-from mobilecal_cli.report.case import Case
-from mobilecal_cli.report.changes import change_from_nominal, change_since
-from mobilecal_cli.report.drawn import draw_all
-from mobilecal_cli.report.gates import Gate, gates_of
-from mobilecal_cli.report.html import report_html
+from mobilecal_cli.report.comparison import change_from_nominal, change_since
+from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.page import report_html
+from mobilecal_cli.report.plots import draw_all
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.verdict import judge, reasons_of
-from mobilecal_cli.report.wording.findings import suggestion_sentences
+from mobilecal_cli.report.use import recommendation
+from mobilecal_cli.report.values import build_report
+from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets

@@ -32,7 +32,7 @@ def check(
     from mobilecal_cli.calibrate.inspect import recordings
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.model.text import visible
-    from mobilecal_cli.report.checklist import checklist_json, checklist_text
+    from mobilecal_cli.report.inspection import checklist_json, checklist_text
 
     with progress_bar(quiet) as progress:
         flags = flags_of(setting)

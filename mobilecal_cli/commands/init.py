@@ -38,7 +38,7 @@ def init(
     """
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.export.outputs import check_file, write_file
-    from mobilecal_cli.report.draft import draft_text
+    from mobilecal_cli.report.inspection import draft_text
 
     stdout = str(output) == "-"
     if not stdout:

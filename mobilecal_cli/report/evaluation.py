@@ -1,22 +1,253 @@
-"""An evaluation of a calibration as numbers, as text and as JSON."""
+"""A calibration evaluated on a recording: PASS, FAIL or NOT ENOUGH, and the errors as numbers, text and JSON.
+
+The recording is also solved by itself. The calibration fails where it differs from that estimate by more than a
+limit and by more than the uncertainty of both explains, so noise alone does not fail it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray
+from mobilecal_cli.comparison import nine_apart
+from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.model import (
+    BoolArray,
+    CalibratedRobot,
+    Drift,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    StereoRig,
+)
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.check import Check
-from mobilecal_cli.report.gates import drift_figures, rms
-from mobilecal_cli.report.values import DriftData, EvaluationData, LegErrorData, SpreadData, json_text
-from mobilecal_cli.report.verdict import Verdict, check_data, verdict_data
-from mobilecal_cli.report.wording import words
-from mobilecal_cli.report.wording.evaluation import dependence
+from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
+from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
+from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
+from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
 
 EVALUATION_SCHEMA = 2
+#: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
+_QUANTITIES = (
+    ("camera_rotation", "camera rotation", slice(0, 3), 0.75, "deg"),
+    ("camera_position", "camera position", slice(3, 6), 20.0, "mm"),
+    ("radius_right", "right wheel radius", slice(6, 7), 1.0, "%"),
+    ("radius_left", "left wheel radius", slice(7, 8), 1.0, "%"),
+    ("separation", "wheel separation", slice(8, 9), 2.0, "%"),
+)
+#: A difference counts from so many standard deviations on.
+_SIGMAS = 3.0
+#: The standard deviation may be this share of the limit: a difference of twice the limit is then 4 sigma.
+_SIGMA_SHARE = 0.5
+#: Corner errors above the limit fail the calibration if they are so many times those of the recording's own estimate.
+_TIMES_OWN = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnEstimate:
+    """What a recording gives when it is solved by itself.
+
+    Attributes:
+        robot: the nine parameters with their covariance.
+        reprojection_px: (L,) station-to-station corner error of each inlier leg.
+        cure: the motion that makes the unobservable parameters observable; empty if all are.
+    """
+
+    robot: CalibratedRobot
+    reprojection_px: FloatArray
+    cure: str = ""
+
+
+def judge_evaluation(
+    found: Evaluation,
+    cameras: StereoRig,
+    robot: CalibratedRobot,
+    own: OwnEstimate | MobilecalError,
+    used: Sequence[str] = (),
+    gates: Sequence[Check] = (),
+) -> Verdict:
+    """Verdict on a calibration. A failed check comes before one that lacks data.
+
+    Args:
+        found: errors of the calibration on the recording.
+        cameras: the recording's stereo pair.
+        robot: the calibration under test.
+        own: the recording's own estimate, or the error that prevented it.
+        used: names of the recordings that the calibration was made from.
+        gates: the user's limits, see `gate_checks`.
+    """
+    checks = Checks((*_checks(found, cameras, robot, own), *gates))
+    if checks.worst.outcome in LEVELS:
+        return decided_by(checks.worst, checks)
+    agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
+    next_step = (
+        "Evaluate a recording that was not used for this calibration."
+        if used
+        else "Use params.yaml on the robot."
+    )
+    return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
+
+
+def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
+    """A note if the calibration was made from some of the evaluated recordings."""
+    if not used:
+        return ()
+    which = "This recording was" if logs == 1 else f"{', '.join(used)} {'was' if len(used) == 1 else 'were'}"
+    return (f"{which} used for this calibration: the errors below are not independent.",)
+
+
+def _checks(
+    found: Evaluation, cameras: StereoRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
+) -> Iterator[Check]:
+    have, least = found.stations, MIN_STATIONS
+    yield Check(
+        "evaluated_stations", have, least, enough(have, least),
+        "stations",
+        f"{have:g}",
+        f"at least {least:g}",
+        f"Both cameras see the board at {have:g} stations; at least {least:g} are needed.",
+        "Record at least ten stations.",
+        at_least=True,
+    )  # fmt: skip
+    yield _corner_error(found, cameras, own)
+    if isinstance(own, MobilecalError):
+        yield Check(
+            "own_estimate", None, None, "not_enough",
+            "estimate from this recording",
+            "none",
+            "all nine parameters",
+            f"This recording cannot be solved by itself: {own.message}.",
+            f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again.",
+        )  # fmt: skip
+    else:
+        yield from _agreement(robot, own)
+
+
+def _corner_error(found: Evaluation, cameras: StereoRig, own: OwnEstimate | MobilecalError) -> Check:
+    """A gross error of the calibration, or of a recording that no calibration explains."""
+    limit_px = PIXEL_ERROR_BAD * float(cameras.left.K[0, 0])
+    px = float(np.median(found.reprojection_px))
+    best_px = limit_px if isinstance(own, MobilecalError) else float(np.median(own.reprojection_px))
+    limit = max(limit_px, _TIMES_OWN * best_px)
+    outcome: Outcome = "not_enough" if best_px > limit_px else "fail" if px > limit else "pass"
+    if outcome == "not_enough":
+        why = f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
+        cure = "Check for wheel slip, a moved board and wrong encoder settings, and record again."
+    else:
+        best = (
+            ""
+            if isinstance(own, MobilecalError)
+            else f"; the recording's own estimate leaves {best_px:.1f} px"
+        )
+        why = f"The median station-to-station corner error is {px:.1f} px (limit {limit_px:.1f} px){best}."
+        cure = "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again."
+    name, measured, at_most = (
+        "median station-to-station corner error",
+        f"{px:.2f} px",
+        f"at most {limit:.1f} px",
+    )
+    return Check("corner_error", px, limit, outcome, name, measured, at_most, why, cure, unit="px")
+
+
+def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
+    """Whether each quantity is that of the recording's own estimate."""
+    change, covariance, known = _compared(robot, own.robot)
+    for key, name, part, limit, unit in _QUANTITIES:
+        at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
+        if not known[part].all():
+            cure = own.cure or "record more motion of base and head"
+            yield Check(
+                f"agreement.{key}", None, limit, "not_enough",
+                name,
+                "unobservable",
+                at_most,
+                f"The {name} is unobservable in this recording.",
+                f"{cure[:1].upper()}{cure[1:]}.",
+                unit=unit,
+            )  # fmt: skip
+            continue
+        x, C = change[part], covariance[part, part]
+        size = float(np.linalg.norm(x))
+        along = x / size if size > 0 else np.eye(len(x))[0]
+        sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
+        needed, measured = _SIGMA_SHARE * limit, f"{size:.2g} ± {sigma:.1g} {unit}"
+        outcome: Outcome = "pass"
+        why = cure = ""
+        if size > max(limit, _SIGMAS * sigma):
+            outcome = "fail"
+            why = f"The {name} differs from this recording by {measured} (limit {limit:g} {unit})."
+            cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
+        elif largest > needed:
+            outcome = "not_enough"
+            why = f"This recording gives the {name} to {largest:.2g} {unit} (1 sigma); {needed:.2g} {unit} are needed."
+            cure = "Record more stations; mobilecal suggest lists the most useful ones."
+        yield Check(f"agreement.{key}", size, limit, outcome, name, measured, at_most, why, cure, unit=unit)
+
+
+def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Difference in deg, mm and percent, (9,); its covariance, (9, 9); and which of it is known, (9,)."""
+    wheels = own.wheels
+    scales = np.array(
+        [*[180 / np.pi] * 3, *[1e3] * 3]
+        + [100 / size for size in (wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)]
+    )
+    covariance: FloatArray = np.zeros((9, 9))
+    known: BoolArray = np.zeros(9, dtype=np.bool_)
+    if own.knowledge is not None:
+        covariance, known = own.knowledge.covariance.copy(), own.knowledge.observable
+    if robot.knowledge is not None:
+        mine = np.diag(robot.knowledge.observable.astype(np.float64))
+        covariance += mine @ robot.knowledge.covariance @ mine
+    return nine_apart(own, robot) * scales, covariance * np.outer(scales, scales), known
+
+
+@json_value
+class SpreadData:
+    """Root mean square, median and largest error of a leg."""
+
+    rms: float
+    median: float
+    worst: float
+
+
+@json_value
+class DriftData:
+    """Drift of dead reckoning."""
+
+    mm_per_m: Number
+    deg_per_turn: Number
+
+
+@json_value
+class LegErrorData:
+    """Errors on one leg of a recording."""
+
+    log: int
+    from_station: int
+    to_station: int
+    reprojection_px: float
+    rotation_deg: float
+    translation_mm: float
+
+
+@json_value
+class EvaluationData:
+    """Errors of a calibration on stations that it was not made from."""
+
+    stations: int
+    legs: int
+    driven_m: float
+    turned_deg: float
+    reprojection_px: SpreadData
+    rotation_deg: SpreadData
+    translation_mm: SpreadData
+    drift_before: DriftData | None
+    drift_after: DriftData
+    per_leg: tuple[LegErrorData, ...]
+    clock_offsets_s: ByName
 
 
 def evaluation_data(found: Evaluation) -> EvaluationData:
@@ -72,7 +303,7 @@ def evaluation_json(
             "notes": [*dependence(used, len(extraction.logs)), *extraction.notes],
             **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},
             "verdict": verdict_data(verdict),
-            "gates": [check_data(check) for check in gates],
+            "gates": gates,
         }
     )
 
@@ -101,6 +332,9 @@ def drift_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
     )  # fmt: skip
 
 
+_PREDICTION = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
+
+
 def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     lines = [f"Note: {visible(note)}" for note in notes]
@@ -113,20 +347,17 @@ def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: V
         lines += [f"Clock offsets: {offsets}"]
     lines += [
         "",
-        f"  {'Prediction from station to station':<36}{'rms':>9}{'median':>9}{'worst':>9}",
-        *(f"  {meaning:<36}{a:>9}{b:>9}{c:>9}  {unit}" for meaning, a, b, c, unit in evaluation_rows(found)),
+        *Table.of(_PREDICTION, evaluation_rows(found)).lines((36, 9, 9, 9)),
         "",
-        f"  {'Drift':<36}{'before':>9}{'after':>9}",
-        *(f"  {meaning:<36}{a:>9}{b:>9}  {unit}" for meaning, a, b, unit in drift_rows(found)),
+        *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(found)).lines((36, 9, 9)),
     ]
     if verdict is not None:
         lines += [
             "",
             f"  {'Calibration against this recording':<56}{'':<21}limit",
             *(
-                f"  {check.label:<12}{said.name:<44}{said.measured:<21}{said.limit}"
+                f"  {check.label:<12}{check.name:<44}{check.measured_text:<21}{check.limit_text}"
                 for check in verdict.checks
-                for said in [words(check)]
             ),
         ]
     return "\n".join(lines) + "\n"

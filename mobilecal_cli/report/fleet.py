@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import csv
-import functools
 import io
 import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, FleetRow, FloatArray
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.pages import environment
-from mobilecal_cli.report.parameters import PARAMETERS, std_text, value_text
-
-if TYPE_CHECKING:
-    from jinja2 import Template
+from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
+from mobilecal_cli.report.page import template
 
 #: A robot is an outlier beyond both: this many times the spread of the fleet (1.4826 times the median absolute
 #: deviation), and this many of its own standard deviations.
@@ -135,25 +131,18 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
             for name, value, sigma in zip(NINE, values, sigmas, strict=True)
         ]
         lines.append({"row": row, "cells": cells, "out": out.get(row.name, ())})
-    counts = {
-        level: sum(row.verdict == level for row in rows) for level in ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
-    }
-    return _template().render(
+    levels = ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
+    return template("fleet.html.jinja").render(
         lines=lines,
         remarks=[line for line in lines if line["out"] or line["row"].verdict != "PASS"],
         fleet_limit=OUT_OF_FLEET,
         sigma_limit=OUT_OF_SIGMA,
-        counts=counts,
+        counts={level: sum(row.verdict == level for row in rows) for level in levels},
         heads=[(parameter.name, parameter.shown_unit) for parameter in PARAMETERS],
         total=len(lines),
         skipped=skipped_text(rows),
         out=len(out),
     )
-
-
-@functools.cache
-def _template() -> Template:
-    return environment().get_template("fleet.html.jinja")
 
 
 def fleet_text(rows: Sequence[FleetRow]) -> str:

@@ -6,13 +6,23 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import FleetRow
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.values import VerdictData
+from mobilecal_cli.report.verdict import LEVELS, VerdictData
 
-_FAILURES = ("fail", "not_enough")
+
+class _Case(NamedTuple):
+    """A test case; `tag` is "failure", "error", or "" for one that passes, and `out` what it printed."""
+
+    name: str
+    tag: str = ""
+    message: str = ""
+    kind: str = ""
+    text: str = ""
+    out: str = ""
 
 
 def junit_xml(name: str, verdict: VerdictData) -> bytes:
@@ -22,24 +32,21 @@ def junit_xml(name: str, verdict: VerdictData) -> bytes:
         name: name of the test suite, for example the recording.
         verdict: the checks with their sentences.
     """
-    suites, suite = _suites(
-        name, len(verdict.checks), failures=sum(c.outcome in _FAILURES for c in verdict.checks)
-    )
+    cases = []
     for check in verdict.checks:
-        case = _case(suite, check.name)
-        if check.outcome in _FAILURES:
-            _said(case, "failure", check.why, check.outcome.replace("_", " "), check.next_step)
+        failed = (
+            ("failure", check.why, check.label, check.next_step) if check.outcome in LEVELS else ("",) * 4
+        )
         warning = f"; warning: {check.why}" if check.outcome == "warning" else ""
-        out = ET.SubElement(case, "system-out")
-        out.text = visible(f"measured: {check.measured_text}; limit: {check.limit_text}{warning}")
-    return _written(suites)
+        out = f"measured: {check.measured_text}; limit: {check.limit_text}{warning}"
+        cases.append(_Case(check.name, *failed, out))
+    return _xml(name, cases)
 
 
 def junit_error_xml(name: str, error: MobilecalError) -> bytes:
     """One test case with the error that ended a run without a result."""
-    suites, suite = _suites(name, 1, errors=1)
-    _said(_case(suite, "the recording can be calibrated"), "error", error.message, error.code, error.hint)
-    return _written(suites)
+    case = _Case("the recording can be calibrated", "error", error.message, error.code, error.hint)
+    return _xml(name, [case])
 
 
 def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
@@ -49,16 +56,13 @@ def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
         name: name of the test suite, for example the directory of the recordings.
         rows: the robots.
     """
-    robots = [row for row in rows if row.verdict != "SKIPPED"]
-    errors = sum(row.verdict == "ERROR" for row in robots)
-    failures = sum(row.verdict != "PASS" for row in robots) - errors
-    suites, suite = _suites(name, len(robots), failures, errors)
-    for row in robots:
-        case = _case(suite, row.name)
-        if row.verdict != "PASS":
-            tag = "error" if row.verdict == "ERROR" else "failure"
-            _said(case, tag, row.reason, row.verdict.lower(), row.hint)
-    return _written(suites)
+    tags = {"PASS": "", "ERROR": "error"}
+    robots = (row for row in rows if row.verdict != "SKIPPED")
+    cases = [
+        _Case(row.name, tags.get(row.verdict, "failure"), row.reason, row.verdict.lower(), row.hint)
+        for row in robots
+    ]
+    return _xml(name, cases)
 
 
 def is_junit(path: Path) -> bool:
@@ -70,20 +74,17 @@ def is_junit(path: Path) -> bool:
         return False
 
 
-def _suites(name: str, tests: int, failures: int = 0, errors: int = 0) -> tuple[ET.Element, ET.Element]:
-    counts = {"tests": str(tests), "failures": str(failures), "errors": str(errors)}
+def _xml(name: str, cases: Sequence[_Case]) -> bytes:
+    counts = {"tests": str(len(cases))}
+    counts |= {f"{tag}s": str(sum(case.tag == tag for case in cases)) for tag in ("failure", "error")}
     suites = ET.Element("testsuites", counts)
-    return suites, ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
-
-
-def _case(suite: ET.Element, name: str) -> ET.Element:
-    return ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(name)})
-
-
-def _said(case: ET.Element, tag: str, message: str, kind: str, text: str) -> None:
-    ET.SubElement(case, tag, {"message": visible(message), "type": kind}).text = visible(text)
-
-
-def _written(suites: ET.Element) -> bytes:
+    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
+    for case in cases:
+        element = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(case.name)})
+        if case.tag:
+            found = ET.SubElement(element, case.tag, {"message": visible(case.message), "type": case.kind})
+            found.text = visible(case.text)
+        if case.out:
+            ET.SubElement(element, "system-out").text = visible(case.out)
     ET.indent(suites)
     return bytes(ET.tostring(suites, encoding="utf-8", xml_declaration=True)) + b"\n"

@@ -11,24 +11,26 @@ import numpy as np
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain, Setting
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
-from mobilecal_cli.report.metrics import FIGURES
+from mobilecal_cli.report.formats import Table
 from mobilecal_cli.report.numbers import (
+    PARAMETERS,
+    Parameter,
     lengths_mm,
     reference_pose,
     reference_std,
     rejected_station,
     rejection_counts,
     rotation_of,
+    std_text,
+    value_text,
 )
-from mobilecal_cli.report.parameters import PARAMETERS, Parameter, std_text, value_text
-from mobilecal_cli.report.values import TableData
-from mobilecal_cli.report.wording import words
+from mobilecal_cli.report.use import FIGURES
+from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.se3 import log_so3
 
 Rows = Sequence[tuple[str, ...]]
-_TABLES: list[Callable[[Case], TableData]] = []
+_TABLES: list[Callable[[Case], Table]] = []
 _MOST_REJECTIONS = 200  # further ones are in report.json only
 _NAMED_SIGMAS = 2.0  # constants that are further from their stated values are tagged
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -42,24 +44,13 @@ def table(
     Args:
         section: where the page shows it.
         title: heading.
-        heads: label of each column, with its kind in front ("number:1 sigma"); see `TableData`.
+        heads: label of each column, with its kind in front ("number:1 sigma"); see `Table.of`.
         note: sentences above the table.
     """
 
     def registered(rows: Callable[[Case], Rows]) -> Callable[[Case], Rows]:
-        def made(case: Case) -> TableData:
-            found = rows(case)
-            kinds = [head.rpartition(":") for head in heads]
-            shown = [
-                k for k in range(len(heads)) if not found or any(len(row) > k and row[k] for row in found)
-            ]
-            return TableData(
-                section=section,
-                title=title,
-                note=note,
-                heads=tuple((kinds[k][2], kinds[k][0] or "text") for k in shown),  # type: ignore[misc]
-                rows=tuple(tuple(row[k] for k in shown) for row in found),
-            )
+        def made(case: Case) -> Table:
+            return Table.of(heads, rows(case), section, title, note).without_empty_columns()
 
         _TABLES.append(made)
         return rows
@@ -67,7 +58,7 @@ def table(
     return registered
 
 
-def tables(case: Case) -> tuple[TableData, ...]:
+def tables(case: Case) -> tuple[Table, ...]:
     """All tables that have rows; columns without any text are left out."""
     return tuple(made for made in (make(case) for make in _TABLES) if made.rows)
 
@@ -313,8 +304,7 @@ def motion(case: Case) -> Rows:
 @table("checks", "", "tag:result", "criterion", "measured", "limit")
 def checks(case: Case) -> Rows:
     """All criteria."""
-    said = ((check, words(check)) for check in case.verdict.checks)
-    return [(check.label, w.name, w.measured, w.limit) for check, w in said]
+    return [(c.label, c.name, c.measured_text, c.limit_text) for c in case.verdict.checks]
 
 
 @table("rejections", "", "reason", "stage", "number:count")

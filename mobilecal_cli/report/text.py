@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
+from mobilecal_cli.model import FloatArray
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import NEAR_LOCK_DEG
-from mobilecal_cli.report.parameters import PARAMETERS, decimals_of, std_text
+from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, PARAMETERS, decimals_of, std_text
 from mobilecal_cli.report.values import ReportData
 
 _WIDTH = 80
@@ -41,8 +41,9 @@ def summary_text(report: ReportData) -> str:
             f"{quality.point_rms_mm:.2f}",
             f"/ {report.linear.point_rms_mm:.2f} mm",
         ),
-        _line("Reprojection error", f"{quality.reprojection_rms_px:.2f}", "px"),
     ]
+    if quality.reprojection_rms_px:
+        lines.append(_line("Reprojection error", f"{quality.reprojection_rms_px:.2f}", "px"))
     if report.hold_out is not None:
         lines += ["Test on the held-out stations", evaluation_text(report.hold_out).rstrip("\n")]
     for each in report.contradictions:
@@ -82,7 +83,7 @@ def _rotation(report: ReportData) -> Iterator[str]:
         yield from _angles("Euler angle {} (ZYX)", found.euler_zyx_deg, found.euler_zyx_std_deg)
 
 
-def _angles(name: str, values: Sequence[float], stds: Sequence[float] | None) -> Iterator[str]:
+def _angles(name: str, values: FloatArray, stds: FloatArray | None) -> Iterator[str]:
     for k, (axis, value) in enumerate(zip("xyz", values, strict=True)):
         label = name.format(axis)
         yield _line(label, f"{value:.3f}", "deg") if stds is None else _row(label, value, stds[k], "deg", 3)

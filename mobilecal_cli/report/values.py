@@ -1,69 +1,82 @@
-"""What report.json contains, as types: its schema, docs/reference/report.schema.json, is generated from them.
+"""What report.json contains, as types, and how a report is made of a solution and its data.
 
-The end of a name is the unit: `_mm`, `_deg`, `_m`, `_rad`, `_px`, `_s`, `_ns`. None is an unknown value. By name: the
-nine parameters in rad and m. Fields that end in `text` are sentences.
+The schema of report.json, docs/reference/report.schema.json, is generated from these types. By name: the nine
+parameters in rad and m. Fields that end in `text` are sentences.
 """
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, Literal
 
 import numpy as np
 
-from mobilecal_cli.model import AtWork, LogSource, NoiseLevels, Outlier, Rejection
+from mobilecal_cli import se3
+from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.model import (
+    NINE,
+    AtWork,
+    Evidence,
+    Extraction,
+    LogSource,
+    NoiseLevels,
+    Outlier,
+    Parameters,
+    Rejection,
+    Solution,
+    StereoRig,
+)
+from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.decomposition import error_parts
+from mobilecal_cli.report.evaluation import EvaluationData, evaluation_data
+from mobilecal_cli.report.findings import (
+    SCALES,
+    contradiction_sentences,
+    jackknife_sentence,
+    outlier_sentences,
+    reprojection_sentence,
+    scale_sentence,
+    suggestion_sentences,
+)
+from mobilecal_cli.report.formats import (
+    BoolMatrix,
+    ByName,
+    Four,
+    Matrix,
+    Number,
+    NumberMatrix,
+    Row,
+    Table,
+    Three,
+    Two,
+    json_value,
+    like,
+)
+from mobilecal_cli.report.numbers import (
+    NEAR_LOCK_DEG,
+    board_distance_m,
+    image_coverage,
+    lengths_mm,
+    predicted_point_rms_m,
+    reference_frame,
+    reference_pose,
+    rejection_counts,
+    rotation_of,
+    stations_looked_at,
+)
+from mobilecal_cli.report.plots import trail
+from mobilecal_cli.report.tables import tables
+from mobilecal_cli.report.use import recommendation
+from mobilecal_cli.report.verdict import Case, VerdictData, verdict_data
 
-Number: TypeAlias = float | None
-Three: TypeAlias = tuple[float, float, float]
-ByName: TypeAlias = Mapping[str, float]
-Matrix: TypeAlias = tuple[tuple[float, ...], ...]
-Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
-Outcome = Literal["pass", "warning", "fail", "not_enough"]
 
-_T = TypeVar("_T")
-
-
-@dataclass_transform(frozen_default=True, kw_only_default=True)
-def _value(cls: type[_T]) -> type[_T]:
-    """A frozen dataclass whose fields are given by name."""
-    return dataclass(frozen=True, slots=True, kw_only=True)(cls)
-
-
-@_value
-class CheckData:
-    """One criterion of the verdict, with its sentences; `limit` is a lower one if `at_least`."""
-
-    id: str
-    value: Number
-    limit: Number
-    unit: str
-    at_least: bool
-    outcome: Outcome
-    name: str
-    measured_text: str
-    limit_text: str
-    why: str
-    next_step: str
-
-
-@_value
-class VerdictData:
-    """Whether the calibration can be used."""
-
-    level: Level
-    reason: str
-    next_step: str
-    checks: tuple[CheckData, ...]
-
-
-@_value
+@json_value
 class ParametersData:
     """The nine parameters, with the pose of the reference camera in the head; no Euler angles near gimbal lock."""
 
     rotation_vector_deg: Three
-    quaternion_xyzw: tuple[float, float, float, float]
+    quaternion_xyzw: Four
     euler_zyx_deg: Three | None
     gimbal_margin_deg: float
     translation_m: Three
@@ -75,7 +88,7 @@ class ParametersData:
     separation_mm: float
 
 
-@_value
+@json_value
 class ResultData(ParametersData):
     """The result, with the standard deviations of the numbers that are written."""
 
@@ -87,7 +100,7 @@ class ResultData(ParametersData):
     rectified: bool
 
 
-@_value
+@json_value
 class LinearData(ParametersData):
     """The linear solution; `history` has the parameters after each iteration."""
 
@@ -95,22 +108,22 @@ class LinearData(ParametersData):
     second_best_point_rms_mm: Number
     iterations: int
     iterations_to_tolerance: int
-    initial_ratios: tuple[float, float]
+    initial_ratios: Two
     initial_from: str
     history: tuple[ParametersData, ...]
 
 
-@_value
+@json_value
 class RefinementData(ParametersData):
     """The refined solution."""
 
     method: str
     point_rms_mm: float
-    point_rms_history_mm: tuple[float, ...]
+    point_rms_history_mm: Row
     evaluations: int
 
 
-@_value
+@json_value
 class QualityData:
     """Errors of the result on the recordings; the parts are what each kind of noise contributes, to first order."""
 
@@ -125,7 +138,7 @@ class QualityData:
     method: str
 
 
-@_value
+@json_value
 class LegData:
     """Errors of one leg, between two indices of `stations`."""
 
@@ -135,7 +148,7 @@ class LegData:
     reprojection_px: float
 
 
-@_value
+@json_value
 class UncertaintyData:
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
@@ -145,8 +158,8 @@ class UncertaintyData:
     correlation: Matrix
     observable: Mapping[str, bool]
     unobservable_directions: Matrix
-    scales: tuple[float, ...]
-    singular_values: tuple[float, ...]
+    scales: Row
+    singular_values: Row
     noise: NoiseLevels
     fixed: Mapping[str, bool]
     jackknife_std: ByName
@@ -155,7 +168,7 @@ class UncertaintyData:
     predicted: AtWork
 
 
-@_value
+@json_value
 class ConstantData:
     """A constant of the robot description: true minus stated value, in `unit`."""
 
@@ -169,7 +182,7 @@ class ConstantData:
     used_prior: Number
 
 
-@_value
+@json_value
 class BudgetData:
     """Share of each source in each variance."""
 
@@ -180,7 +193,7 @@ class BudgetData:
     advice: str
 
 
-@_value
+@json_value
 class EvidenceValue:
     """A constant without its prior."""
 
@@ -189,7 +202,7 @@ class EvidenceValue:
     prior: float
 
 
-@_value
+@json_value
 class EvidenceData:
     """How far the data contradict the stated values of one kind and part."""
 
@@ -201,7 +214,7 @@ class EvidenceData:
     values: Mapping[str, EvidenceValue]
 
 
-@_value
+@json_value
 class ContradictionData(EvidenceData):
     """Evidence beyond its limit."""
 
@@ -209,7 +222,7 @@ class ContradictionData(EvidenceData):
     cure: str
 
 
-@_value
+@json_value
 class ScaleData:
     """The stated squares against the stereo baseline; `ratio` is measured over stated."""
 
@@ -221,17 +234,17 @@ class ScaleData:
     text: str
 
 
-@_value
+@json_value
 class LogsData:
     """Estimate from each recording alone minus the common one, and the spread between recordings."""
 
-    shift: tuple[tuple[Number, ...], ...]
-    std: tuple[tuple[Number, ...], ...]
-    shown: tuple[tuple[bool, ...], ...]
-    between_std: tuple[float, ...]
+    shift: NumberMatrix
+    std: NumberMatrix
+    shown: BoolMatrix
+    between_std: Row
 
 
-@_value
+@json_value
 class SuggestionData:
     """An additional stop, and the standard deviation of `parameter` without and with it."""
 
@@ -245,65 +258,7 @@ class SuggestionData:
     text: str
 
 
-@_value
-class SpreadData:
-    """Root mean square, median and largest error of a leg."""
-
-    rms: float
-    median: float
-    worst: float
-
-
-@_value
-class DriftData:
-    """Drift of dead reckoning."""
-
-    mm_per_m: Number
-    deg_per_turn: Number
-
-
-@_value
-class LegErrorData:
-    """Errors on one leg of a recording."""
-
-    log: int
-    from_station: int
-    to_station: int
-    reprojection_px: float
-    rotation_deg: float
-    translation_mm: float
-
-
-@_value
-class EvaluationData:
-    """Errors of a calibration on stations that it was not made from."""
-
-    stations: int
-    legs: int
-    driven_m: float
-    turned_deg: float
-    reprojection_px: SpreadData
-    rotation_deg: SpreadData
-    translation_mm: SpreadData
-    drift_before: DriftData | None
-    drift_after: DriftData
-    per_leg: tuple[LegErrorData, ...]
-    clock_offsets_s: ByName
-
-
-@_value
-class ChangeData:
-    """Change from the last calibration or from the nominal values, in the order of `order`."""
-
-    against: str
-    order: tuple[str, ...]
-    value: tuple[Number, ...]
-    sigmas: tuple[Number, ...]
-    percent: tuple[Number, ...]
-    p_value: Number
-
-
-@_value
+@json_value
 class StationData:
     """One station; transforms are three rows, and the world is the base at the recording's first station."""
 
@@ -327,7 +282,7 @@ class StationData:
     T_world_board: Matrix
 
 
-@_value
+@json_value
 class PathData:
     """Path of the base in one recording."""
 
@@ -335,7 +290,7 @@ class PathData:
     points_m: Matrix
 
 
-@_value
+@json_value
 class BoardData:
     """The board: inner corners and squares."""
 
@@ -345,7 +300,7 @@ class BoardData:
     square_from: Literal["stated", "measured"]
 
 
-@_value
+@json_value
 class RejectionCount:
     """How many stations or images were rejected for one reason."""
 
@@ -354,7 +309,7 @@ class RejectionCount:
     count: int
 
 
-@_value
+@json_value
 class RejectionsData:
     """What was rejected before the solve."""
 
@@ -362,7 +317,7 @@ class RejectionsData:
     items: tuple[Rejection, ...]
 
 
-@_value
+@json_value
 class ProvenanceData:
     """Version, time, recordings and settings."""
 
@@ -374,18 +329,7 @@ class ProvenanceData:
     config: Mapping[str, Any]
 
 
-@_value
-class TableData:
-    """A table of the page, formatted; a column is text, a number, code, a name, the result ("strong") or a tag."""
-
-    section: str
-    title: str
-    note: str
-    heads: tuple[tuple[str, Literal["text", "number", "code", "name", "strong", "tag"]], ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-@_value
+@json_value
 class ReportData:
     """All numbers, sentences and tables of a report."""
 
@@ -408,7 +352,7 @@ class ReportData:
     logs: LogsData | None
     suggestions: tuple[SuggestionData, ...]
     hold_out: EvaluationData | None
-    change: ChangeData | None
+    change: Change | None
     stations: tuple[StationData, ...]
     paths: tuple[PathData, ...]
     motion: ByName
@@ -419,21 +363,281 @@ class ReportData:
     notes: tuple[str, ...]
     setting_sources: Mapping[str, str]
     provenance: ProvenanceData
-    tables: tuple[TableData, ...]
+    tables: tuple[Table, ...]
 
 
-def json_text(value: object, sort_keys: bool = True) -> str:
-    """A value as JSON: the same bytes for the same values."""
-    return json.dumps(_plain(value), indent=1, sort_keys=sort_keys, allow_nan=False) + "\n"
+def build_report(case: Case) -> ReportData:
+    """All numbers, sentences and tables of a report."""
+    solution, extraction = case.solution, case.extraction
+    board, counts = extraction.board, rejection_counts(extraction)
+    return ReportData(
+        schema_version=5,
+        verdict=verdict_data(case.verdict),
+        metrics=case.verdict.metrics,
+        parameters=_result(solution, extraction),
+        quality=_quality(solution, extraction),
+        linear=_linear(solution),
+        refinement=_refinement(solution),
+        legs=_legs(solution),
+        uncertainty=_uncertainty(solution),
+        outliers=solution.outliers,
+        outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
+        constants=_constants(solution),
+        error_budget=_budget(solution),
+        evidence=tuple(like(EvidenceData, found, values=_values(found)) for found in solution.evidence),
+        contradictions=tuple(
+            _contradiction(found, solution, extraction) for found in solution.contradictions
+        ),
+        scale=_scale(solution),
+        logs=_between(solution),
+        suggestions=_suggestions(solution, extraction),
+        hold_out=None if case.trial is None else evaluation_data(case.trial),
+        change=case.change,
+        stations=_stations(solution, extraction),
+        paths=_paths(solution, extraction),
+        motion=solution.motion,
+        image_coverage=_coverage(extraction),
+        board=like(
+            BoardData,
+            board,
+            square_mm=_square_mm(extraction),
+            square_from="measured" if board.square_m is None else "stated",
+        ),
+        rejections=RejectionsData(
+            counts=tuple(
+                RejectionCount(stage=stage, reason=reason, count=count)
+                for (stage, reason), count in counts.items()
+            ),
+            items=extraction.rejections,
+        ),
+        counts={"images" if name == "pictures" else name: count for name, count in extraction.counts.items()},
+        notes=extraction.notes,
+        setting_sources=extraction.rig.setting_sources,
+        provenance=like(ProvenanceData, case.provenance, tool="mobilecal"),
+        tables=tables(case),
+    )
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return [_plain(item) for item in value.tolist()]
-    return value + 0.0 if isinstance(value, float) else value  # no -0.0
+def _nine(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
+    T, lengths = reference_pose(parameters, cameras), lengths_mm(parameters, cameras)
+    lock_deg = se3.gimbal_margin_deg(T[:3, :3])
+    names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
+    return {
+        **dict(zip(names, lengths.tolist(), strict=True)),
+        "translation_m": T[:3, 3],
+        "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
+        "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
+        "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= NEAR_LOCK_DEG else None,
+        "gimbal_margin_deg": lock_deg,
+    }
+
+
+def _result(solution: Solution, extraction: Extraction) -> ResultData:
+    rotation, cameras = rotation_of(solution), solution.cameras
+    return ResultData(
+        **_nine(solution.parameters, cameras),
+        rotation_vector_std_deg=rotation.vector_std_deg,
+        euler_zyx_std_deg=rotation.euler_std_deg,
+        parent_frame=extraction.rig.chain.head_frame,
+        child_frame=reference_frame(cameras),
+        camera=cameras.reference,
+        rectified=cameras.rectified,
+    )
+
+
+def _quality(solution: Solution, extraction: Extraction) -> QualityData:
+    parts = {name: part.px for name, part in error_parts(solution, extraction).items()}
+    noise_px = 0.0 if solution.uncertainty is None else solution.uncertainty.noise.pixel_px
+    return like(
+        QualityData,
+        solution,
+        stations=len(extraction.observations),
+        stations_found=stations_looked_at(extraction),
+        point_rms_mm=solution.point_rms_m * 1e3,
+        point_rms_predicted_by_depth_noise_mm=predicted_point_rms_m(extraction, solution) * 1e3,
+        reprojection_parts_px=parts,
+        reprojection_text=reprojection_sentence(parts, noise_px),
+        board_distance_m=board_distance_m(extraction),
+    )
+
+
+def _linear(solution: Solution) -> LinearData:
+    linear, cameras = solution.linear, solution.cameras
+    return LinearData(
+        **_nine(linear.parameters, cameras),
+        point_rms_mm=linear.point_rms_m * 1e3,
+        second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
+        iterations=linear.rounds,
+        iterations_to_tolerance=linear.rounds_to_tolerance,
+        initial_ratios=linear.start_ratios,
+        initial_from=linear.start_from,
+        history=tuple(ParametersData(**_nine(parameters, cameras)) for parameters in linear.history),
+    )
+
+
+def _refinement(solution: Solution) -> RefinementData | None:
+    found = solution.refinement
+    return None if found is None else like(
+        RefinementData,
+        found,
+        **_nine(found.parameters, solution.cameras),
+        point_rms_mm=found.point_rms_m * 1e3,
+        point_rms_history_mm=found.point_rms_history_m * 1e3,
+    )  # fmt: skip
+
+
+def _legs(solution: Solution) -> tuple[LegData, ...]:
+    found = solution.residuals
+    points_mm, pixels = (found.leg_point_rms_m * 1e3).tolist(), found.leg_reprojection_px.tolist()
+    return tuple(
+        LegData(from_observation=first, to_observation=second, point_rms_mm=mm, reprojection_px=px)
+        for (first, second), mm, px in zip(found.legs.tolist(), points_mm, pixels, strict=True)
+    )
+
+
+def _uncertainty(solution: Solution) -> UncertaintyData | None:
+    found = solution.uncertainty
+    if found is None:
+        return None
+    covariance = found.reference_covariance
+    std = np.sqrt(np.diag(covariance))
+    known = np.where(std > 0, std, 1.0)
+    by_name = {name: getattr(found, name) for name in ("observable", "fixed", "jackknife_std", "widened")}
+    return like(
+        UncertaintyData,
+        found,
+        order=NINE,
+        covariance=covariance,
+        correlation=covariance / np.outer(known, known),
+        unobservable_directions=found.unobservable,
+        jackknife_text=jackknife_sentence(solution),
+        predicted=found.at_work,
+        **{
+            key: dict(zip(NINE, values.tolist(), strict=True))
+            for key, values in (by_name | {"std": std}).items()
+        },
+    )
+
+
+def _constants(solution: Solution) -> dict[str, ConstantData]:
+    stated = {name: prior for c in reversed(solution.contradictions) for name, prior in c.priors.items()}
+    return {
+        name: like(
+            ConstantData,
+            c,
+            unit=nuisance.kind(c.kind).unit,
+            prior=stated.get(name, c.prior),
+            used_prior=c.prior,
+        )
+        for name, c in solution.constants.items()
+    }
+
+
+def _budget(solution: Solution) -> BudgetData | None:
+    if solution.uncertainty is None:
+        return None
+    budget, said = solution.uncertainty.budget, recommendation(solution) or ("", "")
+    nine, at_work = (
+        {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
+        for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
+    )
+    return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=said[0], advice=said[1])
+
+
+def _values(found: Evidence) -> dict[str, EvidenceValue]:
+    return {
+        name: EvidenceValue(value=value, std=std, prior=found.priors[name])
+        for name, (value, std) in found.values.items()
+    }
+
+
+def _contradiction(found: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
+    text, cure = contradiction_sentences(found, solution, extraction)
+    return like(ContradictionData, found, values=_values(found), text=text, cure=cure)
+
+
+def _scale(solution: Solution) -> ScaleData | None:
+    scale = solution.scale
+    if scale is None:
+        return None
+    consistent = not scale.apart and not any(found.kind in SCALES for found in solution.contradictions)
+    return like(ScaleData, scale, consistent=consistent, text=scale_sentence(scale))
+
+
+def _between(solution: Solution) -> LogsData | None:
+    found = solution.between
+    if found is None:
+        return None
+    shift, std = (np.where(found.shown, values, np.nan) for values in (found.shift, found.std))
+    return like(LogsData, found, shift=shift, std=std)
+
+
+def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
+    joints, sentences = extraction.rig.chain.joints, suggestion_sentences(solution, extraction)
+    return tuple(
+        like(
+            SuggestionData,
+            s,
+            turn_deg=math.degrees(s.turn_rad),
+            joints=dict(zip(joints, s.joints.tolist(), strict=True)),
+            parameter=s.worst,
+            text=text,
+        )
+        for s, text in zip(solution.suggestions, sentences, strict=True)
+    )
+
+
+def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, ...]:
+    joints, residuals = extraction.rig.chain.joints, solution.residuals
+    return tuple(
+        like(
+            StationData,
+            o,
+            joints=dict(zip(joints, o.joints.tolist(), strict=True)),
+            images_left=o.left.pictures,
+            images_right=o.right.pictures,
+            corner_sigma_left_px=o.left.sigma_px,
+            corner_sigma_right_px=o.right.sigma_px,
+            stereo_reprojection_px=o.reprojection_px,
+            square_mm=o.square_m * 1e3,
+            board_distance_m=float(np.linalg.norm(o.points_c, axis=-1).mean()),
+            base_x_m=float(T_w_v[0, 3]),
+            base_y_m=float(T_w_v[1, 3]),
+            base_heading_deg=math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
+            T_world_base=np.round(T_w_v[:3], 6),
+            T_world_camera=np.round((T_w_k @ se3.inverse(o.T_c_k))[:3], 6),
+            T_world_board=np.round(T_w_k[:3], 6),
+        )
+        for o, T_w_v, T_w_k in zip(extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
+    )
+
+
+def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
+    """Path of the base in each recording, in the frame of the base at its first station."""
+    seen, wheels = extraction.observations, solution.parameters.wheels
+    times = {
+        log: np.array([o.time_ns for o in seen if o.log == log]) for log in sorted({o.log for o in seen})
+    }
+    return tuple(
+        PathData(log=log, points_m=np.round(trail(extraction.wheels[log], at, wheels), 4))
+        for log, at in times.items()
+    )
+
+
+def _coverage(extraction: Extraction) -> dict[str, float]:
+    """Side → share of its image in which corners were detected, 0 to 1."""
+    cameras, seen = extraction.rig.cameras, extraction.observations
+    shares = {}
+    for side, camera in (("left", cameras.left), ("right", cameras.right)) if seen else ():
+        corners = [getattr(o, side) for o in seen]
+        pixels = np.concatenate([c.pixels[c.seen] for c in corners])
+        shares[side] = image_coverage(pixels, camera.width, camera.height)
+    return shares
+
+
+def _square_mm(extraction: Extraction) -> float | None:
+    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
+    if extraction.board.square_m is not None:
+        return extraction.board.square_m * 1e3
+    sizes = [o.square_m * 1e3 for o in extraction.observations]
+    return float(np.median(sizes)) if sizes else None

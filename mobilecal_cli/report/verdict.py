@@ -1,30 +1,47 @@
-"""The verdict on a calibration: PASS, FAIL or NOT ENOUGH, with the reason and the next step.
+"""The verdict on a calibration: PASS, FAIL or NOT ENOUGH, with the reason and the next step; and gates.
 
-PASS means that the expected errors in use are within their limits (`at_work`), and that nothing contradicts.
+PASS means that the expected errors in use are within their limits, and that nothing contradicts. Gates are limits on
+figures of a calibration or an evaluation, `--gate NAME=LIMIT` or `gates:` in rig.yaml.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import difflib
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
-from mobilecal_cli.model import Evaluation, Extraction, Solution
-from mobilecal_cli.report.at_work import default_errors
-from mobilecal_cli.report.changes import Change, change_checks
-from mobilecal_cli.report.check import Check, Checks
-from mobilecal_cli.report.checks import all_checks
-from mobilecal_cli.report.gates import Gate, figures_of, gate_checks, use_limits
-from mobilecal_cli.report.numbers import board_distance_m
-from mobilecal_cli.report.values import CheckData, Level, Outcome, VerdictData
-from mobilecal_cli.report.wording import words
-from mobilecal_cli.report.wording.use import passed
+import numpy as np
 
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.model import Drift, Evaluation, Extraction, Provenance, Solution
+from mobilecal_cli.ranges import number_of
+from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
+from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
+from mobilecal_cli.report.numbers import PARAMETERS, board_distance_m, reference_std
+from mobilecal_cli.report.use import FIGURES, LEAST_MOTION, use_sentence
+
+Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
 #: Outcome of a check → the verdict that it alone decides.
 LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
+#: Name of a figure → its value, None if unknown.
+Figures = Mapping[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class VerdictData:
+    """Whether the calibration can be used."""
+
+    level: Level
+    reason: str
+    next_step: str
+    checks: tuple[Check, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict(VerdictData):
     """Whether a calibration can be used.
 
     Attributes:
@@ -35,11 +52,29 @@ class Verdict:
         metrics: name → value of every figure that gates can limit, None if unknown.
     """
 
-    level: Level
-    reason: str
-    next_step: str
     checks: Checks = field(default_factory=Checks)
-    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    metrics: Figures = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A solution with all that belongs to it.
+
+    Attributes:
+        solution: the solution.
+        extraction: the data it was computed from.
+        provenance: time, version, recordings and settings.
+        verdict: result of `judge`.
+        trial: evaluation on the held-out stations, if any.
+        change: difference from the last calibration or from the nominal values, if there is either.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    provenance: Provenance
+    verdict: Verdict
+    trial: Evaluation | None = None
+    change: Change | None = None
 
 
 def judge(
@@ -58,53 +93,239 @@ def judge(
         trial: evaluation on the held-out stations, if any.
         change: difference from the last calibration, if there is one.
     """
-    found = [*all_checks(solution, extraction, use_limits(gates)), *change_checks(change)]
+    limits = {gate.name: gate.limit for gate in gates if gate.name in _USE_GATES}
+    made = Calibration(solution, extraction, limits, change)
+    found = [check for criterion in CRITERIA for check in criterion.checks(made)]
     metrics = figures_of(solution, extraction, trial, found)
     checks = Checks((*found, *gate_checks(gates, metrics)))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return decided_by(decisive, checks, metrics)
-    found_errors = None if solution.uncertainty is None else default_errors(solution.uncertainty.at_work)
-    point_mm, distance_m = solution.point_rms_m * 1e3, board_distance_m(extraction)
-    reason, next_step = passed(
-        len(extraction.observations), point_mm, distance_m, solution.method, found_errors
+    point_mm, share = (
+        solution.point_rms_m * 1e3,
+        0.1 * (solution.point_rms_m * 1e3) / board_distance_m(extraction),
     )
-    look = [words(check) for check in checks if check.outcome == "warning"]
-    if look:
-        next_step += f" Check first: {look[0].why} {look[0].next_step}"
+    reason = (
+        f"The point error over {len(extraction.observations)} stations is {point_mm:.1f} mm, {share:.1f} % of the "
+        "distance to the board. "
+    )
+    if solution.uncertainty is None:
+        unknown = "gives no standard deviations, so the expected errors in use are unknown"
+        reason += f"The method {solution.method} {unknown}."
+        next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
+    else:
+        reason, next_step = (
+            reason + use_sentence(solution.uncertainty.at_work),
+            "Use params.yaml on the robot.",
+        )
+    look = next((check for check in checks if check.outcome == "warning"), None)
+    if look is not None:
+        next_step += f" Check first: {look.why} {look.next_step}"
     return Verdict("PASS", reason, next_step, checks, metrics)
 
 
-def decided_by(check: Check, checks: Checks, metrics: Mapping[str, float | None] | None = None) -> Verdict:
+def decided_by(check: Check, checks: Checks, metrics: Figures | None = None) -> Verdict:
     """The verdict where one check decides."""
-    said = words(check)
-    return Verdict(LEVELS[check.outcome], said.why, said.next_step, checks, metrics or {})
+    return Verdict(LEVELS[check.outcome], check.why, check.next_step, checks, metrics or {})
 
 
 def reasons_of(verdict: Verdict) -> tuple[str, ...]:
     """One sentence or two for each criterion that is not met; none for PASS."""
-    return tuple(words(check).why for check in verdict.checks if check.outcome in LEVELS)
-
-
-def check_data(check: Check) -> CheckData:
-    """A criterion as numbers and sentences."""
-    said, met = words(check), check.outcome == "pass"
-    return CheckData(
-        id=check.id,
-        value=check.value,
-        limit=check.limit,
-        unit=check.unit,
-        at_least=check.at_least,
-        outcome=check.outcome,
-        name=said.name,
-        measured_text=said.measured,
-        limit_text=said.limit,
-        why="" if met else said.why,
-        next_step="" if met else said.next_step,
-    )
+    return tuple(check.why for check in verdict.checks if check.outcome in LEVELS)
 
 
 def verdict_data(verdict: Verdict) -> VerdictData:
-    """A verdict as numbers and sentences."""
-    checks = tuple(check_data(check) for check in verdict.checks)
-    return VerdictData(level=verdict.level, reason=verdict.reason, next_step=verdict.next_step, checks=checks)
+    """A verdict without the metrics."""
+    return VerdictData(verdict.level, verdict.reason, verdict.next_step, verdict.checks)
+
+
+def rms(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def drift_figures(drift: Drift) -> dict[str, float | None]:
+    """Drift in mm per m and degrees per full turn."""
+    return {
+        "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
+        "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
+    }
+
+
+#: Figures of an evaluation, and figures of a calibration that no criterion judges.
+_EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
+    Metric("stations", at_least=True): lambda found: float(found.stations),
+    Metric("legs", at_least=True): lambda found: float(len(found.legs)),
+    Metric("reprojection_rms_px", "px"): lambda found: rms(found.reprojection_px),
+    Metric("rotation_rms_deg", "deg"): lambda found: math.degrees(rms(found.rotation_rad)),
+    Metric("translation_rms_mm", "mm"): lambda found: rms(found.translation_m) * 1e3,
+    Metric("drift_mm_per_m", "mm/m"): lambda found: drift_figures(found.after)["mm_per_m"],
+    Metric("drift_deg_per_turn", "deg"): lambda found: drift_figures(found.after)["deg_per_turn"],
+}
+_SOLVED: Mapping[Metric, Callable[[Solution, Extraction], float]] = {
+    Metric("stations", at_least=True): lambda _, extraction: float(len(extraction.observations)),
+    Metric("legs", at_least=True): lambda _, extraction: float(
+        len(extraction.observations) - len({o.log for o in extraction.observations})
+    ),
+    Metric("reprojection_rms_px", "px"): lambda solution, _: solution.reprojection_rms_px,
+    Metric("point_rms_mm", "mm"): lambda solution, _: solution.point_rms_m * 1e3,
+    Metric("left_out"): lambda solution, _: float(sum(o.kind != "corners" for o in solution.outliers)),
+}
+_USE_GATES = frozenset(figure.name for figure in FIGURES)
+
+
+def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
+    """Name → figure, of those that a gate of `calibrate` (or of `evaluate`) can limit."""
+    if evaluating:
+        return {metric.name: metric for metric in _EVALUATED}
+    judged = {
+        metric.name: metric for criterion in CRITERIA if criterion.gated for metric in criterion.metrics
+    }
+    first = (
+        *_SOLVED,
+        *(Metric(parameter.gate, parameter.unit) for parameter in PARAMETERS),
+        *(judged[figure.name] for figure in FIGURES),
+        *(replace(metric, name=f"hold_out.{metric.name}") for metric in _EVALUATED),
+    )
+    return {metric.name: metric for metric in (*first, *(judged[name] for name in sorted(judged)))}
+
+
+def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
+    """Names of the figures that a gate of `calibrate` (or of `evaluate`) can limit."""
+    return tuple(gate_metrics(evaluating=evaluating))
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A limit on one figure.
+
+    Attributes:
+        name: name of the figure.
+        limit: upper limit, or a lower one, see `metrics`.
+    """
+
+    name: str
+    limit: float
+
+
+def gates_of(
+    flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False, hold_out: bool = True
+) -> tuple[Gate, ...]:
+    """Gates of the command line and the configuration; the command line takes precedence.
+
+    Args:
+        flags: `NAME=LIMIT`.
+        config: name → limit.
+        evaluating: for `evaluate`; gates of the configuration that apply to `calibrate` only are ignored.
+        hold_out: whether stations are held out.
+
+    Raises:
+        ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
+    """
+    known = gate_names(evaluating=evaluating)
+    every = {*gate_names(), *gate_names(evaluating=True)}
+    limits = dict(config)
+    for name in config:
+        if name not in every:
+            raise _unknown(f"gates.{name}", name, sorted(every))
+    if evaluating:
+        limits = {name: limit for name, limit in limits.items() if name in known}
+    for text in flags:
+        name, equals, value = text.partition("=")
+        if name not in known:
+            raise _unknown(f"--gate {text}", name, known)
+        try:
+            limits[name] = float(value)
+        except ValueError:
+            limits[name] = math.nan
+        if not equals or not math.isfinite(limits[name]):
+            raise ConfigError(
+                f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
+            )
+    tested = next((name for name in limits if name.startswith("hold_out.")), None)
+    if tested is not None and not hold_out:
+        raise ConfigError(
+            f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
+        )
+    return tuple(Gate(name, _finite(name, limit)) for name, limit in limits.items())
+
+
+def _finite(name: str, limit: object) -> float:
+    value = number_of(f"gate {name}", limit)
+    if not math.isfinite(value):
+        raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
+    return value
+
+
+def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+    return ConfigError(f"{where}: unknown figure", hint)
+
+
+def figures_of(
+    solution: Solution,
+    extraction: Extraction,
+    hold_out: Evaluation | None = None,
+    checks: Iterable[Check] = (),
+) -> dict[str, float | None]:
+    """Value of every figure of a calibration that a gate can limit, None if unknown.
+
+    Args:
+        solution, extraction: the calibration.
+        hold_out: evaluation on the held-out stations, if any.
+        checks: criteria, whose values are figures too.
+    """
+    found = solution.uncertainty
+    figures: dict[str, float | None] = dict.fromkeys(gate_names())
+    figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
+    figures |= {f"motion.{key}": solution.motion.get(key) for key in LEAST_MOTION}
+    if found is not None:
+        figures |= {
+            name: 0.0 for name in figures if name.startswith("noise.")
+        }  # levels of zero have no criterion
+        figures["observable"] = float(np.sum(found.observable | found.fixed))
+        stds = zip(PARAMETERS, reference_std(solution), strict=True)
+        figures |= {parameter.gate: std for parameter, std in stds}
+        figures |= {figure.name: figure.of(found.at_work) for figure in FIGURES}
+    if hold_out is not None:
+        figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}
+    return figures | {check.id: check.value for check in checks if check.id in figures}
+
+
+def evaluated_figures(found: Evaluation) -> Figures:
+    """Every figure of an evaluation that a gate can limit."""
+    return {metric.name: of(found) for metric, of in _EVALUATED.items()}
+
+
+def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
+    """Each gate as a criterion of the verdict; an unknown figure fails.
+
+    Known expected errors in use are left out: `judge` compares them with the limits of their gates.
+    """
+    metrics = gate_metrics() | gate_metrics(evaluating=True)
+    for gate in gates:
+        value, metric = figures.get(gate.name), metrics[gate.name]
+        if gate.name in _USE_GATES and value is not None:
+            continue
+        passes = value is not None and (value >= gate.limit if metric.at_least else abs(value) <= gate.limit)
+        measured = "unknown" if value is None else _rounded(value, gate.limit)
+        yield Check(
+            f"gate.{gate.name}", value, gate.limit, "pass" if passes else "fail",
+            f"gate {gate.name}",
+            measured,
+            f"at {'least' if metric.at_least else 'most'} {gate.limit:g}",
+            f"Gate failed: {gate.name} = {measured} (limit {gate.limit:g}).",
+            "See the report for the cause. `mobilecal suggest` lists stops that improve the result.",
+            unit=metric.unit,
+            at_least=metric.at_least,
+        )  # fmt: skip
+
+
+def _rounded(value: float, limit: float) -> str:
+    """A value with three digits, or more where three equal the limit."""
+    for digits in (3, 6, 9):
+        shown = f"{value:.{max(digits, len(str(int(abs(value)))))}g}"
+        if float(shown) != limit or value == limit:
+            break
+    return shown

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate import inspect
-from mobilecal_cli.report.checklist import checklist, checklist_text
+from mobilecal_cli.report.inspection import checklist, checklist_text
 from tests.command import run
 from tests.commands.edited import edited
 from tests.golden import assert_golden

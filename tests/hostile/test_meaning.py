@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.report.wording import words
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -50,7 +49,7 @@ def test_a_board_that_sinks_is_named():
     assert (jump.part, jump.station) == ("board", 10)
     assert jump.move_m == pytest.approx(0.03, abs=3e-3)
     verdict = judge(solution, made)
-    (said,) = (words(check) for check in verdict.checks if check.id == "jump")
+    (said,) = (check for check in verdict.checks if check.id == "jump")
     assert re.match(r"At station 10 \(\d+\.\d s\), the board moved by 3\d mm", said.why)
     assert verdict.level == "FAIL"
 

@@ -4,36 +4,40 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from html.parser import HTMLParser
 
 import cv2
 import numpy as np
 
 from mobilecal_cli.model import (
     Board,
+    CalibratedRobot,
     Extraction,
     FloatArray,
     JointLink,
+    Knowledge,
     LogSource,
     Method,
     Nominal,
+    Parameters,
     Provenance,
     Rejection,
     Snapshot,
     Solution,
 )
-from mobilecal_cli.report.build import build_report
-from mobilecal_cli.report.case import Case
-from mobilecal_cli.report.drawn import draw_all
-from mobilecal_cli.report.html import report_html
-from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.page import report_html
+from mobilecal_cli.report.plots import draw_all
+from mobilecal_cli.report.values import ReportData, build_report
+from mobilecal_cli.report.verdict import Case, judge
+from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, ideal_extraction
+from mobilecal_cli.solvers import constraints_of, solve
+from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 
 ROBOT = tick_robot()
 WHEELS = ROBOT.wheels
+ROBOT_PARAMETERS = Parameters(ROBOT.T_h_c, ROBOT.wheels)
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 
 
@@ -171,3 +175,88 @@ def make_hostile(extraction: Extraction) -> Extraction:
         logs=(LogSource(HOSTILE, "0" * 64),),
         counts={HOSTILE: 3, "stations": 15},
     )
+
+
+def hostile_solution(solution, hostile):
+    """The solution with the names of a hostile recording."""
+    return replace(solution, cameras=hostile.rig.cameras, motion={HOSTILE: 1.0})
+
+
+def robot(wheels=WHEELS, std=None):
+    covariance = np.zeros((9, 9)) if std is None else np.eye(9) * std**2
+    knowledge = None if std is None else Knowledge(covariance, np.ones(9, dtype=bool))
+    return CalibratedRobot("head", "camera", np.eye(4), wheels, knowledge)
+
+
+STATION_LEVELS = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
+
+
+def recorded(constants, noise=STATION_LEVELS, motion="standard", stations=12, seed=1):
+    robot = tick_robot()
+    route = plan_route(robot, motion, stations, seed=seed)
+    extraction = imperfect_extraction(robot, route, Imperfection(constants, noise), seed=seed)
+    nominal = Nominal(robot.T_h_c @ extraction.rig.cameras.T_c_reference, robot.wheels)
+    rig = replace(extraction.rig, nominal=nominal)
+    return replace(extraction, rig=rig, logs=(LogSource("log.mcap", "0" * 64),))
+
+
+@cache
+def solved(*constants, motion="standard", fixed=()):
+    extraction = recorded(dict(constants), motion=motion)
+    return solve(extraction, constraints=constraints_of(list(fixed), [], [])), extraction
+
+
+@cache
+def drawn():
+    extraction = recorded(draw(tick_robot(), np.random.default_rng(1)))
+    return solve(extraction), extraction
+
+
+def with_share(solution, source, share):
+    """The solution with a budget in which one source has a share of everything."""
+    budget = solution.uncertainty.budget
+    at = budget.sources.index(source)
+    rest = (1 - share) / (len(budget.sources) - 1)
+    column = np.full(len(budget.sources), rest)
+    column[at] = share
+    budget = replace(
+        budget, nine=np.repeat(column[:, None], 9, axis=1), at_work=dict.fromkeys(budget.at_work, column)
+    )
+    return replace(solution, uncertainty=replace(solution.uncertainty, budget=budget))
+
+
+VOID = {"meta", "br", "link", "img"}
+
+
+class Page(HTMLParser):
+    """Checks that every element closes in order, and gathers what the tests ask for."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        assert len(attrs) == len(dict(attrs)), f"<{tag}> has an attribute twice"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"style", "script", "title"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mobilecal_cli.report import drawn, metrics, tables, verdict, wording
-from mobilecal_cli.report.check import Check
+from mobilecal_cli.report import criteria, plots, tables, verdict
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.svg import Canvas
-from mobilecal_cli.report.values import json_text
-from mobilecal_cli.report.wording.words import Words
 from tests.report.example import made, make_extraction, make_solution, page_of
 
 
@@ -16,14 +15,14 @@ from tests.report.example import made, make_extraction, make_solution, page_of
 def case():
     extraction = make_extraction()
     solution = make_solution(extraction)
-    drawn.draw_all(solution, extraction)  # all plots are registered
+    plots.draw_all(solution, extraction)  # all plots are registered
     return solution, extraction
 
 
 def test_a_plot_is_one_function(case, monkeypatch):
-    monkeypatch.setattr(drawn, "_PLOTS", [*drawn._PLOTS])
+    monkeypatch.setattr(plots, "_PLOTS", [*plots._PLOTS])
 
-    @drawn.plot("coverage", "Nothing at all. Good: nothing.", each="side")
+    @plots.plot("coverage", "Nothing at all. Good: nothing.", each="side")
     def emptiness(solution, extraction, side):
         return Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg
 
@@ -48,18 +47,24 @@ def test_a_table_is_one_function(case, monkeypatch):
     assert '<td class="n">12.5</td>' in page
 
 
-def test_a_check_is_its_numbers_and_its_sentences(case, monkeypatch):
-    usual = verdict.all_checks
-    monkeypatch.setitem(metrics.METRICS, "color", metrics.Metric("color", "shades"))
-    check = Check("color", 3.0, 2.0, "fail")
-    monkeypatch.setattr(verdict, "all_checks", lambda *given: [*usual(*given), check])
-    said = Words("color of the robot", "3 shades", "under 2 shades", "The robot is too gray.", "Paint it.")
-    monkeypatch.setitem(wording._WORDS, "color", lambda check: said)
+def test_a_criterion_is_one_function(case, monkeypatch):
+    monkeypatch.setattr(criteria, "CRITERIA", [*criteria.CRITERIA])
+    monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
+
+    @criteria.criterion(criteria.Metric("color", "shades"))
+    def color(made):
+        shades = len(made.extraction.observations) / 4
+        yield criteria.Check(
+            "color", shades, 2.0, "fail",
+            "color of the robot", f"{shades:g} shades", "under 2 shades", "The robot is too gray.", "Paint it.",
+        )  # fmt: skip
 
     report = made(*case)
-    assert (report.verdict.level, report.verdict.reason, report.verdict.checks[-1].unit) == (
-        "FAIL",
-        "The robot is too gray.",
-        "shades",
-    )
+    (check,) = (check for check in report.verdict.checks if check.id == "color")
+    assert (report.verdict.level, report.verdict.reason) == ("FAIL", "The robot is too gray.")
+    assert (check.value, check.unit, check.measured_text) == (3.0, "shades", "3 shades")
+    assert report.metrics["color"] == 3.0
+    assert verdict.gates_of(["color=4"], {}) == (verdict.Gate("color", 4.0),)
     assert "The robot is too gray." in page_of(*case)
+    assert 'name="color of the robot"' in junit_xml("log", report.verdict).decode()
+    assert '"measured_text": "3 shades"' in json_text(report)

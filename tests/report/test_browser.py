@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import FleetRow, LogSource, Outlier, Rejection
-from mobilecal_cli.report.changes import Change
+from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import fleet_html
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.report.numbers import reference_pose, rotation_of
-from mobilecal_cli.report.parameters import decimals_of, std_text
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.numbers import (
+    decimals_of,
+    reference_pose,
+    rotation_of,
+    std_text,
+    value_text,
+)
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -56,3 +62,15 @@ def test_sigmas_of_the_rotation_are_those_of_the_printed_components(name):
 def test_a_standard_deviation_has_two_significant_digits(std, text, decimals):
     assert std_text(std) == text
     assert decimals_of(std) == decimals
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [(12.3456, 0.0073, "12.3456"), (223.06, 0.67, "223.06"), (1234.5, 31.0, "1234"), (2.0, None, "2.000")],
+)
+def test_values_have_the_digits_of_their_sigma(value, std, shown):
+    assert value_text(value, std, 3) == shown
+
+
+def test_visible_escapes_what_steers():
+    assert visible("a\x1b[31mé\u202e\udcff\n") == "a\\x1b[31mé\\u202e\\udcff\\n"

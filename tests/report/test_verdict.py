@@ -1,31 +1,40 @@
+"""The criteria of a calibration."""
+
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import Nominal, Parameters, WheelGeometry, WheelTrack
-from mobilecal_cli.report.check import Check, Checks
-from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.report.wording import words
+from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
+    Nominal,
+    Parameters,
+    WheelGeometry,
+    WheelTrack,
+)
+from mobilecal_cli.report.criteria import Check, Checks
+from mobilecal_cli.report.verdict import (
+    judge,
+)
 from mobilecal_cli.solvers import solve
-from tests.report.example import ROBOT, WHEELS, make_extraction, make_solution, with_nominal
+from tests.report.example import (
+    ROBOT,
+    WHEELS,
+    drawn,
+    made,
+    make_extraction,
+    make_solution,
+    rows_of,
+    with_nominal,
+)
 
 NO_SIGMAS = "Calibrate with --method ml (the default) for a result that the robot can use."
-
-
-@pytest.fixture(scope="module")
-def extraction():
-    return make_extraction()
-
-
-@pytest.fixture(scope="module")
-def solution(extraction):
-    return make_solution(extraction)
 
 
 def with_legs(solution, errors_m):
@@ -109,7 +118,7 @@ def test_linear_answers_that_both_do_not_fit_are_no_rivals(solution, extraction)
     verdict = judge(dataclasses.replace(solution, linear=linear), extraction)
     assert verdict.level == "PASS"
     (check,) = (check for check in verdict.checks if check.id == "second_solution")
-    assert words(check).measured == "not compared: the linear solution has a point error of 450 mm"
+    assert check.measured_text == "not compared: the linear solution has a point error of 450 mm"
 
 
 def test_wheels_far_from_their_nominal_sizes(solution, extraction):
@@ -134,7 +143,7 @@ def test_a_stereo_pair_that_does_not_fit(solution, extraction):
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
     verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
-    assert words(verdict.checks["stereo_error"]).measured == "0.0031 px (median)"
+    assert verdict.checks["stereo_error"].measured_text == "0.0031 px (median)"
 
 
 def test_squares_of_another_size(solution, extraction):
@@ -278,14 +287,18 @@ class TestWithTheSolver:
 
 def test_a_kind_of_criteria_is_its_worst():
     """The outcome counts first, then the share of the limit."""
+    numbers = (
+        ("noise.joint", 0.1, 0.4, "pass"),
+        ("noise.wheel", 0.02, 0.03, "warning"),
+        ("noise.floor", 0.29, 0.3, "pass"),
+        ("leg_outlier.point", 6.0, 20.0, "pass"),
+        ("leg_outlier.reprojection", 2.0, 5.0, "pass"),
+    )
+    texts = ("name", "measured", "limit")
     made = Checks(
         [
-            Check("noise.joint", 0.1, 0.4, "pass"),
-            Check("noise.wheel", 0.02, 0.03, "warning"),
-            Check("noise.floor", 0.29, 0.3, "pass"),
-            Check("leg_outlier.point", 6.0, 20.0, "pass"),
-            Check("leg_outlier.reprojection", 2.0, 5.0, "pass"),
-            Check("stations", 13, 12, "pass"),
+            *(Check(*each, *texts) for each in numbers),
+            Check("stations", 13, 12, "pass", *texts, at_least=True),
         ]
     )
     assert made["noise"].id == "noise.wheel"
@@ -294,3 +307,22 @@ def test_a_kind_of_criteria_is_its_worst():
     assert made["stations"].share == pytest.approx(12 / 13)
     with pytest.raises(KeyError):
         made["leg"]
+
+
+def test_a_camera_info_that_changes_is_no_silent_pass():
+    solution, extraction = drawn()
+    note = f"/left/camera_info: {CAMERA_INFO_CHANGES} 3.0 s after the start: K by up to 5 px"
+    verdict = judge(solution, replace(extraction, notes=(note,)))
+    assert verdict.level == "PASS"
+    assert f"Check first: {note}." in verdict.next_step
+
+
+def test_an_unevenness_of_the_floor_is_told():
+    solution, extraction = drawn()
+    noise = replace(solution.uncertainty.noise, floor_rad=np.radians(0.5))
+    verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, noise=noise)), extraction)
+    assert verdict.level == "PASS"
+    assert "The noise of the floor (roll and pitch of the base) is 0.5 degrees" in verdict.next_step
+    rows = rows_of(made(solution, extraction), "uncertainty", "Measurement noise")
+    assert rows["floor: roll and pitch under the base"][1] == "deg"
+    assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.kinematics.wheels import Increments
@@ -13,6 +14,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.solve import solve
 from tests.extractions import Noise, ideal_extraction
+from tests.report.schema import validated
 
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
@@ -123,3 +125,20 @@ def test_bad_covariances_and_missing_joints_are_named():
             from_poses([Drive([bad], *([np.zeros(2)] * 3))], (0.1, 0.1, 0.4), robot.chain)
     with pytest.raises(ConfigError, match="leg 1: the covariance"):
         from_motions([SensorMotion(1.0, 1.0, np.zeros(3), np.zeros((3, 3)))], (0.1, 0.1, 0.4), np.eye(4))
+
+
+def test_measured_poses_and_motions_have_a_report():
+    """Plots of corners are left out; all numbers are finite, and the page is whole."""
+    robot, recorded = drive(3)
+    nominal = T_V_C @ se3.transform(se3.rotation_z(np.array(0.005)), np.array([0.001, 0.001, 0.0]))
+    for extraction in (
+        from_poses([recorded], tuple(robot.wheels.vector * 1.001), robot.chain),
+        from_motions(legs(150, 1), (0.0206, 0.0206, 0.0885), nominal),
+    ):
+        report = Report(Data(extraction, (), {}), fitted(extraction))
+        assert report.verdict.level == "PASS"
+        assert "Reprojection" not in str(report)
+        assert "measured poses, over their stated standard deviation" in report.html
+        assert "All corner residuals" not in report.html
+        assert "NaN" not in report.json
+        validated(report.json)

@@ -10,9 +10,8 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters, WheelTrack
-from mobilecal_cli.report.case import Case
 from mobilecal_cli.report.tables import noise
-from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.report.verdict import Case, judge
 from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -22,7 +21,13 @@ from mobilecal_cli.solvers.initial_state import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
-from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.extractions import (
+    STATION_NOISE,
+    Imperfection,
+    Noise,
+    ideal_extraction,
+    imperfect_extraction,
+)
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 

@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
-from mobilecal_cli.report.values import json_text
+from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve

@@ -1,11 +1,166 @@
-"""What limits an expected error, and what to do about it: the words for each source of errors."""
+"""The expected errors when the calibration is used: their limits, what they come from, and what reduces them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.model import NINE, AtWork, FloatArray, Solution
+from mobilecal_cli.report.numbers import std_text
+
+#: Extent of the motion → with less, a parameter depends on a difference about as small as the noise.
+LEAST_MOTION = {"pan_range_deg": 10.0, "tilt_range_deg": 5.0, "turned_deg": 20.0, "driven_m": 0.2}
+#: Extent of the motion → its name, and what to do where it is small.
+MOTION = {
+    "pan_range_deg": ("pan range of the head", "pan the head further left and right"),
+    "tilt_range_deg": ("tilt range of the head", "tilt the head further up and down"),
+    "turned_deg": ("rotation of the base", "turn the base between stops"),
+    "driven_m": ("path length of the base", "drive the base further between stops"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One expected error in use.
+
+    Attributes:
+        field: of `AtWork`.
+        name: of its gate, see `Metric`.
+        meaning: label.
+        unit: for people.
+        factor: how many of it one unit of the field is.
+        limit: default limit in this unit; None for no limit.
+    """
+
+    field: str
+    name: str
+    meaning: str
+    unit: str
+    factor: float
+    limit: float | None = None
+
+    def of(self, expected: AtWork) -> float:
+        """The figure in its unit."""
+        return float(getattr(expected, self.field)) * self.factor
+
+
+_DEG = 180 / math.pi
+# fmt: off
+FIGURES = (
+    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "mm", 1e3, 20.0),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 1.0),
+    Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "mm", 1e3),
+    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3,
+           10.0),
+    Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
+           "mm/m", 1e3),
+    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight", "deg/m",
+           _DEG, 1.0),
+    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn", "deg",
+           _DEG, 5.0),
+)
+# fmt: on
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """An expected error against its limit.
+
+    Attributes:
+        figure: which.
+        value, limit: in its unit.
+    """
+
+    figure: Figure
+    value: float
+    limit: float
+
+    @property
+    def within(self) -> bool:
+        """Whether the error is within its limit; not if it is no number."""
+        return self.value <= self.limit
+
+    @property
+    def share(self) -> float:
+        """Error over limit."""
+        return self.value / self.limit if self.limit > 0 else math.inf if self.value > 0 else 0.0
+
+
+def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
+    """All expected errors that have a limit; none for methods that give no standard deviations.
+
+    Args:
+        solution: the solution.
+        limits: gate → limit, replacing the default.
+    """
+    found = solution.uncertainty
+    if found is None:
+        return ()
+    pairs = [(figure, limits.get(figure.name, figure.limit)) for figure in FIGURES]
+    return tuple(Use(f, f.of(found.at_work), limit) for f, limit in pairs if limit is not None)
+
+
+def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
+    """Motion of which the recording has little, and which this figure depends on, as sentences."""
+    of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
+    fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
+    head = (of_camera or of_point) and not all(fixed[:6])
+    base = not of_camera and not all(fixed[6:])
+    for (key, least), wanted in zip(LEAST_MOTION.items(), (head, head, base, base), strict=True):
+        now = solution.motion.get(key, least)
+        if wanted and now < least:
+            extent = f"{now:.1f} m" if key.endswith("_m") else f"{now:.0f} degrees"
+            yield f"{MOTION[key][1].capitalize()} (now {extent})."
+
+
+def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """What limits the least certain expected error, and what to do about it; empty where nothing is known."""
+    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
+    if worst is None or not worst.share > 0:
+        return ()
+    shares = shares_of(solution, worst.figure.field)
+    return limiting_sentence(shares, worst.figure.meaning), advice(shares)
+
+
+def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:
+    """(share, source) of an expected error, a field of `AtWork`, largest first; empty if unknown or zero."""
+    found = solution.uncertainty
+    if found is None or field not in found.budget.at_work:
+        return []
+    pairs = zip(found.budget.at_work[field].tolist(), found.budget.sources, strict=True)
+    return sorted(((share, name) for share, name in pairs if share > 0), reverse=True)
+
+
+def families(solution: Solution) -> tuple[tuple[str, ...], FloatArray]:
+    """Groups of sources and their shares, (G, 9 + F), of the nine parameters and of the fields of `AtWork`."""
+    found = solution.uncertainty
+    if found is None:
+        return (), np.zeros((0, len(NINE)))
+    budget = found.budget
+    columns = np.concatenate([budget.nine, np.stack(list(budget.at_work.values()), axis=1)], axis=1)
+    sums: dict[str, FloatArray] = {family: np.zeros(columns.shape[1]) for family in FAMILIES}
+    for name, row in zip(budget.sources, columns, strict=True):
+        sums[source(name).family] += np.maximum(row, 0.0)
+    return tuple(sums), np.array(list(sums.values()))
+
+
+def use_sentence(expected: AtWork) -> str:
+    """The expected errors that have a default limit, in one sentence."""
+    errors = [(figure.of(expected), figure.unit) for figure in FIGURES if figure.limit is not None]
+    camera_m, camera_rad, along, per_m, per_turn = (f"{std_text(value)} {unit}" for value, unit in errors)
+    camera = f"{camera_m} and {camera_rad}" if any(value for value, _ in errors[:2]) else "fixed by the user"
+    wheels = f"{along}, {per_m} and {per_turn} per full turn"
+    if not any(value for value, _ in errors[2:]):
+        wheels = "with wheels fixed by the user"
+    return (
+        f"Expected errors (1 sigma): camera in the base {camera}; dead reckoning {wheels}. "
+        "All are within their limits."
+    )
+
 
 #: Stated values dominate from this share of a variance on.
 _DOMINANT = 0.5

@@ -1,0 +1,646 @@
+"""The criteria of a calibration, in the order of the verdict: a mistake first, then missing data, contradictions and
+faults, the noise, and the errors in use. Most limits are wide: they catch faults, not higher noise.
+
+A new criterion is a function with the decorator `criterion`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
+from mobilecal_cli.report.decomposition import error_parts
+from mobilecal_cli.report.findings import contradiction_sentences
+from mobilecal_cli.report.numbers import (
+    board_distance_m,
+    encoder_heading_rad,
+    predicted_point_rms_m,
+    rejection_counts,
+    station_names,
+    stations_looked_at,
+    std_text,
+)
+from mobilecal_cli.report.use import (
+    FIGURES,
+    LEAST_MOTION,
+    MOTION,
+    advice,
+    limiting_sentence,
+    shares_of,
+    small_motion,
+    uses,
+)
+
+#: Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
+MIN_STATIONS = 8
+#: Reprojection error as an angle: depth noise does not affect it, so the limit is the same share as that of the point
+#: error.
+PIXEL_ERROR_BAD = 0.015
+#: Stated square size against the stereo measurement; a difference scales all lengths.
+SQUARE_LOOK_PERCENT = 1.0
+_SHOWN_WIDER = 1.05
+
+
+@criterion(Metric("mistake", "%"), gated=False)
+def mistake(made: Calibration) -> Iterator[Check]:
+    """The mistake in the robot description that explains a bad fit."""
+    found = made.solution.diagnosis
+    if found is None:
+        return
+    before, after = (
+        None if share is None else 100 * share for share in (found.error_share, found.corrected_share)
+    )
+    said = ("no solution" if share is None else f"{share:.2g} %" for share in (before, after))
+    yield Check(
+        "mistake", before, None, "fail",
+        "robot description",
+        "{}: point error {} of the distance to the board, {} when corrected".format(found.cause, *said),
+        "no mistake found",
+        f"The recording does not fit the robot's description: {found.cause}.",
+        f"{found.cure[0].upper()}{found.cure[1:]}.",
+    )  # fmt: skip
+
+
+@criterion(Metric("stations", at_least=True))
+def stations(made: Calibration) -> Iterator[Check]:
+    """Number of stations."""
+    have, least = len(made.extraction.observations), MIN_STATIONS
+    yield Check(
+        "stations", have, least, enough(have, least),
+        "stations with the board in both images",
+        f"{have:g}",
+        f"at least {least:g}",
+        f"The board is in both images at {have:g} stations only (limit {least:g}, recommended 12).",
+        "Record again with more stops where both cameras see the whole board.",
+    )  # fmt: skip
+
+
+@criterion(Metric("legs", at_least=True))
+def legs(made: Calibration) -> Iterator[Check]:
+    """Legs between stations, of several recordings."""
+    seen = made.extraction.observations
+    logs, least = len({o.log for o in seen}), MIN_STATIONS - 1
+    have = len(seen) - logs
+    if logs > 1:
+        yield Check(
+            "legs", have, least, enough(have, least),
+            "legs between consecutive stations",
+            f"{have:g} in {logs} recordings",
+            f"at least {least:g}",
+            f"The {logs} recordings have only {have:g} legs between consecutive stations (limit {least:g}).",
+            "Record again with more stops in each recording.",
+        )  # fmt: skip
+
+
+@criterion(Metric("observable", at_least=True))
+def observable(made: Calibration) -> Iterator[Check]:
+    """Parameters that the recording does not determine, and the motion that would.
+
+    A warning if all expected errors are within their limits all the same.
+    """
+    found, motion = made.solution.uncertainty, made.solution.motion
+    if found is None:
+        return
+    missing = [
+        name for name, ok, by_user in zip(NINE, found.observable, found.fixed, strict=True)
+        if not (ok or by_user)
+    ]  # fmt: skip
+    if not missing:
+        return
+    cures = []
+    if set(missing) & set(NINE[:6]):
+        cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
+    if set(missing) & set(NINE[6:]):
+        turns, drives = (motion[key] >= LEAST_MOTION[key] for key in ("turned_deg", "driven_m"))
+        cures.append(
+            "turn the base by 20 degrees or more between stops"
+            if drives and not turns
+            else "drive forward and back by 20 cm or more between stops"
+            if turns and not drives
+            else "drive and turn the base between stops"
+        )
+    names, within = ", ".join(missing), all(use.within for use in uses(made.solution, made.limits))
+    yield Check(
+        "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
+        "observable parameters",
+        f"{9 - len(missing)} of 9 (not observable: {names})",
+        "9 of 9",
+        f"The recording does not determine {names}. The nominal value is kept, with its own uncertainty.",
+        f"Record again and {'; '.join(cures)}.",
+    )  # fmt: skip
+
+
+_EXTENTS = {
+    key: Metric(f"motion.{key}", "m" if key.endswith("_m") else "degrees", at_least=True)
+    for key in LEAST_MOTION
+}
+
+
+@criterion(*_EXTENTS.values())
+def motion(made: Calibration) -> Iterator[Check]:
+    """Motion of head and base, for methods without standard deviations."""
+    if made.solution.uncertainty is not None:
+        return
+    for key, least in LEAST_MOTION.items():
+        if key not in made.solution.motion:
+            continue
+        (name, more), metric, value = MOTION[key], _EXTENTS[key], made.solution.motion[key]
+        yield Check(
+            metric.name, value, least, enough(value, least),
+            name,
+            f"{value:.1f} {metric.unit}",
+            f"at least {least:g} {metric.unit}",
+            f"The {name} in the recording is {value:.1f} {metric.unit} only (limit {least:g}).",
+            f"Record again and {more}.",
+        )  # fmt: skip
+
+
+@criterion(Metric("camera_info"), gated=False)
+def camera_info(made: Calibration) -> Iterator[Check]:
+    """One calibration of each camera for the whole recording; the estimate uses the first."""
+    changes = [note for note in made.extraction.notes if CAMERA_INFO_CHANGES in note]
+    if changes:
+        yield Check(
+            "camera_info", len(changes), 0, "warning",
+            "camera_info",
+            f"{len(changes)} changes",
+            "the same in the whole recording",
+            f"{visible(changes[0])}.",
+            "Record again with one camera calibration, or state the correct one in rig.yaml.",
+        )  # fmt: skip
+
+
+_JUMPS = {
+    "": ("something", "Check the mounts of head, cameras and board, and the cables"),
+    "head mount": ("the camera on the head", "Fasten the camera to the head"),
+    "board": ("the board", "Fasten the board"),
+    "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
+    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
+    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+}
+
+
+@criterion(Metric("jump", "sigma"), gated=False)
+def jump(made: Calibration) -> Iterator[Check]:
+    """Moments from which on something is not where it was before.
+
+    One that moves the result by more than the limit makes it neither the old nor the new one.
+    """
+    names, limit = station_names(made.extraction), 2.0
+    for found in made.solution.jumps:
+        at_s = (found.time_ns - int(made.extraction.wheels[found.log].time_ns[0])) / 1e9
+        since, joint = (
+            f"station {names[found.station]} ({at_s:.1f} s)",
+            visible(found.part.removeprefix("joint ")),
+        )
+        what, cure = _JUMPS.get(
+            found.part, (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
+        )
+        parts = [f"{1e3 * abs(found.move_m):.2g} mm"] if found.move_m else []
+        parts += [f"{math.degrees(found.turn_rad):.2g} degrees"] if found.turn_rad else []
+        size = " by " + " and ".join(parts) if parts else ""
+        moved = "moved" if found.part in ("", "head mount", "board", "right camera") else "changed"
+        lost = f"The images of {found.rejected} stations are not used, because they do not fit those before."
+        yield Check(
+            "jump", found.shift_sigmas if math.isfinite(found.shift_sigmas) else None, limit, "fail",
+            "changes inside the recording",
+            f"{what} {moved}{size} at {since}" if found.part else f"the images do not fit from {since} on",
+            f"moves the result by at most {limit:g} sigma",
+            f"At {since}, {what} {moved}{size}. {lost if found.rejected else ''}".rstrip(),
+            f"{cure}. Then record again.",
+        )  # fmt: skip
+
+
+#: Evidence beyond this is a contradiction: the solver's own limit.
+_CONTRADICTION_SIGMAS = 4.0
+
+
+@criterion(Metric("contradiction", "sigma"), gated=False)
+def contradiction(made: Calibration) -> Iterator[Check]:
+    """The stated values that the data contradict; those that the result depends on fail."""
+    solution, shift_limit = made.solution, 2.0
+    widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
+    for found in solution.contradictions:
+        what, cure = contradiction_sentences(found, solution, made.extraction)
+        wider = widths.get(nuisance.family(found.kind), 1.0)
+        yield Check(
+            f"contradiction.{found.kind}.{found.part}",
+            found.sigmas,
+            _CONTRADICTION_SIGMAS,
+            "fail" if found.shift_sigmas > shift_limit else "warning",
+            f"robot description: {visible(found.part)}, {nuisance.kind(found.kind).meaning}",
+            f"{found.sigmas:.1f} sigma from the stated values",
+            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+            f"{what} It changes the result by up to {found.shift_sigmas:.1f} standard deviations."
+            + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else ""),
+            cure,
+        )
+
+
+@criterion(Metric("description", "sigma"))
+def description(made: Calibration) -> Iterator[Check]:
+    """The largest evidence against stated values, where none is a contradiction."""
+    solution = made.solution
+    if solution.uncertainty is not None and not solution.contradictions:
+        most = max((found.sigmas for found in solution.evidence), default=0.0)
+        yield Check(
+            "description", most, _CONTRADICTION_SIGMAS, "pass",
+            "robot description",
+            f"at most {most:.1f} sigma from the stated values",
+            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+        )  # fmt: skip
+
+
+@criterion(Metric("second_solution", at_least=True))
+def second_solution(made: Calibration) -> Iterator[Check]:
+    """How many times larger the second-best solution's error is; None if there is no second one.
+
+    Two solutions whose errors differ by less than the limit cannot be distinguished. Linear solutions that do not fit,
+    for example because of a slip, are not compared: their errors are a large share of the distance to the board.
+    """
+    limit, fitting_share = 1.5, 0.1
+    kept, rival = made.solution.linear.point_rms_m, made.solution.linear.rival_point_rms_m
+    ratio = rival / kept if kept > 0 else math.inf
+    fits = kept < fitting_share * board_distance_m(made.extraction)
+    errors = f"point errors {kept * 1e3:.1f} and {rival * 1e3:.1f} mm"
+    yield Check(
+        "second_solution", ratio if math.isfinite(ratio) else None, limit,
+        "pass" if ratio >= limit or not fits else "fail",
+        "unique solution",
+        "all starts converge to one solution"
+        if not math.isfinite(ratio)
+        else f"second-best point error {ratio:.1f} times larger"
+        if fits
+        else f"not compared: the linear solution has a point error of {kept * 1e3:.0f} mm",
+        f"second-best at least {limit:g} times larger",
+        f"Two different solutions fit almost equally well: {errors}.",
+        "State the nominal wheels in rig.yaml, or record smaller turns between stops.",
+    )  # fmt: skip
+
+
+@criterion(Metric("wheel_difference", "%"))
+def wheel_difference(made: Calibration) -> Iterator[Check]:
+    """Relative difference between the wheel radii. Tires and load make a difference of a few percent."""
+    look, bad = 5.0, 25.0
+    wheels = made.solution.parameters.wheels
+    right, left = wheels.radius_right_m, wheels.radius_left_m
+    apart = 100 * (max(right, left) / min(right, left) - 1)
+    sizes = f"right {right * 1e3:.1f} mm, left {left * 1e3:.1f} mm"
+    yield Check(
+        "wheel_difference", apart, bad, graded(apart, look, bad),
+        "difference between the wheel radii",
+        f"{apart:.1f} % ({sizes})",
+        f"under {bad:g} %",
+        f"The wheel radii differ by {apart:.1f} %: {sizes}.",
+        "Check ticks_per_revolution of both wheels, and the tires.",
+    )  # fmt: skip
+
+
+_SIZES = {
+    "radius_right": "right wheel radius",
+    "radius_left": "left wheel radius",
+    "separation": "wheel separation",
+}
+
+
+@criterion(*(Metric(f"nominal.{size}", "%") for size in _SIZES))
+def nominal(made: Calibration) -> Iterator[Check]:
+    """Each size of the wheels against its nominal value.
+
+    A tape measure is good to a few percent; an error above 25 % is a wrong factor (ticks, gear, diameter).
+    """
+    look, bad = 5.0, 25.0
+    stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
+    for size, name in _SIZES.items() if stated is not None else ():
+        found_m, stated_m = (float(getattr(each, f"{size}_m")) for each in (wheels, stated))
+        off, mm, nominal_mm = 100 * (found_m / stated_m - 1), found_m * 1e3, stated_m * 1e3
+        ratio = mm / nominal_mm
+        times = (
+            "about half of"
+            if abs(ratio / 0.5 - 1) < 0.1
+            else "about twice"
+            if abs(ratio / 2.0 - 1) < 0.1
+            else f"{ratio:.2f} times"
+        )
+        yield Check(
+            f"nominal.{size}", off, bad, graded(abs(off), look, bad),
+            f"{name} against its nominal value",
+            f"{mm:.1f} mm, {off:+.1f} %",
+            f"within {bad:g} % of {nominal_mm:.1f} mm",
+            f"The {name} is {mm:.1f} mm, {times} the nominal {nominal_mm:.1f} mm.",
+            "Measure the robot with a ruler. Check ticks_per_revolution, and that a diameter was not entered as the "
+            "radius.",
+        )  # fmt: skip
+
+
+@criterion(Metric("stereo_error", "px"))
+def stereo_error(made: Calibration) -> Iterator[Check]:
+    """Corners against the flat board: with the cameras as estimated, or as stated where there is no estimate.
+
+    Good camera calibrations give 0.1 to 0.3 px.
+    """
+    look, bad = 0.6, 1.2
+    found = made.solution.uncertainty
+    stated = float(np.median([o.reprojection_px for o in made.extraction.observations]))
+    px = stated if found is None else found.noise.pixel_px
+    text = std_text(px)
+    yield Check(
+        "stereo_error", px, bad, graded(px, look, bad),
+        "stereo reprojection error of the board",
+        f"{text} px (median)" if found is None else f"{text} px (with camera_info as stated: {std_text(stated)} px)",
+        f"under {bad:g} px",
+        f"The stereo reprojection error of the board is {text} px (0.3 px is usual).",
+        "Calibrate the stereo pair again (camera_info), and check that the board is flat.",
+    )  # fmt: skip
+
+
+@criterion(Metric("square_size", "%"))
+def square_size(made: Calibration) -> Iterator[Check]:
+    """Stated square size against the stereo baseline, for methods that do not estimate both."""
+    stated, look, bad = made.extraction.board.square_m, SQUARE_LOOK_PERCENT, 3.0
+    if made.solution.uncertainty is not None or stated is None:
+        return
+    measured = float(np.median([o.square_m for o in made.extraction.observations]))
+    off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3
+    yield Check(
+        "square_size", off, bad, graded(abs(off), look, bad),
+        "square size: stereo against stated",
+        f"{measured_mm:.2f} mm, {off:+.2f} %",
+        f"within {bad:g} % of {stated_mm:.2f} mm",
+        f"The stereo pair measures squares of {measured_mm:.2f} mm, but {stated_mm:.2f} mm is stated.",
+        "Measure a square with a ruler. If it is as stated, the stereo baseline in camera_info is wrong.",
+    )  # fmt: skip
+
+
+def _noise(
+    metric: Metric, level: float, limits: tuple[float, float], name: str, cause: str
+) -> Iterator[Check]:
+    """A noise level, if it is not zero; the estimate allows for it, so its limits (look, bad) are wide."""
+    look, bad = limits
+    if level:
+        measured = f"{level:.2g} {metric.unit}"
+        yield Check(
+            metric.name, level, bad, graded(level, look, bad),
+            f"noise of the {name}",
+            measured,
+            f"under {bad:g} {metric.unit}",
+            f"The noise of the {name} is {measured} (below {look:g} {metric.unit} is usual).",
+            f"Check {cause}. Then record again.",
+        )  # fmt: skip
+
+
+@criterion(height := Metric("noise.height", "mm"))
+def height_noise(made: Calibration) -> Iterator[Check]:
+    """Noise of the floor's height."""
+    found = made.solution.uncertainty
+    level = 0.0 if found is None else 1e3 * found.noise.floor_m
+    name, cause = "floor (height of the base)", "that the floor is flat and that the board does not move"
+    yield from _noise(height, level, (4.0, 30.0), name, cause)
+
+
+def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
+    """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
+    return "warning" if outcome == "fail" and made.solution.uncertainty is not None else outcome
+
+
+@criterion(Metric("leg_outlier.point", "mm"), Metric("leg_outlier.reprojection", "px"))
+def leg_outlier(made: Calibration) -> Iterator[Check]:
+    """The leg with the largest error against the median leg, of five legs or more.
+
+    Errors of consistent legs are distributed like |x| of a normal x: the largest of 11 is about 3 times the median, the
+    largest of 1000 about 5 times. Short legs have small errors, so an outlier must also be large in absolute terms: as
+    a share of the distance, in mm or in the image. With coarse encoders, that is more than an error of one step on both
+    wheels, with a margin for the joints.
+    """
+    least_legs, times, look, bad, encoder_steps = 5, 5.0, 0.004, 0.01, 1.5
+    residuals, names = made.solution.residuals, station_names(made.extraction)
+    if len(residuals.legs) < least_legs:
+        return
+    excused = encoder_steps * encoder_heading_rad(made.solution, made.extraction)
+    look, bad = max(look, excused), max(bad, excused)
+    distance_mm, focal_px = board_distance_m(made.extraction) * 1e3, float(made.solution.cameras.left.K[0, 0])
+    for kind, unit, errors, scale in (
+        ("point", "mm", residuals.leg_point_rms_m * 1e3, distance_mm),
+        ("reprojection", "px", residuals.leg_reprojection_px, focal_px),
+    ):
+        worst, median = int(np.argmax(errors)), float(np.median(errors))
+        first, second = (names[end] for end in residuals.legs[worst])
+        error, limit = float(errors[worst]), bad * scale
+        far = error > times * median
+        yield Check(
+            f"leg_outlier.{kind}", error, limit,
+            _at_most(made, graded(error / scale, look, bad)) if far else "pass",
+            f"largest {kind} error of a leg",
+            f"{error:.1f} {unit} (median {median:.1f} {unit})",
+            f"under {times:g} times the median, or under {limit:.1f} {unit}",
+            f"The {kind} error between stations {first} and {second} is {error:.1f} {unit} "
+            f"(median {median:.1f} {unit}).",
+            "Check for wheel slip and for a moved board between these stations, and record again.",
+        )  # fmt: skip
+
+
+@criterion(Metric("point_error", "%"), Metric("reprojection_error", "px"))
+def errors(made: Calibration) -> Iterator[Check]:
+    """Point error and reprojection error, without what is no error of the calibration.
+
+    That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
+    limits of their own. Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the
+    distance. 1.5 % is 0.9 degrees of heading, more than a wheel without slip loses on one leg.
+    """
+    solution, look, bad = made.solution, 0.8, 1.5
+    if not len(solution.residuals.legs):
+        return
+    error, distance = solution.point_rms_m, board_distance_m(made.extraction)
+    predicted = predicted_point_rms_m(made.extraction, solution)
+    parts = [part for name, part in error_parts(solution, made.extraction).items() if name != "corners"]
+    explained = predicted**2 + sum(part.m**2 for part in parts)
+    unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
+    error_mm, depth = error * 1e3, f"(depth noise alone: {predicted * 1e3:.1f} mm)"
+    slip = "Check for wheel slip, a moved board, and errors in the head joints or their URDF."
+    yield Check(
+        "point_error", unexplained, bad, graded(unexplained, look, bad),
+        "point error",
+        f"{error_mm:.1f} mm, {0.1 * error_mm / distance:.2f} % of the distance {depth}",
+        f"under {bad:g} % without depth noise and uneven floor",
+        f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
+        slip,
+    )  # fmt: skip
+    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
+    px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts), 0.0))
+    yield Check(
+        "reprojection_error", px, limit, graded(px, math.inf, limit),
+        "reprojection error",
+        f"{error_px:.2f} px",
+        f"under {limit:.1f} px",
+        f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px).",
+        slip,
+    )  # fmt: skip
+
+
+@criterion(Metric("methods"))
+def methods(made: Calibration) -> Iterator[Check]:
+    """Difference between the linear and the refined solution; in shares of its limits, the largest.
+
+    The linear method alone has errors up to 2 degrees, 60 mm and 5 % of the wheels. It knows no fixed values, and
+    unobservable ones only roughly.
+    """
+    limits = (6.0, 200.0, 15.0)
+    linear, refined = made.solution.linear.parameters, made.solution.parameters
+    if made.solution.refinement is None:
+        return
+    step = refined.minus(linear)
+    apart = [
+        float(np.degrees(np.linalg.norm(step[:3]))),
+        1e3 * float(np.linalg.norm(step[3:6])),
+        100 * float(np.abs(linear.wheels.vector / refined.wheels.vector - 1).max()),
+    ]
+    found = made.solution.uncertainty
+    if found is not None:
+        known = [bool(found.observable[part].all()) for part in (slice(3), slice(3, 6), slice(6, 9))]
+        apart = [value if ok else 0.0 for value, ok in zip(apart, known, strict=True)]
+    largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
+    text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
+    yield Check(
+        "methods", largest, 1.0, _at_most(made, "fail") if largest > 1 else "pass",
+        "linear against refined solution",
+        f"differ by {text}",
+        "under {:g} degrees, {:g} mm and {:g} %".format(*limits),
+        f"The linear and the refined solution differ by {text}.",
+        "Check the head joints for play. Then record again with more stops, head motion and turns.",
+    )  # fmt: skip
+
+
+@criterion(Metric("outliers", "%"))
+def outliers(made: Calibration) -> Iterator[Check]:
+    """Outliers; the limit is the share that a robust estimate tolerates."""
+    if made.solution.uncertainty is None:
+        return
+    bad, count = 30.0, len(made.extraction.observations)
+    gross = [outlier for outlier in made.solution.outliers if outlier.kind != "corners"]
+    share = 100 * len(gross) / max(1, count)
+    further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
+    yield Check(
+        "outliers", share, bad, "fail" if share > bad else "warning" if gross else "pass",
+        "outliers",
+        f"{len(gross)} in {count} stations and the legs between them",
+        f"under {bad:g} %",
+        f"{gross[0].text}{further}" if gross else "",
+        "Find the cause. The result uses the remaining measurements.",
+    )  # fmt: skip
+
+
+@criterion(Metric("outliers_as_noise"), gated=False)
+def outliers_as_noise(made: Calibration) -> Iterator[Check]:
+    """Kinds of measurements with so many outliers that they are noise."""
+    kinds = made.solution.noisy
+    names = {"views": "stations' images", "legs": "legs' wheel rotations", "readings": "joint readings"}
+    if made.solution.uncertainty is not None and kinds:
+        yield Check(
+            "outliers_as_noise", len(kinds), 0, "warning",
+            "outliers that are noise",
+            ", ".join(kinds),
+            "none",
+            f"More than a third of the {' and of the '.join(names[kind] for kind in kinds)} differ from the rest: "
+            "their noise is larger than usual. All of them are used, with the noise level that fits them.",
+            "See the noise levels in the report.",
+        )  # fmt: skip
+
+
+_JOINT_NOISE = ("joint readings", "the head joints for play, and the head chain in the URDF")
+
+
+@criterion(joint := Metric("noise.joint", "degrees"), sliding_joint := Metric("noise.sliding_joint", "mm"))
+def joint_noise(made: Calibration) -> Iterator[Check]:
+    """Noise of the joint readings; in mm for a head that only slides."""
+    found, chain = made.solution.uncertainty, made.extraction.rig.chain
+    if found is None:
+        return
+    if chain.joints and len(chain.prismatic) == len(chain.joints):
+        level = 1e3 * chain.joint_units[0] * found.noise.joint_rad
+        yield from _noise(sliding_joint, level, (0.35, 0.7), *_JOINT_NOISE)
+    else:
+        yield from _noise(joint, float(np.degrees(found.noise.joint_rad)), (0.2, 0.4), *_JOINT_NOISE)
+
+
+@criterion(
+    wheel := Metric("noise.wheel", "rad per sqrt(rad)"),
+    wheel_share := Metric("noise.wheel_share", "%"),
+    floor := Metric("noise.floor", "degrees"),
+    stamp := Metric("noise.stamp", "ms"),
+)
+def other_noise(made: Calibration) -> Iterator[Check]:
+    """Noise of wheels, of the floor's roll and pitch, and of time stamps where the robot moves."""
+    found = made.solution.uncertainty
+    if found is None:
+        return
+    noise, moving = found.noise, not all(o.at_rest for o in made.extraction.observations)
+    yield from _noise(wheel, noise.wheel_rad_per_sqrt_rad, (0.015, 0.03), "wheels", "the wheels for slip")
+    name, cause = "wheels in proportion to their rotation", "the wheels for slip, the tires and the load"
+    yield from _noise(wheel_share, 100 * noise.wheel_share, (1.0, 5.0), name, cause)
+    name, cause = (
+        "floor (roll and pitch of the base)",
+        "that the floor is flat and that the base does not rock",
+    )
+    yield from _noise(floor, float(np.degrees(noise.floor_rad)), (0.3, 1.5), name, cause)
+    name, cause = "image time stamps", "that images have hardware time stamps, or stop for each image"
+    yield from _noise(stamp, 1e3 * noise.stamp_s if moving else 0.0, (2.0, 20.0), name, cause)
+
+
+@criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES))
+def expected_errors(made: Calibration) -> Iterator[Check]:
+    """Whether each expected error in use is within its limit; the least certain first."""
+    for use in sorted(uses(made.solution, made.limits), key=lambda use: -use.share):
+        figure, shares = use.figure, shares_of(made.solution, use.figure.field)
+        value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
+        yield Check(
+            figure.name, use.value, use.limit, "pass" if use.within else "not_enough",
+            f"expected error: {figure.meaning}",
+            value,
+            f"at most {use.limit:g} {figure.unit}",
+            f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
+            f"{limiting_sentence(shares, figure.meaning)}",
+            " ".join((advice(shares), *small_motion(made.solution, figure))),
+        )  # fmt: skip
+
+
+@criterion(Metric("rejected", "%"))
+def rejected(made: Calibration) -> Iterator[Check]:
+    """Share of rejected stations."""
+    look, found, used = 50.0, stations_looked_at(made.extraction), len(made.extraction.observations)
+    share, counts = 100 * (1 - used / found), rejection_counts(made.extraction)
+    often, lost = next(iter(counts))[1] if counts else "", f"{found - used} of {found}"
+    yield Check(
+        "rejected", share, look, graded(share, look, math.inf),
+        "rejected stations",
+        lost,
+        f"under {look:g} %",
+        f"{lost} stations were rejected{f' (most often: {visible(often)})' if often else ''}.",
+        "See the table of rejections in the report, and improve the next recording.",
+    )  # fmt: skip
+
+
+@criterion(Metric("change", "%", at_least=True))
+def change(made: Calibration) -> Iterator[Check]:
+    """Whether the robot is unchanged since the last calibration.
+
+    The limit is how often an unchanged robot shows a change this large.
+    """
+    found, unlikely = made.change, 1e-4
+    if found is None or found.p_value is None:
+        return
+    worst, limit = int(np.argmax(np.abs(np.nan_to_num(found.sigmas)))), 100 * unlikely
+    moved = f"{NINE[worst]} by {float(found.sigmas[worst]):+.1f} sigma"
+    yield Check(
+        "change", 100 * found.p_value, limit, "warning" if found.p_value < unlikely else "pass",
+        "change since the last calibration",
+        f"largest: {moved}",
+        f"probability by chance at least {limit:g} %",
+        f"The robot has changed since {visible(found.against)}: {moved}.",
+        "Check for a loose camera and worn tires. If you find no cause, record and calibrate again.",
+    )  # fmt: skip

@@ -1,0 +1,125 @@
+"""Formats of the results: JSON, tables for the page and the terminal, and the types that say what JSON contains.
+
+The end of a name is the unit: `_mm`, `_deg`, `_m`, `_rad`, `_px`, `_s`, `_ns`. None, and NaN in an array, is an unknown
+value.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, dataclass_transform
+
+import numpy as np
+from pydantic import GetPydanticSchema
+
+from mobilecal_cli.model import BoolArray, FloatArray
+
+Number: TypeAlias = float | None
+ByName: TypeAlias = Mapping[str, float]
+
+
+def _as(kind: Any) -> GetPydanticSchema:  # noqa: ANN401
+    return GetPydanticSchema(lambda _, handler: handler(kind))
+
+
+#: Arrays, with what they are in JSON.
+Two = Annotated[FloatArray, _as(tuple[float, float])]
+Three = Annotated[FloatArray, _as(tuple[float, float, float])]
+Four = Annotated[FloatArray, _as(tuple[float, float, float, float])]
+Row = Annotated[FloatArray, _as(tuple[float, ...])]
+NumberRow = Annotated[FloatArray, _as(tuple[Number, ...])]
+Matrix = Annotated[FloatArray, _as(tuple[tuple[float, ...], ...])]
+NumberMatrix = Annotated[FloatArray, _as(tuple[tuple[Number, ...], ...])]
+BoolMatrix = Annotated[BoolArray, _as(tuple[tuple[bool, ...], ...])]
+
+_T = TypeVar("_T")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def json_value(cls: type[_T]) -> type[_T]:
+    """A frozen dataclass whose fields are given by name, for JSON."""
+    return dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls)
+
+
+def like(cls: type[_T], source: object, **more: Any) -> _T:  # noqa: ANN401
+    """A value with further fields, and the others as in a value that has fields of the same name."""
+    own = {field.name: getattr(source, field.name) for field in fields(cls) if field.name not in more}  # type: ignore[arg-type]
+    return cls(**own, **more)
+
+
+def json_text(value: object, sort_keys: bool = True) -> str:
+    """A value as JSON: the same bytes for the same values. Numbers that are not finite are unknown values."""
+    return json.dumps(_plain(value), indent=1, sort_keys=sort_keys, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, float):
+        return value + 0.0 if math.isfinite(value) else None  # no -0.0
+    return value
+
+
+Kind = Literal["text", "number", "code", "name", "strong", "tag"]
+
+
+@json_value
+class Table:
+    """A table of the page, formatted; a column is text, a number, code, a name, the result ("strong") or a tag."""
+
+    section: str
+    title: str
+    note: str
+    heads: tuple[tuple[str, Kind], ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    @classmethod
+    def of(
+        cls,
+        heads: Sequence[str],
+        rows: Sequence[tuple[str, ...]],
+        section: str = "",
+        title: str = "",
+        note: str = "",
+    ) -> Table:
+        """A table.
+
+        Args:
+            heads: label of each column, with its kind in front ("number:1 sigma").
+            rows: the cells.
+            section: where the page shows it.
+            title: heading.
+            note: sentences above the table.
+        """
+        kinds = ((kind or "text", label) for kind, _, label in (head.rpartition(":") for head in heads))
+        columns = tuple((label, cast(Kind, kind)) for kind, label in kinds)
+        return cls(section=section, title=title, note=note, heads=columns, rows=tuple(rows))
+
+    def without_empty_columns(self) -> Table:
+        """The table without the columns that have no text."""
+        shown = [k for k in range(len(self.heads)) if not self.rows or any(row[k] for row in self.rows)]
+        rows = tuple(tuple(row[k] for k in shown) for row in self.rows)
+        return replace(self, heads=tuple(self.heads[k] for k in shown), rows=rows)
+
+    def lines(self, widths: Sequence[int] = ()) -> list[str]:
+        """The table for the terminal, numbers to the right.
+
+        Args:
+            widths: of the first columns. The others, and all by default, are as wide as their cells, after two spaces.
+        """
+        rows = [tuple(label for label, _ in self.heads), *self.rows]
+        lines = ["  " if widths else "" for _ in rows]
+        for k, (_, kind) in enumerate(self.heads):
+            given, side = k < len(widths), ">" if kind == "number" else "<"
+            wide, gap = (widths[k], "") if given else (max(len(row[k]) for row in rows), "  ")
+            lines = [f"{line}{gap}{row[k]:{side}{wide}}" for line, row in zip(lines, rows, strict=True)]
+        return [line.rstrip() for line in lines]

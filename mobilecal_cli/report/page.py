@@ -1,0 +1,300 @@
+"""report.html: the report as one file that needs no network; without scripts, texts, tables and plots are there.
+
+Terms of the report link to their definitions; docs/reference/glossary.md defines the same terms.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+import re
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.checks import MIN_STATIONS
+from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.numbers import std_text, value_text
+from mobilecal_cli.report.plots import Drawings
+from mobilecal_cli.report.svg import STYLE
+from mobilecal_cli.report.values import ReportData, ResultData
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+
+def report_html(report: ReportData, drawings: Drawings) -> str:
+    """The report as one HTML page: no network, one script, the same bytes for the same values.
+
+    The script links plots, tables and images by station, and draws the view in space from the report's JSON, which is
+    in the page.
+    """
+    from markupsafe import Markup  # SVG made here, with every text escaped
+
+    script, style = _asset("page.js"), _asset("page.css") + STYLE
+    filled: dict[str, object] = {
+        side: f"{100 * share:.0f} %" for side, share in report.image_coverage.items()
+    }
+    said = _sentences(report)
+    filled |= {"linear": report.linear, "refinement": said["refinement"]}
+    figures = [
+        {
+            "section": figure.section,
+            "half": figure.half,
+            "parts": [(title, Markup(svg)) for title, svg in figure.parts],
+            "caption": Markup.escape(figure.caption.format(**filled)).replace(
+                "Good:", Markup("<strong>Good:</strong>")
+            ),
+        }
+        for figure in drawings.figures
+    ]
+    text = link_terms(
+        template("report.html.jinja").render(
+            report=report,
+            figures=figures,
+            views=drawings.views,
+            said=said,
+            leg_title=_leg_title,
+            least_stations=MIN_STATIONS,
+            terms=TERMS,
+            policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
+            style=Markup(style),
+        )
+    )
+    data = json_text(report)
+    for character in "<>&":  # nothing in the data can end its element
+        data = data.replace(character, f"\\u{ord(character):04x}")
+    json_block = f'<script type="application/json" id="data">{data}</script>'
+    return text.replace("<!--scripts-->", f"{json_block}\n<script>{script}</script>")
+
+
+def _hash(text: str) -> str:
+    """What a Content-Security-Policy allows: exactly this script or style."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
+
+
+@functools.cache
+def _asset(name: str) -> str:
+    return files("mobilecal_cli.report").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+@functools.cache
+def template(name: str) -> Template:
+    """A template of this package. It escapes all text and treats undefined names as errors."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def shown(value: object) -> object:
+        """Escape control characters in every string that a template prints."""
+        return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+    found = Environment(
+        loader=PackageLoader("mobilecal_cli.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=shown,
+    )
+    return found.get_template(name)
+
+
+_REFINEMENTS = {
+    "paper": "Powell's method",
+    "lm": "Levenberg-Marquardt",
+    "ml": "maximum likelihood with Levenberg-Marquardt. The point error can rise because noisy points have less weight",
+}
+_INITIAL = {
+    "grid": "the best of a grid of wheel ratios",
+    "nominal": "the nominal wheels",
+    "given": "the given wheel ratios",
+}
+_RANKS = {
+    "worst": "Worst leg",
+    "median": "Median leg",
+    "best": "Best leg",
+    "only": "The leg with images",
+    "": "Leg",
+}
+
+
+def _sentences(report: ReportData) -> dict[str, str]:
+    """Name in the template → sentences."""
+    method, change = report.quality.method, report.change
+    solutions = "The solution was not refined."
+    if report.refinement is not None:
+        solutions = (
+            "The refined solution starts from it and weights each measurement by its own noise (maximum likelihood). "
+            "Its point error can be larger although its parameters are more accurate."
+            if method == "ml"
+            else "The refined solution starts from it and minimizes the point error. The two solutions should be close."
+        )
+    return {
+        "solutions": solutions,
+        "orientation": _orientation(report.parameters),
+        "change": "" if change is None else _change(change),
+        "refinement": _REFINEMENTS.get(method, method),
+        "initial": f"Initial estimate: {_INITIAL[report.linear.initial_from]}.",
+    }
+
+
+def _leg_title(rank: str, first: str, second: str, error_px: float, error_mm: float) -> str:
+    """Title of the images of a leg between two stations."""
+    return f"{_RANKS[rank]}, from station {first} to {second}: {error_px:.2f} px, {error_mm:.1f} mm"
+
+
+def _orientation(found: ResultData) -> str:
+    """Quaternion, and Euler angles with their standard deviations; without these near gimbal lock."""
+    quaternion = ", ".join(f"{q:.6f}" for q in found.quaternion_xyzw)
+    shown, angles, stds = (
+        f"Quaternion (x, y, z, w): {quaternion}.",
+        found.euler_zyx_deg,
+        found.euler_zyx_std_deg,
+    )
+    if angles is None:
+        margin = f"{found.gimbal_margin_deg:.1f}"
+        return f"{shown} Euler angles are not shown: the orientation is {margin}° from gimbal lock."
+    each = (
+        f"{axis} = {value_text(angle, None if stds is None else stds[k], 3)}°"
+        + ("" if stds is None else f" ± {std_text(stds[k])}°")
+        for k, (axis, angle) in enumerate(zip("xyz", angles, strict=True))
+    )
+    return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
+
+
+def _change(change: Change) -> str:
+    in_sigma = np.isfinite(change.sigmas).any()
+    more = "; in sigma: divided by the standard deviation of the difference" if in_sigma else ""
+    text = f"Change: difference from {change.against}{more}."
+    if change.p_value is not None:
+        text += (
+            " If the robot did not change, the probability of a difference this large is "
+            f"{100 * change.p_value:.2g} %."
+        )
+    return text
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One entry of the glossary.
+
+    Attributes:
+        key: its anchor, after "term-".
+        name: its heading.
+        pattern: regular expression for the words that link to it.
+        definition: one or two sentences.
+    """
+
+    key: str
+    name: str
+    pattern: str
+    definition: str
+
+
+TERMS = (
+    Term("contradiction", "Contradiction", "contradict(?:ions?|s)?",
+         "A stated value of the robot description that the recording disagrees with by more than four standard "
+         "deviations. The solver then trusts it less."),
+    Term("dead-reckoning", "Dead reckoning", "dead reckoning",
+         "The path of the base, computed from the wheel rotations alone."),
+    Term("error-budget", "Error budget", "error budget",
+         "What share of a variance comes from each source: corners, joints, floor, wheels, and each kind of stated "
+         "value."),
+    Term("gimbal-lock", "Gimbal lock", "gimbal lock",
+         "An orientation at which Euler angles are not unique: the middle angle is near ±90°. Use the rotation "
+         "vector or the quaternion there."),
+    Term("head-eye", "Head-eye transform", "head-eye transform",
+         "The pose of the reference camera in the frame of the last head link: rotation and translation."),
+    Term("hold-out", "Hold-out", "hold-out|held-out|held out",
+         "Data kept aside: it has no influence on the result, and the result is tested on it."),
+    Term("initial", "Initial estimate", "initial estimates?",
+         "The parameters from which an iterative method starts."),
+    Term("jackknife", "Jackknife", "jackknife",
+         "A second estimate of the standard deviations. It leaves out parts of the data in turn and measures how "
+         "much the result changes."),
+    Term("leg", "Leg", "legs?", "The motion of the base from one station to the next."),
+    Term("linear", "Linear solution", "linear (?:solution|method)",
+         "The result of the iterative linear method of Kim and Jeong (2015). It is the start of the refinement."),
+    Term("ml", "Maximum likelihood", "maximum likelihood",
+         "The method that weights each measurement by its own noise and finds the parameters that explain all "
+         "measurements best."),
+    Term("nine", "Nine parameters", "nine parameters|nine-parameter model",
+         "The head-eye transform (six parameters), the right and left wheel radius, and the wheel separation."),
+    Term("nominal", "Nominal value", "nominal (?:values?|wheels|head-eye transform)",
+         "The value of a parameter before calibration, from the URDF or from rig.yaml."),
+    Term("observable", "Observable", "(?:un)?observable",
+         "A parameter is observable if the motion in the recording determines it. An unobservable parameter "
+         "keeps its nominal value, with the standard deviation of a nominal value."),
+    Term("outlier", "Outlier", "outliers?",
+         "A station, leg or reading that is inconsistent with the others. The solver leaves it out."),
+    Term("point-error", "Point error", "point errors?",
+         "The station-to-station corner error in space, root mean square in mm. The paper's Table 1 calls it Error."),
+    Term("prior", "Prior", "priors?",
+         "What is known of a parameter or a constant of the robot description without the recording: a value with its "
+         "standard deviation. The solver treats it as one more measurement."),
+    Term("rejected", "Rejected", "rejected|rejections?",
+         "A station or image is rejected before the solve if it gives no usable measurement."),
+    Term("reprojection", "Reprojection error", "reprojection errors?",
+         "The station-to-station corner error in the images, root mean square in px."),
+    Term("residual", "Residual", "residuals?",
+         "The difference between a measurement and its prediction by the solution."),
+    Term("rotation-vector", "Rotation vector", "rotation vectors?",
+         "A rotation written as its axis times its angle. It is unique for all angles below 180°."),
+    Term("sigma", "Sigma", "standard deviations?|sigmas?",
+         "Standard deviation (1 sigma): the expected size of the error. The true value is within 1 sigma in 68 % of "
+         "cases and within 2 sigma in 95 %."),
+    Term("station", "Station", "stations?",
+         "A moment at which both cameras see the board, usually while the robot stands still."),
+    Term("corner-error", "Station-to-station corner error", "station-to-station corner errors?",
+         "How well the nine parameters predict the board corners of one station from those of the next."),
+)  # fmt: skip
+
+_ANY = re.compile(
+    r"(?<![\w-])(?:"
+    + "|".join(f"(?P<t{i}>{term.pattern})" for i, term in enumerate(TERMS)).replace(" ", r"\s+")
+    + r")(?![\w-])",
+    re.IGNORECASE,
+)
+_TAG = re.compile(r"(<[^>]*>)")
+_NAME = re.compile(r"</?([a-zA-Z0-9]+)")
+#: Elements whose text gets no links: code, drawings, headings, the glossary itself, and links.
+_PLAIN = frozenset(
+    {"style", "title", "svg", "code", "a", "h1", "h2", "h3", "th", "summary", "dl", "label", "button"}
+)
+
+
+def link_terms(page: str) -> str:
+    """The page with a link from the first use of each term in each section to its definition.
+
+    Args:
+        page: HTML in which "<" and ">" occur in tags only.
+    """
+    parts = _TAG.split(page)
+    linked: set[str] = set()
+    plain = 0  # depth of elements that get no links
+    for i, part in enumerate(parts):
+        if not part.startswith("<"):
+            if not plain and part.strip():
+                parts[i] = _ANY.sub(lambda match: _link(match, linked), part)
+            continue
+        found = _NAME.match(part)
+        name = found.group(1).lower() if found else ""
+        if name == "section":
+            linked.clear()
+        elif name in _PLAIN and not part.endswith("/>"):
+            plain += -1 if part.startswith("</") else 1
+    return "".join(parts)
+
+
+def _link(match: re.Match[str], linked: set[str]) -> str:
+    term = TERMS[int((match.lastgroup or "t0")[1:])]
+    if term.key in linked:
+        return match.group()
+    linked.add(term.key)
+    return f'<a class="term" href="#term-{term.key}" title="{escape(term.definition)}">{match.group()}</a>'

@@ -1,0 +1,145 @@
+"""Contradictions, outliers and the jackknife in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import (
+    Outlier,
+)
+from mobilecal_cli.report.checks import outliers_as_noise
+from mobilecal_cli.report.criteria import Calibration
+from mobilecal_cli.report.findings import (
+    contradiction_sentences,
+    jackknife_sentence,
+    outlier_sentences,
+)
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.verdict import (
+    judge,
+)
+from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
+from tests.extractions import ideal_extraction
+from tests.report.example import drawn, made, make_extraction, make_solution, solved
+
+
+def test_a_turned_camera_is_named_with_its_cure():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    (found,) = solution.contradictions
+    what, cure = contradiction_sentences(found, solution, extraction)
+    assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
+    assert what.endswith("deg from camera_info (prior 0.050 deg).")
+    assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
+    value, std = found.values["stereo_r_x"]
+    assert abs(value - np.radians(0.5)) < 4 * std
+    assert what in " ".join(summary_text(made(solution, extraction)).split())
+    (table,) = (table for table in made(solution, extraction).tables if table.section == "constants")
+    part, name, _, _, _, prior, _, tag = table.rows[0]
+    assert (part, name, prior, tag) == ("right camera", "stereo_r_x", "0.050", "contradicts")
+
+
+@pytest.mark.parametrize(("shift", "level"), [(1.9, "PASS"), (2.1, "FAIL")])
+def test_a_contradiction_fails_where_the_result_depends_on_it(shift, level):
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    found = replace(solution.contradictions[0], shift_sigmas=shift)
+    verdict = judge(replace(solution, contradictions=(found,)), extraction)
+    assert verdict.level == level
+    assert "Right camera" in verdict.reason + verdict.next_step
+
+
+def test_squares_and_baseline_disagree_together():
+    solution, extraction = solved(("square_scale", 0.02))
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("The stated squares and the stereo baseline disagree by ")
+    assert "The recording cannot tell which of the two is wrong." in verdict.next_step
+    assert solution.scale.ratio == pytest.approx(1.02, abs=0.005)
+
+
+def test_no_stated_size_is_named_where_none_is_stated():
+    solution, extraction = solved(("square_scale", 0.02))
+    found = next(one for one in solution.contradictions if one.kind == "square_size")
+    unstated = replace(extraction, board=replace(extraction.board, square_m=None))
+    what, cure = contradiction_sentences(found, replace(solution, scale=None), unstated)
+    assert what.startswith("Board: length of the baseline and size of the squares together differ ")
+    assert "from the size that the stereo pair measures at each station (prior " in what
+    assert cure == "Check that camera_info belongs to these images, and state board.square_m in rig.yaml."
+
+
+def test_constants_that_the_recording_shows_only_together_are_named():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    (found,) = solution.contradictions
+    together = replace(found, values={name: (value, np.inf) for name, (value, _) in found.values.items()})
+    what, _ = contradiction_sentences(together, solution, extraction)
+    assert what.startswith("Right camera: rotation about the left camera's x and rotation about")
+    assert what.endswith(" together differ from camera_info (prior 0.050 deg).")
+
+
+def test_the_jackknife_widens_sigmas_that_are_too_small():
+    right, extraction = drawn()
+    assert (right.uncertainty.widened == 1).all()
+    assert "therefore" not in jackknife_sentence(right)
+    given = replace(
+        extraction.rig.noise,
+        pixel_px=0.04,
+        joint_rad=2e-4,
+        wheel_rad_per_sqrt_rad=1e-3,
+        wheel_share=2e-4,
+        floor_rad=np.radians(0.02),
+        floor_m=2e-4,
+        sway_rad=1e-6,
+        sway_m=1e-6,
+    )
+    found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
+    uncertainty = found.uncertainty
+    wide = uncertainty.widened > 1
+    assert wide.any()
+    np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])
+    assert "are therefore those of the jackknife" in jackknife_sentence(found)
+
+
+EXTRACTION = ideal_extraction(paper_robot(), plan_route(paper_robot(), stations=8))
+
+
+def moved(*stations):
+    return [Outlier("station", 0, (i,), i, f"Station {i} is off.") for i in stations]
+
+
+def test_a_few_are_listed_singly():
+    slip = Outlier("slip", 0, (2, 3), 3, "Slip.")
+    assert list(outlier_sentences([slip, *moved(1, 5)], EXTRACTION)) == [
+        "Station 1 is off.",
+        "Station 5 is off.",
+        "Slip.",
+    ]
+
+
+def test_many_are_grouped_with_their_count():
+    (sentence,) = outlier_sentences(moved(1, 2, 5, 7), EXTRACTION)
+    assert sentence.startswith("4 stations whose images do not fit")
+    assert "(1, 2, 5, 7)" in sentence
+    assert sentence.endswith("The first: Station 1 is off.")
+
+
+def test_many_slips_are_named_by_their_legs():
+    slips = [Outlier("slip", 0, (i, i + 1), i, "Slip.") for i in range(4)]
+    (sentence,) = outlier_sentences(slips, EXTRACTION)
+    assert "(0-1, 1-2, 2-3, 3-4)" in sentence
+
+
+def test_noise_is_named_by_its_kind():
+    solution = make_solution(make_extraction(), "ml")
+
+    def said(*kinds):
+        made = Calibration(replace(solution, noisy=kinds), make_extraction())
+        (check,) = outliers_as_noise(made)
+        assert (check.value, check.limit, check.outcome) == (len(kinds), 0, "warning")
+        return check.why
+
+    assert "joint readings differ" in said("readings")
+    assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")

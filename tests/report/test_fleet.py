@@ -1,0 +1,25 @@
+"""The table of a fleet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+
+from mobilecal_cli.model import (
+    FleetRow,
+)
+from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
+
+
+def test_no_sigma_is_shown_as_zero(extraction):
+    rows = [FleetRow(f"r{n}", "PASS", 0, "", 12, (0.1, 0, 0), (0.1,) * 6, (1e-7,) * 9) for n in range(2)]
+    assert "± 0.00010" in fleet_html(rows)
+    assert not re.search(r"± 0\.0*[^0-9.]", fleet_html(rows))
+
+
+def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
+    rows = [FleetRow("=HYPERLINK(1)\x1b[31m", "PASS", 0, "fine", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9)]
+    (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
+    assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
+    assert "\x1b" not in fleet_text(rows)

@@ -1,0 +1,133 @@
+"""The page."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+
+import pytest
+
+from mobilecal_cli.model import (
+    LogSource,
+)
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.page import TERMS, link_terms
+from tests.report.example import (
+    HOSTILE,
+    Page,
+    hostile_solution,
+    made,
+    make_extraction,
+    make_hostile,
+    make_snapshots,
+    make_solution,
+    page_of,
+)
+
+
+def test_the_page_says_what_matters_first(page, solution):
+    text = page.text
+    assert text.index("PASS") < text.index("The nine parameters") < text.index("Checks")
+    for words in (
+        "rotation vector",
+        f"{1e3 * solution.parameters.wheels.radius_right_m:.2f}",
+        f"{1e3 * solution.parameters.wheels.separation_m:.2f}",
+        f"{1e3 * solution.linear.point_rms_m:.2f}",
+        f"{1e3 * solution.point_rms_m:.2f}",
+        "board partly hidden",
+        "head_link",
+    ):
+        assert words in text
+
+
+def test_the_page_needs_no_network_and_runs_its_own_script_only(html, page):
+    for tag, attributes in page.tags:
+        assert tag not in {"iframe", "link", "object", "embed", "img", "form"}
+        assert not [name for name in attributes if name.startswith("on")]
+        for name in ("src", "href", "xlink:href"):
+            assert re.match(r"#|data:image/jpeg;base64,", attributes.get(name) or "#")
+    assert [attributes for tag, attributes in page.tags if tag == "script"] == [
+        {"type": "application/json", "id": "data"},
+        {},
+    ]
+    (policy,) = (a["content"] for tag, a in page.tags if a.get("http-equiv") == "Content-Security-Policy")
+    assert "unsafe" not in policy
+    for tag, directive in (("script", "script-src"), ("style", "style-src")):
+        text = html.rpartition(f"<{tag}>")[2].partition(f"</{tag}>")[0]
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{directive} 'sha256-{digest}'" in policy
+    assert "@import" not in html
+    assert not re.search(r"url\((?!#)", html)
+
+
+def test_ids_are_unique_and_references_resolve(html, page):
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    used = re.findall(r'(?:href="#|url\(#)([^")]+)', html)
+    assert used
+    assert set(used) <= set(ids)
+
+
+def test_figures_follow_the_page_colours(html):
+    assert "var(--ink)" in html
+    assert not re.search(r"#0[1-6]0[1-6]0[1-6]\b", html)
+
+
+def test_the_page_is_small_and_repeats_byte_for_byte(solution, extraction, html):
+    assert len(html.encode()) < 1_000_000
+    assert page_of(solution, extraction, make_snapshots(extraction)) == html
+
+
+def test_hostile_strings_stay_text(solution, extraction):
+    hostile = make_hostile(extraction)
+    html = page_of(
+        hostile_solution(solution, hostile),
+        hostile,
+        make_snapshots(hostile),
+        logs=(LogSource(HOSTILE, HOSTILE),),
+        config={HOSTILE: HOSTILE},
+        version=HOSTILE,
+    )
+    page = Page(html)
+    assert sum(tag == "script" for tag, _ in page.tags) == 2
+    (data,) = re.findall(r'id="data">(.*?)</script>', html, re.DOTALL)
+    assert not set("<>&") & set(data)
+    assert json.loads(data)["parameters"]["child_frame"] == HOSTILE
+    assert "{{7*7}}" in page.text
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202e\ud800-\udfff]", html)
+    html.encode("utf-8")
+
+
+def test_the_fewest_stations_make_a_page():
+    extraction = make_extraction(n=4)
+    solution = make_solution(extraction)
+    assert "NOT ENOUGH" in Page(page_of(solution, extraction, make_snapshots(extraction))).text
+    assert json.loads(json_text(made(solution, extraction)))["verdict"]["level"] == "NOT ENOUGH"
+
+
+def test_the_linear_method_alone(extraction):
+    solution = make_solution(extraction, "linear")
+    text = Page(page_of(solution, extraction)).text
+    assert "The solution was not refined" in text
+    assert "iteration of the refinement (0" not in text
+    assert json.loads(json_text(made(solution, extraction)))["refinement"] is None
+
+
+def test_terms_link_to_their_definitions_once_a_section(html):
+    for section in re.findall(r"<section.*?</section>", html, flags=re.DOTALL):
+        links = re.findall(r'<a class="term" href="#term-([\w-]+)" title="', section)
+        assert len(links) == len(set(links))
+    assert {term.key for term in TERMS} >= set(re.findall(r'href="#term-([\w-]+)"', html))
+    first = html.index("<h2>The nine parameters</h2>")
+    assert re.search(
+        r'<a class="term" href="#term-head-eye" title="[^"]+">Head-eye transform</a>', html[first:]
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["leg-work", "<code>station</code>", '<b title="station">x</b>', "<h2>Leg</h2>"]
+)
+def test_no_links_inside_names_code_and_headings(text):
+    assert link_terms(f"<p>{text}</p>") == f"<p>{text}</p>"

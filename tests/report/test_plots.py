@@ -1,0 +1,102 @@
+"""Plots, and images with marks."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import (
+    HeadChain,
+    JointLink,
+    Snapshot,
+)
+from mobilecal_cli.report.overlays import leg_views
+from mobilecal_cli.report.plots import trail
+from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
+
+
+def test_overlays_draw_both_marks_for_every_corner(extraction, page):
+    circles = [a for tag, a in page.tags if tag == "circle" and "class" not in a]
+    legs = len(extraction.observations) - 1
+    assert len(circles) == legs * 2 * 2 * extraction.board.corners
+    assert sum(tag == "image" for tag, _ in page.tags) == legs * 2
+
+
+def test_overlays_pick_worst_median_and_best(extraction, solution):
+    views = leg_views(solution, extraction, make_snapshots(extraction))
+    px = solution.residuals.leg_reprojection_px
+    assert sorted(view.observation for view in views) == list(range(len(px)))
+    assert {view.rank for view in views[3:]} == {""}
+    views = views[:3]
+    assert [view.error_px for view in views] == [max(px), sorted(px)[len(px) // 2], min(px)]
+    assert [view.rank for view in views] == ["worst", "median", "best"]
+    worst = int(np.argmax(px))
+    np.testing.assert_allclose(
+        np.array(views[0].pictures[1].marks)[:, 2:],
+        solution.residuals.predicted_right_px[worst] + 0.5,
+        atol=0.006,
+    )
+
+
+def test_overlays_use_the_legs_that_have_pictures(extraction, solution):
+    first = make_snapshots(extraction)[:1]
+    (view,) = leg_views(solution, extraction, first)
+    assert (view.rank, view.from_station, view.to_station) == ("only", "0", "1")
+    assert leg_views(solution, extraction, ()) == []
+
+
+def test_a_broken_picture_is_said(solution, extraction):
+    broken = (Snapshot(0, 0, b"not a jpeg", b""),)
+    assert "cannot be decoded" in Page(page_of(solution, extraction, broken)).text
+
+
+def test_several_logs_have_a_path_each():
+    extraction = make_extraction(n=5, logs=2)
+    page = Page(page_of(make_solution(extraction), extraction))
+    assert "robot_1.mcap" in page.text
+    labels = [attributes.get("aria-label") for _, attributes in page.tags]
+    assert labels.count("top view of the base path with cameras and board") == 2
+    assert "1:0–1:1" in page.text
+
+
+def test_a_head_with_one_joint():
+    chain = HeadChain("base_link", "head_link", (JointLink("pan", np.array([0, 0, 1.0])),), pan="pan")
+    extraction = make_extraction(n=8)
+    solution = make_solution(extraction)
+    seen = tuple(
+        dataclasses.replace(o, joints=o.joints[:1], joints_std=o.joints_std[:1])
+        for o in extraction.observations
+    )
+    rig = dataclasses.replace(extraction.rig, chain=chain)
+    extraction = dataclasses.replace(extraction, rig=rig, observations=seen)
+    assert "pan [deg]" in Page(page_of(solution, extraction)).text
+
+
+def test_the_trail_runs_through_the_stations(solution, extraction):
+    times = np.array([o.time_ns for o in extraction.observations])
+    path = trail(extraction.wheels[0], times, WHEELS)
+    ends = solution.residuals.T_w_v[:, :2, 3]
+    assert np.linalg.norm(path[-1] - ends[-1]) < 0.03
+    nearest = np.linalg.norm(path[None] - ends[:, None], axis=-1).min(axis=1)
+    assert np.all(nearest < 0.03)
+
+
+def test_a_long_recording_stays_small():
+    extraction = make_extraction(n=100)
+    assert len(page_of(make_solution(extraction), extraction).encode()) < 900_000
+
+
+@pytest.mark.parametrize("blind", [[3], range(12)])
+def test_a_camera_without_corners(extraction, blind):
+    """The plots of its corners raised AttributeError and IndexError, and so did its images."""
+    seen, none = list(extraction.observations), np.zeros(extraction.board.corners, dtype=bool)
+    for i in blind:
+        seen[i] = dataclasses.replace(seen[i], right=dataclasses.replace(seen[i].right, seen=none))
+    half = dataclasses.replace(extraction, observations=tuple(seen))
+    solution, pictures = make_solution(half), make_snapshots(extraction)
+    assert "corner residuals across the image of the left camera" in page_of(solution, half, pictures)
+    for view in leg_views(solution, half, pictures):
+        marks = [len(overlay.marks) for overlay in view.pictures]
+        assert marks == [54, 0 if view.observation in blind else 54]

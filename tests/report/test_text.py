@@ -1,0 +1,131 @@
+"""The texts for the terminal, and the prose of the page."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.comparison import difference, history
+from mobilecal_cli.model import (
+    EstimatedConstant,
+    FleetRow,
+    LogSource,
+    Parameters,
+    WheelGeometry,
+)
+from mobilecal_cli.report.comparison import comparison_text
+from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
+from mobilecal_cli.report.findings import (
+    suggestion_sentences,
+)
+from mobilecal_cli.report.fleet import fleet_text
+from mobilecal_cli.report.junit import junit_xml
+from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.solvers import evaluate
+from tests.golden import assert_golden
+from tests.report.example import (
+    ROBOT,
+    WHEELS,
+    Page,
+    hostile_solution,
+    made,
+    make_hostile,
+    make_snapshots,
+    make_solution,
+    page_of,
+    robot,
+)
+
+
+@pytest.fixture(scope="module")
+def texts(extraction):
+    """Every text of a calibration by the default method; a wheel slips once."""
+    (track,) = extraction.wheels
+    slip = 0.2 * (track.right.time_ns > extraction.observations[5].time_ns + 10**9)
+    right = dataclasses.replace(track.right, value=track.right.value + slip)
+    slipped = dataclasses.replace(extraction, wheels=(dataclasses.replace(track, right=right),))
+    solution = make_solution(slipped, "ml")
+    trial = evaluate(extraction, solution.parameters, ROBOT.wheels)
+    report = made(solution, slipped, trial)
+    checks = "".join(
+        f"{check.outcome}: {check.name}: {check.measured_text} ({check.limit_text})\n  {check.why} {check.next_step}\n"
+        for check in report.verdict.checks
+    )
+    past = [dataclasses.replace(robot(std=1e-4), created=f"2015-06-0{day}") for day in (1, 2, 3)]
+    past[1] = dataclasses.replace(
+        past[1], wheels=WheelGeometry(0.083, 0.082, 0.35), logs=(LogSource("b", "1"),)
+    )
+    changes = [difference(past[0], other) for other in past[1:]]
+    rows = [
+        FleetRow(f"robot-{n}", level, code, "the reason", 12, (0.1, 0.0, 0.0), (0.1,) * 6, (1e-3,) * 9)
+        for n, (level, code) in enumerate((("PASS", 0), ("FAIL", 6), ("NOT ENOUGH", 6)))
+    ]
+    page = page_of(solution, slipped, make_snapshots(slipped), trial=trial)
+    return {
+        "summary": summary_text(report),
+        "verdict": f"{report.verdict.level}\n{report.verdict.reason}\n{report.verdict.next_step}\n{checks}",
+        "evaluation": evaluation_text(evaluation_data(trial)),
+        "comparison": comparison_text(["one", "two", "three"], changes, history(past)),
+        "fleet": fleet_text(rows),
+        "junit": junit_xml("log.mcap", report.verdict).decode(),
+        "page": prose(page),
+        "suggestions": "\n".join(suggestion_sentences(solution, slipped)) + "\n",
+        "findings": "\n".join(
+            [report.quality.reprojection_text, report.uncertainty.jackknife_text, report.error_budget.limiting,
+             report.error_budget.advice, *report.outliers_text]
+        ) + "\n",
+    }  # fmt: skip
+
+
+def prose(page):
+    """The text of a page, one line an element, without tables, plots and images."""
+    bare = re.sub(r"<(style|script|svg|table)\b.*?</\1>", "", page, flags=re.DOTALL)
+    marked = re.sub(r"</(p|h\d|li|td|th|dt|dd|option|button|summary|div)>", "\n", bare)
+    lines = (" ".join(unescape(re.sub(r"<[^>]*>", "", line)).split()) for line in marked.split("\n"))
+    return "\n".join(line for line in lines if line) + "\n"
+
+
+TEXTS = (
+    "summary", "verdict", "evaluation", "comparison", "fleet", "junit", "page", "suggestions", "findings"
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_each_text_against_its_golden_copy(texts, name):
+    assert_golden(texts[name], name)
+
+
+def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
+    solved = make_solution(extraction, "ml")
+    moving = dataclasses.replace(
+        solved,
+        constants={
+            name: EstimatedConstant(name, "clock", "joints", "", value, std, 0.2)
+            for name, value, std in (("time_joints", 0.00321, 5e-5), ("time_wheels", -0.0012, 2e-7))
+        },
+    )
+    table = summary_text(made(moving, extraction))
+    assert "Cameras to joints                    3.210 ± 0.050 ms" in table
+    assert "Cameras to wheels                 -1.20000 ± 0.00020 ms" in table
+    assert "± 0.00 " not in table
+    assert "Clock" not in summary_text(made(solved, extraction))
+
+
+def test_the_table_cannot_steer_the_terminal(solution, extraction):
+    hostile = make_hostile(extraction)
+    table = summary_text(made(hostile_solution(solution, hostile), hostile))
+    assert all(character == "\n" or character.isprintable() for character in table)
+
+
+def test_gimbal_lock_is_said(extraction, solution):
+    locked = Parameters(se3.transform(se3.from_rpy(np.radians([-164, 89.4, -166])), np.zeros(3)), WHEELS)
+    solution = dataclasses.replace(solution, parameters=locked)
+    assert "0.6° from gimbal lock" in Page(page_of(solution, extraction)).text
+    table = summary_text(made(solution, extraction))
+    assert "0.6 deg from gimbal lock" in table
+    assert "Euler angle x" not in table

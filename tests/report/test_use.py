@@ -1,0 +1,157 @@
+"""Expected errors in use: their limits, and the error budget."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.model import (
+    NINE,
+)
+from mobilecal_cli.report.use import (
+    FAMILIES,
+    FIGURES,
+    SOURCES,
+    families,
+    limiting_sentence,
+    recommendation,
+    shares_of,
+    uses,
+)
+from mobilecal_cli.report.verdict import (
+    gates_of,
+    judge,
+)
+from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
+
+
+def test_a_robot_drawn_from_the_priors_passes():
+    solution, extraction = drawn()
+    verdict = judge(solution, extraction)
+    assert verdict.level == "PASS", verdict.reason
+    assert "All are within their limits." in verdict.reason
+    assert verdict.next_step.startswith("Use params.yaml on the robot.")
+
+
+def test_the_limits_are_those_of_the_page():
+    text = (Path(__file__).parents[2] / "docs" / "how-to" / "read-the-report.md").read_text()
+    for figure in FIGURES:
+        if figure.limit is not None:
+            assert f"| `{figure.name}` | {figure.limit:g} {figure.unit} |" in text
+
+
+def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_it():
+    solution, extraction = drawn()
+    at_work = replace(solution.uncertainty.at_work, camera_m=0.025)
+    verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work)), extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert "camera position in the base is 25 mm (limit 20 mm)" in verdict.reason
+    assert "% of its variance" in verdict.reason
+
+
+@pytest.mark.parametrize(("limit", "level"), [(0.01, "NOT ENOUGH"), (1e3, "PASS")])
+def test_a_gate_replaces_a_default_limit(limit, level):
+    solution, extraction = drawn()
+    gates = gates_of([f"predicted.camera_mm={limit}"], {})
+    verdict = judge(solution, extraction, gates)
+    assert verdict.level == level
+    check = verdict.checks["predicted.camera_mm"]
+    assert (check.limit, check.unit) == (limit, "mm")
+    assert check.value == verdict.metrics["predicted.camera_mm"]
+    assert check.limit_text == f"at most {limit:g} mm"
+
+
+def test_a_gate_on_an_unknown_expected_error_fails():
+    extraction = make_extraction()
+    gates = gates_of(["predicted.camera_mm=10"], {})
+    verdict = judge(make_solution(extraction), extraction, gates)
+    assert (verdict.level, verdict.reason) == (
+        "FAIL",
+        "Gate failed: predicted.camera_mm = unknown (limit 10).",
+    )
+
+
+@pytest.mark.parametrize(
+    ("motion", "fixed"),
+    [
+        ("base_fixed", "wheels"),
+        ("head_fixed", "head_eye"),
+    ],
+)
+def test_fixed_parameters_need_no_motion(motion, fixed):
+    solution, extraction = solved(motion=motion, fixed=(fixed,))
+    verdict = judge(solution, extraction)
+    assert verdict.level == "PASS", verdict.reason
+
+
+def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
+    narrow = gates_of(["predicted.camera_deg=0.2"], {})
+    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
+    assert verdict.level == "NOT ENOUGH"
+    assert "The stated geometry of the head limits the camera rotation in the base" in verdict.reason
+    assert "More stations will not help much" in verdict.next_step
+    assert verdict.next_step.endswith("`priors: joint_zero` in rig.yaml.")
+
+
+def test_a_base_at_rest_is_not_enough_for_the_wheels():
+    verdict = judge(*solved(motion="base_fixed"))
+    assert verdict.level == "NOT ENOUGH"
+    assert "drive and turn the base" in verdict.next_step
+
+
+def test_methods_without_standard_deviations_say_so():
+    extraction = make_extraction()
+    for method, solution in ((method, make_solution(extraction, method)) for method in ("lm", "linear")):
+        verdict = judge(solution, extraction)
+        assert f"The method {method} gives no standard deviations" in verdict.reason
+        assert "--method ml" in verdict.next_step
+        assert "Use params.yaml" not in verdict.next_step
+
+
+def test_the_words_know_every_source():
+    solution, _ = drawn()
+    assert set(solution.uncertainty.budget.sources) <= set(SOURCES)
+    names, shares = families(solution)
+    assert len(names) == len(shares)
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0, atol=1e-6)
+
+
+def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
+    solution, _ = drawn()
+    worst = max(uses(solution, {}), key=lambda use: use.share)
+    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62))
+    assert limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
+
+
+def test_more_stations_do_not_help_against_stated_values():
+    solution, _ = drawn()
+    _, advice = recommendation(with_share(solution, "square_size", 0.8))
+    assert advice.startswith("More stations will not help much: ")
+    assert "the stated size of the squares 80 %" in advice
+    assert advice.endswith(
+        "Measure the board (ten squares, with a caliper). Then state a smaller `priors: square_size` in rig.yaml."
+    )
+    _, advice = recommendation(with_share(solution, "floor_rad", 0.9))
+    assert advice == "Record on a flat floor, or record more stops."
+
+
+def test_the_sentence_and_the_chart_group_the_sources_alike():
+    solution, _ = drawn()
+    names, shares = families(solution)
+    column = [*NINE, *solution.uncertainty.budget.at_work].index("heading_rad_per_turn")
+    share = dict(zip(names, shares[:, column], strict=True))
+    family = max(share, key=share.get)
+    sentence = limiting_sentence(shares_of(solution, "heading_rad_per_turn"), "heading")
+    assert sentence == f"{FAMILIES[family]} the heading: {100 * share[family]:.0f} % of its variance."
+
+
+def test_a_fixed_camera_is_not_known_to_zero_millimeters():
+    solution, extraction = drawn()
+    at_work = replace(solution.uncertainty.at_work, camera_m=0.0, camera_rad=0.0)
+    fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
+    verdict = judge(fixed, extraction)
+    assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
+    assert verdict.checks["predicted.camera_mm"].measured_text == "fixed by the user"

@@ -1,0 +1,180 @@
+"""report.json, from solutions of simulated robots."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mobilecal_cli import se3
+from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.model import (
+    Nominal,
+)
+from mobilecal_cli.report.comparison import change_from_nominal
+from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.numbers import (
+    image_coverage,
+)
+from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.solvers import constraints_of, evaluate, solve
+from tests.report.example import (
+    HOSTILE,
+    ROBOT,
+    ROBOT_PARAMETERS,
+    WHEELS,
+    drawn,
+    hostile_solution,
+    made,
+    make_extraction,
+    make_hostile,
+    make_provenance,
+    make_solution,
+    page_of,
+    recorded,
+    robot,
+    solved,
+)
+from tests.report.schema import validated
+
+
+def test_json_holds_every_number(extraction, solution):
+    text = json_text(made(solution, extraction))
+    assert text == json_text(made(solution, extraction))
+    data = json.loads(text)
+    assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
+    assert data["schema_version"] == 5
+    assert data["verdict"]["level"] == "PASS"
+    assert data["parameters"]["radius_left_mm"] == pytest.approx(
+        solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15
+    )
+    assert len(data["stations"]) == 12
+    assert len(data["legs"]) == 11
+    assert len(data["linear"]["history"]) == solution.linear.rounds
+    second = solution.linear.rival_point_rms_m
+    assert data["linear"]["second_best_point_rms_mm"] == pytest.approx(1e3 * second)
+    assert math.sqrt(np.mean([leg["point_rms_mm"] ** 2 for leg in data["legs"]])) == pytest.approx(
+        data["quality"]["point_rms_mm"]
+    )
+    assert data["rejections"]["counts"][0] == {
+        "stage": "vision", "reason": "board partly hidden", "count": 2,
+    }  # fmt: skip
+
+
+def test_every_kind_of_report_fits_the_schema(extraction):
+    two = make_extraction(n=8, logs=2)
+    trial = evaluate(extraction, ROBOT_PARAMETERS, ROBOT.wheels)
+    change = change_from_nominal(robot(std=1e-4), Nominal(None, WHEELS))
+    for report in (
+        *(made(make_solution(extraction, method), extraction) for method in ("linear", "lm")),
+        made(make_solution(extraction, "ml"), extraction, trial, change),
+        made(make_solution(two, "ml"), two),
+    ):
+        validated(json_text(report))
+
+
+def test_json_takes_hostile_strings(solution, extraction):
+    hostile = make_hostile(extraction)
+    text = json_text(made(hostile_solution(solution, hostile), hostile))
+    assert text.isascii()
+    assert json.loads(text)["notes"] == [HOSTILE]
+
+
+def test_the_files_hold_budget_and_constants():
+    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    data = validated(json_text(made(solution, extraction)))
+    for shares in (*data["error_budget"]["nine"].values(), *data["error_budget"]["at_work"].values()):
+        assert sum(shares.values()) == pytest.approx(1.0)
+    assert data["constants"]["stereo_r_x"]["prior"] == pytest.approx(np.radians(0.05))
+    assert data["constants"]["stereo_r_x"]["used_prior"] > data["constants"]["stereo_r_x"]["prior"]
+    assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
+    page = page_of(solution, extraction)
+    for said in (
+        "What the description gets wrong",
+        "Error budget",
+        "contradicts",
+        "error budget: what each",
+    ):
+        assert said in page
+
+
+def test_coverage_counts_cells():
+    corners = np.array([[0, 0], [639, 479], [10, 10], [-5, 3], [700, 3]], dtype=np.float64)
+    assert image_coverage(corners, 640, 480) == pytest.approx(2 / 48)
+
+
+@cache
+def of_the_right_camera():
+    extraction = recorded({"stereo_r_x": np.radians(0.7)})
+    cameras = replace(extraction.rig.cameras, reference="right")
+    nominal = Nominal(wheels=extraction.rig.nominal.wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, cameras=cameras, nominal=nominal))
+    return solve(extraction, constraints=constraints_of([], [], ["stereo_rotation"])), extraction
+
+
+def test_the_right_camera_has_the_estimated_pose_in_the_pair():
+    """The recording shows where the right camera is; camera_info is off by 0.7 degrees."""
+    solution, extraction = of_the_right_camera()
+    robot = tick_robot()
+    turn = se3.transform(se3.exp_so3(np.radians([0.7, 0, 0])), np.zeros(3))
+    T_c_r = extraction.rig.cameras.T_c_r.copy()
+    T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
+    truth = robot.T_h_c @ T_c_r
+    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    data = json.loads(json_text(made(solution, extraction)))
+    shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
+    for R in (written.T_parent_child[:3, :3], shown):
+        off_deg = np.degrees(np.linalg.norm(se3.log_so3(R @ truth[:3, :3].T)))
+        assert off_deg < 0.35
+
+
+def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
+    """The left camera follows from the estimated pair; the right one is exactly as stated."""
+    _, extraction = of_the_right_camera()
+    nominal = Nominal(tick_robot().T_h_c @ extraction.rig.cameras.T_c_r, extraction.rig.nominal.wheels)
+    extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
+    solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
+    assert not np.allclose(solution.parameters.T_h_c, tick_robot().T_h_c, atol=5e-3)
+    provenance = make_provenance(extraction)
+    written = parameters_from_yaml(params_yaml(solution, extraction, provenance))
+    data = json.loads(json_text(made(solution, extraction)))["parameters"]
+    shown = se3.transform(
+        se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
+    )
+    for T in (written.T_parent_child, shown):
+        np.testing.assert_allclose(T, nominal.T_h_reference, atol=1e-6)
+    assert not solution.uncertainty.reference_covariance[:6].any()
+
+
+def test_the_right_camera_has_its_own_covariance_and_jackknife():
+    """The pose of the right camera also depends on the estimated pair; small moves, numerically."""
+    solution, _ = of_the_right_camera()
+    found = solution.uncertainty
+    std = np.sqrt(np.diag(found.reference_covariance))
+    lever = np.eye(9)
+    t = solution.parameters.T_h_c[:3, :3] @ solution.cameras.T_c_r[:3, 3]
+    lever[3:6, :3] = -se3.skew(t)
+    as_if_exact = np.sqrt(np.diag(lever @ found.covariance @ lever.T))
+    assert not np.allclose(std[:6], as_if_exact[:6], rtol=1e-3)
+    assert std[6:] == pytest.approx(found.std[6:])
+    ratio = found.jackknife_std[3:6] / found.noise_std[3:6]
+    assert ((ratio > 0.3) & (ratio < 3)).all()
+
+
+def test_params_yaml_keeps_all_noise_levels():
+    solution, extraction = drawn()
+    noise = solution.uncertainty.noise
+    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    for level in ("pixel_px", "joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share"):
+        assert written.knowledge.noise[level] == pytest.approx(getattr(noise, level), rel=1e-8)
+
+
+def test_an_extraction_without_logs_has_a_report():
+    solution, extraction = drawn()
+    nameless = replace(extraction, logs=())
+    page = page_of(solution, nameless)
+    assert "top view of the base path" in page
