@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -70,8 +70,8 @@ class Data:
     """
 
     extraction: Extraction
-    snapshots: tuple[Snapshot, ...]
-    gates: Mapping[str, float]
+    snapshots: tuple[Snapshot, ...] = ()
+    gates: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """One line."""
