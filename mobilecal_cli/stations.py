@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     StereoPair,
     Track,
     WheelTrack,
+    sampled,
 )
 
 PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
@@ -224,7 +225,7 @@ def _stations(
     """Stations from groups of pairs, each with a flag for rest, in order of time."""
     tracks = [signals.joints[name] for name in joints]
     starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
-    at_start, still = np.stack([track.at(starts) for track in tracks], axis=1), np.zeros(len(tracks))
+    at_start, still = sampled(tracks, starts), np.zeros(len(tracks))
     return tuple(
         Station(i, at_rest, tuple(pairs), pairs[0].time_ns, at_start[i], still)
         if len(pairs) == 1

@@ -17,6 +17,7 @@ from mobilecal_cli.kinematics import (
     encoder_steps_rad,
     head_pose,
     motion_seen,
+    unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 
@@ -74,7 +75,7 @@ def gaps_between(
             Phi.append(cut_at(track, times).totals_rad)
     seen = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(wheels))
     gaps = []
-    if not seen.tilts:
+    if not seen.tilts and unseen_height(chain) is None:
         gaps.append(
             Gap(
                 ("translation along the vertical", "rotation about the vertical"),
@@ -152,6 +153,12 @@ def require_observable(extraction: Extraction) -> None:
         SolveError: names the unobservable parameters and the missing motion.
     """
     gaps = motion_gaps(extraction)
+    if unseen_height(extraction.rig.chain) is not None:
+        because, cure = (
+            "no joint of the head tilts the camera",
+            "use --method ml, which takes it as described",
+        )
+        gaps = (Gap(("height of the camera",), because, cure, ()), *gaps)
     if gaps:
         raise SolveError(
             "; ".join(f"unobservable: {', '.join(g.parameters)}, because {g.because}" for g in gaps),

@@ -44,6 +44,7 @@ from mobilecal_cli.model import (
     TopicInfo,
     TopicView,
     WheelTrack,
+    sampled,
 )
 from mobilecal_cli.readers import (
     Extent,
@@ -364,7 +365,7 @@ def _rests(
         tracks = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
         moments = [_seconds(track) for track in tracks]
         readings = [
-            np.stack([signals.joints[name].at(at) for name in rig.chain.joints], axis=1)
+            sampled([signals.joints[name] for name in rig.chain.joints], at)
             for signals, at in zip(logs, moments, strict=True)
         ]
         unread: list[Lack] = []  # the rest of the recording may contain this motion

@@ -1,6 +1,6 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose
+from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, unseen_height
 from mobilecal_cli.kinematics.motion import (
     DRIVEN_RAD,
     FEWEST_LEGS,
@@ -42,4 +42,5 @@ __all__ = [
     "integrate_with_jacobian",
     "join",
     "motion_seen",
+    "unseen_height",
 ]

@@ -10,6 +10,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
 
+_TILTS = 0.02  # sine of an axis against the vertical: a joint with a smaller one does not tilt
+
 
 def joint_motion(link: JointLink, reading: FloatArray) -> FloatArray:
     """Motion of one joint: readings (...) in rad or m → (..., 4, 4)."""
@@ -132,3 +134,16 @@ def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:
         J[..., column[link.joint]] += se3.adjoint(se3.inverse(T_link_h)) @ twist
         T_link_h = joint_motion(link, joints[..., column[link.joint]]) @ T_link_h
     return J
+
+
+def unseen_height(chain: HeadChain) -> FloatArray | None:
+    """The vertical in the head frame, (3,), if no joint of the head turns about another axis; None if one does.
+
+    Without a tilting joint, no motion of the robot on its floor shows the height of the camera.
+    """
+    still = np.zeros(len(chain.joints))
+    vertical = head_pose(chain, still)[2, :3]
+    axes = head_jacobian(chain, still)[:3].T
+    if np.any(np.linalg.norm(np.cross(axes, vertical), axis=1) > _TILTS):
+        return None
+    return np.asarray(vertical)

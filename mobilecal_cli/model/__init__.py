@@ -68,7 +68,7 @@ from mobilecal_cli.model.robot_description import (
     RobotDescription,
     TopicInfo,
 )
-from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track
+from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track, sampled
 from mobilecal_cli.model.solution import (
     LinearEstimate,
     Method,
@@ -169,4 +169,5 @@ __all__ = [
     "WheelSource",
     "WheelTrack",
     "listed",
+    "sampled",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +40,11 @@ class Track:
         # Offsets from the start are small enough for exact nanoseconds in float64.
         offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
         return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
+
+
+def sampled(tracks: Sequence[Track], times_ns: IntArray) -> FloatArray:
+    """Values of several tracks (or none) at some times, (n, J)."""
+    return np.array([track.at(times_ns) for track in tracks]).reshape(len(tracks), len(times_ns)).T
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -142,6 +142,8 @@ class Uncertainty:
         jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, with the pose of the
             reference camera, for comparison.
         noise_std: (9,) the same from the noise levels alone, without `widened`.
+        described: (9,) unobservable parameters that no motion of this robot shows: the height of a camera that never
+            tilts. They are as described; expected errors at work and the budget are about all else.
         widened: (9,) factor on each standard deviation: above 1 where the jackknife is clearly larger.
         at_work: expected errors at work.
         budget: what limits the accuracy.
@@ -157,6 +159,7 @@ class Uncertainty:
     fixed: BoolArray
     jackknife_std: FloatArray
     noise_std: FloatArray
+    described: BoolArray
     widened: FloatArray
     at_work: AtWork
     budget: Budget
@@ -173,7 +176,7 @@ class Uncertainty:
             noise_std=(9,),
             widened=(9,),
         )
-        freeze(self, np.bool_, observable=(9,), fixed=(9,))
+        freeze(self, np.bool_, observable=(9,), fixed=(9,), described=(9,))
 
     @property
     def std(self) -> FloatArray:

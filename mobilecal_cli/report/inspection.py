@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import (
     SIDES,
     BoardView,
@@ -262,7 +263,9 @@ def _known(parts: Parts) -> dict[str, str]:
     if parts.chain is not None:
         chain = parts.chain
         said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {parts.chain_from}"
-        if parts.joints is not None:
+        if not chain.joints:
+            said["joints"] = f"camera fixed to {chain.base_frame}"
+        elif parts.joints is not None:
             said["joints"] = f"{listed(chain.joints)} on {listed(parts.joints)}"
     return said
 
@@ -289,10 +292,12 @@ def _measured(found: Inspection) -> dict[str, str]:
         )
     if found.motion is not None:
         motion = found.motion
+        still = found.parts.chain is not None and unseen_height(found.parts.chain) is not None
+        shown = "all parameters but the camera's height" if still else "all nine parameters"
         stops = (
             "stops not counted, as only a part of the recording was read"
             if motion.rests is None
-            else f"{motion.rests} stops with images; the motion determines all nine parameters"
+            else f"{motion.rests} stops with images; the motion determines {shown}"
         )
         said["motion"] = f"{stops}; {', '.join(_ranges(motion))}"
     board = found.board

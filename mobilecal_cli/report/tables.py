@@ -115,7 +115,8 @@ def sigmas(case: Case) -> Rows:
 
     rows = []
     for k, (p, s) in enumerate(zip(PARAMETERS, _shown_std(case), strict=True)):
-        std = "fixed" if s is None else std_text(s) + ("" if found.observable[k] else " (unobservable)")
+        how = " (from the robot description)" if found.described[k] else " (unobservable)"
+        std = "fixed" if s is None else std_text(s) + ("" if found.observable[k] else how)
         cells = ["", "", ""]
         if change is not None:
             cells = ["–"] * 3

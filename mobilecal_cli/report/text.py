@@ -66,6 +66,7 @@ def _lengths(report: ReportData) -> Iterator[str]:
             continue
         std = known.std[name] * parameter.factor or None
         unit = "mm" if known.observable[name] or known.fixed[name] else "mm, unobservable"
+        unit = "mm, from the robot description" if known.described[name] else unit
         yield _row(label, value, std, unit, 2)
 
 

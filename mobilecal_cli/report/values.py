@@ -157,6 +157,7 @@ class UncertaintyData:
     covariance: Matrix
     correlation: Matrix
     observable: Mapping[str, bool]
+    described: Mapping[str, bool]
     unobservable_directions: Matrix
     scales: Row
     singular_values: Row
@@ -502,7 +503,10 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
     covariance = found.reference_covariance
     std = np.sqrt(np.diag(covariance))
     known = np.where(std > 0, std, 1.0)
-    by_name = {name: getattr(found, name) for name in ("observable", "fixed", "jackknife_std", "widened")}
+    by_name = {
+        name: getattr(found, name)
+        for name in ("observable", "fixed", "described", "jackknife_std", "widened")
+    }
     return like(
         UncertaintyData,
         found,

@@ -139,23 +139,10 @@ def _mounted(
     origin: str,
     notes: list[str],
 ) -> Head:
-    chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt)
-    base, _ = frames(config, urdf, tilt)
+    chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt, camera_frame)
+    base, _ = frames(config, urdf, tilt, camera_frame)
     drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
-
-
-def check_moves(chain: HeadChain) -> None:
-    """Refuse a chain without a joint.
-
-    Raises:
-        ConfigError: the camera is fixed to the base.
-    """
-    if not any(isinstance(link, JointLink) for link in chain.links):
-        raise ConfigError(
-            f"no moving joint between {chain.base_frame} and {chain.head_frame}: the camera is fixed to the base",
-            "set head.base_frame and head.head_frame to the two ends of the pan-tilt chain",
-        )
 
 
 def explicit_chain(config: RigConfig, base_frame: str, head_frame: str, pan: str, tilt: str) -> HeadChain:
@@ -172,17 +159,24 @@ def _chain_link(link: ChainLink) -> FixedLink | JointLink:
     return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
 
 
-def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
+def frames(config: RigConfig, urdf: Urdf, tilt: str, camera_frame: str) -> tuple[str, str]:
     """Base and head link of a URDF: as configured, or base_link and the child of the tilt joint.
 
+    Without a tilt joint, the head is the last link that a joint moves on the way to the camera; if none moves, the
+    camera is fixed to the base, which is the head then.
+
     Raises:
-        ConfigError: no tilt joint to derive the head link from.
+        ConfigError: neither a tilt joint nor the camera's frame to derive the head link from.
     """
     base = config.head.base_frame
     if base is None:
         base = next((name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root)
     if config.head.head_frame is not None:
         return base, config.head.head_frame
+    tilts = tilt in urdf.joints and urdf.joints[tilt].kind != "fixed"
+    if not tilts and camera_frame in urdf.links:
+        moving = [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
+        return base, moving[-1].child if moving else base
     if tilt not in urdf.joints:
         raise ConfigError(
             f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",
@@ -200,7 +194,12 @@ def frames(config: RigConfig, urdf: Urdf, tilt: str) -> tuple[str, str]:
 
 
 def chain_from_urdf(
-    config: RigConfig, urdf: Urdf, sources: dict[Side, WheelSource], pan: str, tilt: str
+    config: RigConfig,
+    urdf: Urdf,
+    sources: dict[Side, WheelSource],
+    pan: str,
+    tilt: str,
+    camera_frame: str,
 ) -> tuple[HeadChain, list[str]]:
     """Kinematic chain from v to the head, and notes on the position of v.
 
@@ -210,7 +209,7 @@ def chain_from_urdf(
     Raises:
         ConfigError: a link is missing or not connected.
     """
-    base, head = frames(config, urdf, tilt)
+    base, head = frames(config, urdf, tilt, camera_frame)
     wheels = urdf_wheels(urdf, sources, base)
     if len(wheels) < 2:
         return head_chain(urdf, base, head, pan, tilt), []

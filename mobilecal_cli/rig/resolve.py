@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.head import Head, check_moves, head_of
+from mobilecal_cli.rig.head import Head, head_of
 from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources
@@ -118,6 +118,14 @@ def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
     def source_of(key: str, otherwise: str = "log") -> str:
         return config.source_of(key) or otherwise
 
+    head_sources = {f"camera fixed to {chain.base_frame}": head.origin}
+    if chain.joints:
+        head_sources = {
+            f"joint states {', '.join(joints)}": source_of("joints.topic"),
+            f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
+            f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
+            f"head chain {chain.base_frame} to {chain.head_frame}": head.origin,
+        }
     setting_sources = {
         "board size": source_of("board.columns", "images"),
         "board square_m": source_of("board.square_m", "stereo"),
@@ -129,10 +137,7 @@ def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
             "cameras.rectified", "topic name"
         ),
         f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
-        f"joint states {', '.join(joints)}": source_of("joints.topic"),
-        f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
-        f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
-        f"head chain {chain.base_frame} to {chain.head_frame}": head.origin,
+        **head_sources,
         **{
             f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
             for side, source in wheels.items()
@@ -196,7 +201,6 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:
-        tried("head chain", lambda: check_moves(head.chain))
         elsewhere |= tried("joints", lambda: joint_fields(config, description, head.chain)) or {}
         elsewhere |= joint_transforms(config, description, head.chain, head.urdf)
         joints = tried("joints", lambda: joint_topics(config, description, head.chain, elsewhere))

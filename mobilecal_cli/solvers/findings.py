@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
@@ -130,9 +131,17 @@ def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     }
 
 
+def at_work_basis(fit: Fit) -> FloatArray:
+    """(P, P) projection of the shared parameters without the height of a camera that never tilts."""
+    shows, vertical = np.eye(fit.data.layout.size), unseen_height(fit.data.chain)
+    if vertical is not None:
+        shows[3:6, 3:6] -= np.outer(vertical, vertical)
+    return shows
+
+
 def budget_of(fit: Fit) -> Budget:
     """What limits the accuracy: shares of noise levels, kinds of constants and priors in each variance."""
-    lin, layout = fit.lin, fit.data.layout
+    lin, layout, shows = fit.lin, fit.data.layout, at_work_basis(fit)
     kinds = {f"prior {row.name}": row.kind for row in layout.constants}
     kinds |= {f"prior {name}": "nominal" for name in NINE}
     kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
@@ -142,7 +151,7 @@ def budget_of(fit: Fit) -> Budget:
     for name, share in lin.budget().items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [variance(g, share) for g in gradients.values()]
+        of = [variance(g @ shows, share) for g in gradients.values()]
         figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
     shares = np.array(list(nine.values()))
     whole = np.array(list(figures.values()))

@@ -32,6 +32,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
+    at_work_basis,
     budget_of,
     constants_of,
     contradictions_of,
@@ -349,11 +350,14 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     shared = fit.covariance * np.outer(factor, factor)
     covariance = shared[:9, :9]
     scales, fixed = fit.lin.priors.scales[:9], fit.lin.priors.fixed[:9]
+    observable = (np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed
+    shows = at_work_basis(fit)
+    but_height = np.sqrt(np.diag(shows @ shared @ shows)[:9])
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
         reference_covariance=J @ shared @ J.T,
-        observable=(np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed,
+        observable=observable,
         unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
         singular_values=fit.directions.singular_values,
@@ -366,7 +370,8 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         fixed=fixed,
         jackknife_std=np.sqrt(np.diag(J @ jackknife @ J.T)),
         noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
+        described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
-        at_work=predicted_at(fit.lin, shared),
+        at_work=predicted_at(fit.lin, shows @ shared @ shows),
         budget=budget_of(fit),
     )

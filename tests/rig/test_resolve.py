@@ -247,7 +247,6 @@ def test_explicit_chain_needs_no_urdf():
             ConfigError,
             "several pairs of joints could be the wheels",
         ),
-        ({"head": {"head_frame": "base_link"}}, {}, ConfigError, "the camera is fixed to the base"),
         ({"head": {"head_frame": "nope"}}, {}, ConfigError, "no link 'nope'"),
     ],
 )
