@@ -17,10 +17,11 @@ from tests.bench import (
     samples,
     table1,
     used,
+    wheels_alone,
 )
 
 exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
 stay = (correlated, one_thing, jumps, invariance)
-for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, *stay, *exact):
+for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, wheels_alone, *stay, *exact):
     print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
     study.main()
