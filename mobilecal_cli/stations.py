@@ -267,11 +267,7 @@ class _Pairs:
 
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
-    """Find the stereo pairs of a log, and its rests.
-
-    Raises:
-        RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
-    """
+    """Find the stereo pairs of a log, and its rests."""
     channels = _channels(signals, prismatic)
     left, right = (signals.images[side].time_ns for side in ("left", "right"))
     pairs = list(pair_images(left, right, PAIR_AT_REST_S))

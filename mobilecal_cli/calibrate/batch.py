@@ -236,11 +236,7 @@ def batch(
 
 
 def _check_outputs(output: Path, jobs: Iterable[FleetJob], force: bool) -> None:
-    """Check before the work that everything in the way is a result of this batch, or may be replaced.
-
-    Raises:
-        OutputError: naming the first path that may not be replaced.
-    """
+    """Check before the work that everything in the way is a result of this batch, or may be replaced."""
     for path in (output / name for name in SUMMARIES):
         if path.exists() and not (output / RECORDS).is_dir() and not force:
             raise already_exists(path)

@@ -160,11 +160,7 @@ def _check_options(target: Format, given: Iterable[str]) -> None:
 
 
 def _beside(params: Path, robot: CalibratedRobot) -> Extraction:
-    """The measurements in the directory of a params.yaml.
-
-    Raises:
-        ConfigError: there are none, or they are not its own.
-    """
+    """The measurements in the directory of a params.yaml."""
     path = params.with_name("extraction.npz")
     if not path.is_file():
         raise ConfigError(

@@ -129,11 +129,7 @@ def _extracted(
 
 
 def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:
-    """Search for a board of another size after the configured one was not found.
-
-    Raises:
-        ObservationError: a board of another size was found.
-    """
+    """Search for a board of another size after the configured one was not found."""
     size = board_size(recording, rig, plans)
     if size is not None and set(size) != {board.columns, board.rows}:
         raise ObservationError(

@@ -88,11 +88,7 @@ def _check_names(source: Path, names: Sequence[str]) -> None:
 
 
 def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
-    """Refuse a recording that two robots use, also as copies.
-
-    Raises:
-        ConfigError: naming both robots.
-    """
+    """Refuse a recording that two robots use, also as copies."""
     of_size: dict[int, list[tuple[str, Path]]] = {}
     for robot in robots:
         for log in robot.logs:
@@ -116,11 +112,7 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
 
 
 def _check_config(source: Path, name: str, config: Path, flags: Mapping[str, Any]) -> None:
-    """Refuse a file that is no rig.yaml, without quoting it: a manifest may name any file.
-
-    Raises:
-        ConfigError: naming the robot and the file.
-    """
+    """Refuse a file that is no rig.yaml, without quoting it: a manifest may name any file."""
     try:
         load_rig(config, flags)
     except ConfigError:

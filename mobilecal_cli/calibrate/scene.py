@@ -190,11 +190,7 @@ class _Judged:
 
 
 def _judged(path: Path) -> _Judged:
-    """The outliers of a report.json; nothing if the file does not exist.
-
-    Raises:
-        ConfigError: it is another file.
-    """
+    """The outliers of a report.json; nothing if the file does not exist."""
     if not path.is_file():
         return _Judged()
     try:
@@ -222,12 +218,7 @@ def _unused(extraction: Extraction, outliers: Sequence[Outlier]) -> Iterator[Unu
 
 
 def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
-    """The first stereo pair of each station, from the recordings of the extraction.
-
-    Raises:
-        ConfigError: a recording is not one of the extraction's.
-        RecordingError: a recording cannot be read, or its stations are not those of the extraction.
-    """
+    """The first stereo pair of each station, from the recordings of the extraction."""
     known = {log.sha256 for log in extraction.logs}
     wanted = {(o.log, o.time_ns): number for number, o in enumerate(extraction.observations)}
     found: dict[int, dict[Side, bytes]] = {}

@@ -108,11 +108,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side,
 
 
 def _refuse_several_cameras(pairs_: Sequence[dict[Side, str]]) -> None:
-    """Refuse pairs that differ in more than the form of their images.
-
-    Raises:
-        ConfigError: naming one pair of each camera.
-    """
+    """Refuse pairs that differ in more than the form of their images."""
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}
     for pair in pairs_:
         forms = (

@@ -291,11 +291,7 @@ class NominalConfig(_Section):
 
 
 def _prior_entry(value: object) -> object:
-    """One standard deviation, or a word.
-
-    Raises:
-        ValueError: neither of them.
-    """
+    """One standard deviation, or a word."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
         return value

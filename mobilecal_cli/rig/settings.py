@@ -272,11 +272,7 @@ def _seen_from(rig: Rig, reference: Side) -> Rig:
 
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
-    """The rig with the nominal values that the configuration gives.
-
-    Raises:
-        ConfigError: the wheels' rotations were computed with the nominal wheels.
-    """
+    """The rig with the nominal values that the configuration gives."""
     given = nominal_of(config)
     if given.wheels is not None and any(source.baked_in for source in rig.sources.wheels.values()):
         raise ConfigError(
@@ -295,11 +291,7 @@ def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
 def _rescaled(
     rig: Rig, tracks: tuple[WheelTrack, ...], side: Side, wheel: WheelConfig, keys: Collection[str]
 ) -> tuple[Rig, tuple[WheelTrack, ...]]:
-    """The rig and the wheel tracks with another sign or resolution of one wheel.
-
-    Raises:
-        ConfigError: the rotation of the wheel was computed from odometry.
-    """
+    """The rig and the wheel tracks with another sign or resolution of one wheel."""
     old = rig.sources.wheels[side]
     if old.baked_in is not None:
         raise ConfigError(

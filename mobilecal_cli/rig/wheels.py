@@ -69,11 +69,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
 
 
 def _refuse_one_source(left: WheelSource, right: WheelSource) -> None:
-    """Refuse both wheels from one reading.
-
-    Raises:
-        ConfigError: naming the reading.
-    """
+    """Refuse both wheels from one reading."""
     if (left.topic, left.joint, left.field) == (right.topic, right.joint, right.field):
         raise ConfigError(
             f"wheels.left and wheels.right are both read from {left.joint or left.field} on {left.topic}",
@@ -82,12 +78,7 @@ def _refuse_one_source(left: WheelSource, right: WheelSource) -> None:
 
 
 def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> dict[Side, WheelSource]:
-    """Odometry as the source of both wheels' rotations.
-
-    Raises:
-        RecordingError: no odometry on the topic.
-        ConfigError: the wheels used for the odometry are not given.
-    """
+    """Odometry as the source of both wheels' rotations."""
     present = {info.name: info.type for info in description.topics}
     if present.get(topic) != ODOMETRY:
         others = listed(name for name, kind in present.items() if kind == ODOMETRY)
