@@ -1,10 +1,7 @@
 """The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays."""
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
-from mobilecal_cli.model.calibrated import CalibratedRobot, Knowledge
-from mobilecal_cli.model.calibration import NINE, Parameters
-from mobilecal_cli.model.draft import Draft, Filled, NumberField, Todo
-from mobilecal_cli.model.evaluation import Drift, Evaluation
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge, Parameters
 from mobilecal_cli.model.findings import (
     AtWork,
     BetweenLogs,
@@ -16,9 +13,9 @@ from mobilecal_cli.model.findings import (
     ScaleCheck,
     Suggestion,
 )
-from mobilecal_cli.model.fleet import FleetJob, FleetRow
 from mobilecal_cli.model.inspection import (
     BoardView,
+    FleetRow,
     Inspection,
     JointRange,
     Lack,
@@ -65,11 +62,14 @@ from mobilecal_cli.model.robot_description import (
     JOINT_STATE,
     STRING,
     TRANSFORMS,
+    NumberField,
     RobotDescription,
     TopicInfo,
 )
 from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track
 from mobilecal_cli.model.solution import (
+    Drift,
+    Evaluation,
     LinearEstimate,
     Method,
     NoiseLevels,
