@@ -310,12 +310,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
 
 
 class _Shown:
-    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps.
-
-    Args:
-        images: side → all images.
-        channels: joints and wheels.
-    """
+    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
     def __init__(self, images: Mapping[Side, PictureIndex], channels: Sequence[_Channel]) -> None:
         self._since = [

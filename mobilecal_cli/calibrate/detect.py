@@ -264,10 +264,6 @@ class DetectionWorkers(Processes):
     """Worker processes that detect the board in the images of a long recording.
 
     If they cannot be started, or one dies, this process does the remaining segments.
-
-    Args:
-        recording: one recording, open.
-        jobs: largest number of worker processes.
     """
 
     def __init__(self, recording: Recording, jobs: int) -> None:

@@ -155,12 +155,6 @@ def extract(
     Files that follow one another in time form one recording; other files are separate recordings. No leg
     connects stations of two recordings.
 
-    Args:
-        logs: recordings.
-        config: see `load_rig`.
-        progress: see `Progress`.
-        jobs: see `steps.extract`.
-
     Raises:
         MobilecalError: see `errors`.
     """

@@ -69,11 +69,6 @@ def resolve_rig(
 ) -> tuple[Rig, tuple[str, ...]]:
     """Complete a configuration with the contents of the recording: the rig, and notes for the report.
 
-    Args:
-        config: the configuration.
-        `description`: topics and first messages of the recording.
-        urdf_text: contents of `head.urdf`, if the configuration names one.
-
     Raises:
         RecordingError: the recording lacks something that the configuration does not give.
         ConfigError: configuration and recording contradict each other, or several choices remain.
@@ -141,11 +136,7 @@ def stereo_layout(config: RigConfig) -> StereoLayout:
 
 
 def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str | None = None) -> Survey:
-    """Everything that configuration and recording determine, and all errors, except those that follow from another.
-
-    Args:
-        config, `description`, urdf_text: see `resolve_rig`.
-    """
+    """Everything that configuration and recording determine, and all errors, except those that follow from another."""
     lacks: list[tuple[Part, _Lack]] = []
 
     def tried(part: Part, step: Callable[[], T]) -> T | None:
