@@ -80,9 +80,16 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
                 "compare calibrations of one robot with the same head.head_frame and cameras.reference",
             )
     change = nine_apart(first, second)
-    known, covariance = _known(first, second)
-    std = np.where(known, np.sqrt(np.diag(covariance)), 0.0)
-    known &= std > 0
+    unobservable = _unobservable(first) | _unobservable(second)
+    # Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
+    known, covariance = np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
+    if first.knowledge is not None and second.knowledge is not None:
+        covariances = first.knowledge.covariance, second.knowledge.covariance
+        covariance = covariances[0] + covariances[1]
+        known = (np.diag(covariances[0]) > 0) & (np.diag(covariances[1]) > 0) & ~unobservable
+    every_std = np.sqrt(np.diag(covariance))
+    std = np.where(known, every_std, 0.0)
+    fixed = unobservable & (every_std > 0)
     chi2 = chance = None
     if known.any():
         x = change[known]
@@ -98,8 +105,8 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         change=change,
         std=std,
         known=known,
-        unobservable=_unobservable(first) | _unobservable(second),
-        nominal_sigmas=_nominal_sigmas(first, second, change),
+        unobservable=unobservable,
+        nominal_sigmas=np.where(fixed, np.abs(change) / np.where(fixed, every_std, 1.0), 0.0),
         chi2=chi2,
         chance=chance,
         shared=bool({log.sha256 for log in first.logs} & {log.sha256 for log in second.logs}),
@@ -116,33 +123,11 @@ def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
     return b.minus(a)
 
 
-def _known(first: CalibratedRobot, second: CalibratedRobot) -> tuple[BoolArray, FloatArray]:
-    """Which parameters can be compared, (9,), and the covariance of the difference, (9, 9).
-
-    Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
-    """
-    a, b = first.knowledge, second.knowledge
-    if a is None or b is None:
-        return np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
-    known = (np.diag(a.covariance) > 0) & (np.diag(b.covariance) > 0)
-    return known & a.observable & b.observable, a.covariance + b.covariance
-
-
 def _unobservable(robot: CalibratedRobot) -> BoolArray:
     """(9,) parameters that a calibration does not determine; all False where it states no uncertainty."""
     if robot.knowledge is None:
         return np.zeros(9, dtype=np.bool_)
     return np.asarray(~robot.knowledge.observable)
-
-
-def _nominal_sigmas(first: CalibratedRobot, second: CalibratedRobot, change: FloatArray) -> FloatArray:
-    """(9,) change of the unobservable parameters in standard deviations; 0 for the others, and where there is none."""
-    a, b = first.knowledge, second.knowledge
-    if a is None or b is None:
-        return np.zeros(9)
-    std = np.sqrt(np.diag(a.covariance + b.covariance))
-    asked = (_unobservable(first) | _unobservable(second)) & (std > 0)
-    return np.where(asked, np.abs(change) / np.where(asked, std, 1.0), 0.0)
 
 
 def _chance(chi2: float, freedom: int) -> float:

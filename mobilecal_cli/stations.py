@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
+    SIDES,
     BoolArray,
     FloatArray,
     IntArray,
@@ -89,21 +90,19 @@ def pair_images(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tu
     Raises:
         RecordingError: no two images are within the tolerance.
     """
-    after = np.clip(np.searchsorted(right_ns, left_ns), 1, len(right_ns) - 1) if len(right_ns) > 1 else None
-    if after is None:
-        nearest = np.zeros(len(left_ns), dtype=np.int64)
-    else:
-        nearer_before = np.abs(left_ns - right_ns[after - 1]) <= np.abs(left_ns - right_ns[after])
-        nearest = np.where(nearer_before, after - 1, after)
-    apart = np.abs(left_ns - right_ns[nearest])
+    after = np.clip(np.searchsorted(right_ns, left_ns), 1, max(len(right_ns) - 1, 1))
+    before, after = after - 1, np.minimum(after, len(right_ns) - 1)
+    nearer_before = np.abs(left_ns - right_ns[before]) <= np.abs(left_ns - right_ns[after])
+    nearest = np.where(nearer_before, before, after)
+    distance_ns = np.abs(left_ns - right_ns[nearest])
     best: dict[int, int] = {}
-    for i in np.argsort(apart, kind="stable"):
-        if apart[i] <= tolerance_s * _NS:
+    for i in np.argsort(distance_ns, kind="stable"):
+        if distance_ns[i] <= tolerance_s * _NS:
             best.setdefault(int(nearest[i]), int(i))
     if not best:
         raise RecordingError(
             f"no stereo pairs: of {len(left_ns)} left and {len(right_ns)} right images, "
-            f"the closest two are {apart.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
+            f"the closest two are {distance_ns.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
             "check that both cameras use the same clock and are triggered together",
         )
     return tuple(
@@ -114,8 +113,7 @@ def pair_images(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tu
 
 def _silences(images: Mapping[Side, PictureIndex]) -> Iterator[str]:
     """A note where one camera recorded nothing for a while and the other did: a cable, or a full disk."""
-    sides: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
-    for side, other in sides:
+    for side, other in (SIDES, SIDES[::-1]):
         own, others = np.sort(images[side].time_ns), np.sort(images[other].time_ns)
         edges = np.sort(np.concatenate([own, others[[0, -1]]]))
         longest = int(np.argmax(np.diff(edges)))
@@ -197,6 +195,8 @@ def _spread(features: FloatArray, count: int) -> IntArray:
 
 def _keyframes(pairs: list[StereoPair], channels: list[_Channel], count: int) -> list[StereoPair]:
     """Sharp moments of a recording in motion, spread over head angles, heading and distance driven."""
+    if not pairs:
+        return []
     times = np.array([pair.time_ns for pair in pairs])
     values = np.stack([c.track.at(times) for c in channels], axis=1)
     half = int(0.05 * _NS)
@@ -266,15 +266,17 @@ class _Pairs:
     rests: list[list[StereoPair]]
     rejections: list[Rejection]
 
+    def in_motion(self) -> list[StereoPair]:
+        """The pairs taken in motion that are simultaneous enough for it."""
+        resting = {pair for run in self.rests for pair in run}
+        moving = (pair for pair in self.pairs if pair not in resting)
+        return [pair for pair in moving if abs(pair.left_ns - pair.right_ns) <= PAIR_MOVING_S * _NS]
+
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
-    """Find the stereo pairs of a log, and its rests.
-
-    Raises:
-        RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
-    """
+    """Find the stereo pairs of a log, and its rests."""
     channels = _channels(signals, prismatic)
-    left, right = (signals.images[side].time_ns for side in ("left", "right"))
+    left, right = (signals.images[side].time_ns for side in SIDES)
     pairs = list(pair_images(left, right, PAIR_AT_REST_S))
     times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
@@ -309,17 +311,12 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
 
 
 class _Shown:
-    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps.
-
-    Args:
-        images: side → all images.
-        channels: joints and wheels.
-    """
+    """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
     def __init__(self, images: Mapping[Side, PictureIndex], channels: Sequence[_Channel]) -> None:
         self._since = [
             dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
-            for index in (images["left"], images["right"])
+            for index in (images[side] for side in SIDES)
         ]
         self._channels = channels
         self._used: tuple[set[int], set[int]] = (set(), set())
@@ -406,24 +403,25 @@ def plan_stations(
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
-    found: list[tuple[_Pairs, WheelTrack]] = []
+    paired: list[tuple[_Pairs, WheelTrack]] = []
     problems: list[RecordingError] = []
     for signals in logs:
         try:
             wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
-            found.append((_paired(signals, prismatic), wheels))
+            paired.append((_paired(signals, prismatic), wheels))
         except RecordingError as error:
             problems.append(error)
-    if not found:
+    if not paired:
         raise problems[0]
-    rests = sum(len(log.rests) for log, _ in found)
+    rests = sum(len(log.rests) for log, _ in paired)
     plans, moving, picked = [], 0, 0
-    for log, wheels in found:
+    for log, wheels in paired:
         moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
-            chosen, candidates = _in_motion(log, everything)
+            candidates = log.in_motion()
+            chosen = candidates if everything else _keyframes(candidates, log.channels, KEYFRAMES)
             moments += [([pair], False) for pair in chosen]
-            moving, picked = moving + candidates, picked + len(chosen)
+            moving, picked = moving + len(candidates), picked + len(chosen)
         moments.sort(key=lambda moment: moment[0][0].time_ns)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
@@ -432,8 +430,8 @@ def plan_stations(
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
-    notes += (note for log, _ in found for note in _silences(log.signals.images))
-    notes += (note for log, _ in found for note in _not_used(log))
+    notes += (note for log, _ in paired for note in _silences(log.signals.images))
+    notes += (note for log, _ in paired for note in _not_used(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
@@ -447,20 +445,10 @@ def plan_stations(
 def images_of(stations: Sequence[Station], images: Mapping[Side, PictureIndex]) -> dict[Side, PictureIndex]:
     """The images of some stations, of all that were recorded."""
     pairs = [pair for station in stations for pair in station.pairs]
-    times: dict[Side, list[int]] = {
-        "left": [pair.left_ns for pair in pairs],
-        "right": [pair.right_ns for pair in pairs],
+    return {
+        "left": images["left"].at([pair.left_ns for pair in pairs]),
+        "right": images["right"].at([pair.right_ns for pair in pairs]),
     }
-    return {side: images[side].at(own) for side, own in times.items()}
-
-
-def _in_motion(log: _Pairs, everything: bool) -> tuple[list[StereoPair], int]:
-    """Stereo pairs taken in motion that are used, and the number of candidates."""
-    resting = {pair for run in log.rests for pair in run}
-    moving = [s for s in log.pairs if s not in resting and abs(s.left_ns - s.right_ns) <= PAIR_MOVING_S * _NS]
-    if everything or not moving:
-        return moving, len(moving)
-    return _keyframes(moving, log.channels, KEYFRAMES), len(moving)
 
 
 def with_stamps(
@@ -470,15 +458,10 @@ def with_stamps(
     prismatic: frozenset[str],
     stamps: Mapping[Side, Mapping[int, int]],
 ) -> Plan:
-    """A plan made with approximate stamps, updated to the images' own stamps.
+    """A plan of `plan_stations` made with approximate stamps, updated to the images' own stamps.
 
     Pairs are dropped if a stamp is missing, if their images are too far apart, or if they lie outside their rest.
-    Stations without pairs are dropped, too.
-
-    Args:
-        plan: result of `plan_stations`.
-        signals, joints, prismatic: as for `plan_stations`.
-        stamps: side → log time → own stamp, for the pairs' images.
+    Stations without pairs are dropped, too. `stamps`: side → log time → own stamp, for the pairs' images.
     """
     channels = _channels(signals, prismatic)
     own_ns: dict[Side, dict[int, int]] = {}

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mobilecal_cli.commands.init import draft
-from mobilecal_cli.model import Draft
+from mobilecal_cli.rig.draft import Draft
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SAMPLES = REPOSITORY / "sample_logs"

@@ -14,13 +14,7 @@ AnyPath = str | os.PathLike[str]
 
 
 def require(name: str, value: object, kinds: type | tuple[type, ...], give: str) -> None:
-    """Check the type of an argument.
-
-    Args:
-        name: of the argument.
-        value: as given.
-        kinds: types that it may have.
-        give: what to give, for the message.
+    """Check the type of an argument; the message says what to `give`.
 
     Raises:
         TypeError: it has another type.

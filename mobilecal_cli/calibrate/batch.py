@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -16,7 +16,7 @@ from typing import Any
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.manifest import DONE, RECORDS, SUMMARIES, fleet_jobs, skipped_entries
+from mobilecal_cli.calibrate.manifest import DONE, RECORDS, SUMMARIES, FleetJob, fleet_jobs, skipped_entries
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import work, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
@@ -24,15 +24,13 @@ from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
-from mobilecal_cli.model import FleetJob, FleetRow
+from mobilecal_cli.model import FleetRow
 from mobilecal_cli.readers import sha256_of
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
 from mobilecal_cli.rig.config import load_rig, read_urdf
 
-#: Number of attempts at a job whose process dies.
-_ATTEMPTS = 3
-_CRASHED = "the worker process died (out of memory, or killed)"
+_ATTEMPTS = 3  # at a job whose process dies
 #: Hint for a robot whose process died.
 AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
 
@@ -81,20 +79,16 @@ def owns_result(job: FleetJob) -> bool:
     return record is not None and record.get("params", _params_digest(job)) == _params_digest(job)
 
 
-def _record_path(job: FleetJob) -> Path:
-    return job.output / RECORDS / f"{job.name}.json"
-
-
 def _record(job: FleetJob) -> dict[str, Any] | None:
     try:
-        data = json.loads(read_text(_record_path(job), LARGEST_BYTES))
+        data = json.loads(read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES))
     except (OSError, ValueError):
         return None
     return data if isinstance(data, dict) else None
 
 
 def _write_record(job: FleetJob, data: Mapping[str, Any]) -> None:
-    path = _record_path(job)
+    path = job.output / RECORDS / f"{job.name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_file(path, json.dumps(data, indent=1).encode() + b"\n", force=True)
 
@@ -131,20 +125,19 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
     return replace(row, skipped=DONE) if same and answered else None
 
 
-def _row(job: FleetJob, done: Report) -> FleetRow:
-    solution = done.fit.solution
-    T, wheels = reference_pose(solution.parameters, solution.cameras), solution.parameters.wheels
-    lengths = (*T[:3, 3].tolist(), wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
+def _row(job: FleetJob, report: Report) -> FleetRow:
+    solution, verdict = report.fit.solution, report.verdict
+    T, passed = reference_pose(solution.parameters, solution.cameras), verdict.level == "PASS"
     return FleetRow(
         job.name,
-        done.verdict.level,
-        0 if done.verdict.level == "PASS" else QualityError.exit_code,
-        done.verdict.reason,
-        done.values.quality.stations,
+        verdict.level,
+        0 if passed else QualityError.exit_code,
+        verdict.reason,
+        report.values.quality.stations,
         tuple(se3.log_so3(T[:3, :3]).tolist()),
-        lengths,
+        (*T[:3, 3].tolist(), *solution.parameters.wheels.vector.tolist()),
         reference_std(solution),
-        hint="" if done.verdict.level == "PASS" else done.verdict.next_step,
+        hint="" if passed else verdict.next_step,
     )
 
 
@@ -157,13 +150,10 @@ def run_locally(count: int) -> Run:
             del waiting[row.name]
             done(row)
         for name, job in waiting.items():  # a process died: each remaining job gets its own process
-            row = FleetRow(name, "ERROR", 1, _CRASHED, hint=AGAIN)
-            for _ in range(_ATTEMPTS - 1):
-                rows = list(_in_a_pool([job], 1))
-                if rows:
-                    row = rows[0]
-                    break
-            done(row)
+            crashed = "the worker process died (out of memory, or killed)"
+            attempts = (list(_in_a_pool([job], 1)) for _ in range(_ATTEMPTS - 1))
+            rows = next(filter(None, attempts), [FleetRow(name, "ERROR", 1, crashed, hint=AGAIN)])
+            done(rows[0])
 
     return run
 
@@ -206,9 +196,14 @@ def batch(
         ConfigError: see `fleet_jobs`.
         OutputError: the outputs cannot be written.
     """
-    jobs = fleet_jobs(source, output, config_path, flags or {}, gates)
-    jobs = tuple(replace(job, force=force) for job in jobs)
-    _check_outputs(output, jobs, force)
+    jobs = fleet_jobs(source, output, config_path, flags or {}, gates, force)
+    # Before the work: everything in the way must be a result of this batch, or be replaceable.
+    for path in (output / name for name in SUMMARIES):
+        if path.exists() and not (output / RECORDS).is_dir() and not force:
+            raise already_exists(path)
+    for job in jobs:
+        if os.path.lexists(job.output / job.name):
+            check_output(job.output / job.name, force or owns_result(job))
     rows: dict[str, FleetRow] = {}
     new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:
@@ -231,29 +226,9 @@ def batch(
                 path.rmdir()
         raise
     ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
-    _write_summaries(output, ordered)
-    return ordered
-
-
-def _check_outputs(output: Path, jobs: Iterable[FleetJob], force: bool) -> None:
-    """Check before the work that everything in the way is a result of this batch, or may be replaced.
-
-    Raises:
-        OutputError: naming the first path that may not be replaced.
-    """
-    for path in (output / name for name in SUMMARIES):
-        if path.exists() and not (output / RECORDS).is_dir() and not force:
-            raise already_exists(path)
-    for job in jobs:
-        directory = job.output / job.name
-        if os.path.lexists(directory):
-            check_output(directory, force or owns_result(job))
-
-
-def _write_summaries(output: Path, rows: Iterable[FleetRow]) -> None:
-    listed = tuple(rows)
-    for name, text in zip(SUMMARIES, (fleet_csv(listed), fleet_html(listed)), strict=True):
+    for name, text in zip(SUMMARIES, (fleet_csv(ordered), fleet_html(ordered)), strict=True):
         write_file(output / name, text.encode(), force=True)
+    return ordered
 
 
 def run_on(address: str, timeout_s: float = 30.0) -> Run:
@@ -304,12 +279,10 @@ def run_on(address: str, timeout_s: float = 30.0) -> Run:
                 client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs
             }
             for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
-                failed = future.exception()
-                done(future.result() if failed is None else _lost(futures[future], failed))
+                if (failed := future.exception()) is None:
+                    done(future.result())
+                else:
+                    reason = f"the worker process died or failed: {type(failed).__name__}: {failed}"
+                    done(FleetRow(futures[future].name, "ERROR", 1, reason, hint=AGAIN))
 
     return run
-
-
-def _lost(job: FleetJob, error: BaseException) -> FleetRow:
-    reason = f"the worker process died or failed: {type(error).__name__}: {error}"
-    return FleetRow(job.name, "ERROR", 1, reason, hint=AGAIN)

@@ -34,25 +34,25 @@ class Limits:
     ray_mm: float | None = None
     heading_deg: float | None = None
 
-    def broken_by(self, found: Difference) -> list[str]:
+    def broken_by(self, change: Difference) -> list[str]:
         """The limits that a difference exceeds, as text; the one of unobservable parameters always applies."""
         broken = [
-            f"{NINE[k]}, which is unobservable, by {found.nominal_sigmas[k]:.1f} sigma of its nominal value "
+            f"{NINE[k]}, which is unobservable, by {change.nominal_sigmas[k]:.1f} sigma of its nominal value "
             f"(limit {MOST_NOMINAL_SIGMAS:g})"
-            for k in np.flatnonzero(found.nominal_sigmas > MOST_NOMINAL_SIGMAS)
+            for k in np.flatnonzero(change.nominal_sigmas > MOST_NOMINAL_SIGMAS)
         ]
         if self.sigma is not None:
-            if not found.known.any():
+            if not change.known.any():
                 broken.append("no standard deviations for the limit in sigma")
-            blind = np.flatnonzero(found.unobservable)
+            blind = np.flatnonzero(change.unobservable)
             broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
-            sigmas = np.nan_to_num(np.abs(found.sigmas))
+            sigmas = np.nan_to_num(np.abs(change.sigmas))
             worst = int(np.argmax(sigmas))
             if sigmas[worst] > self.sigma:
                 broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {self.sigma:g})")
-        if self.ray_mm is not None and found.ray_m * 1e3 > self.ray_mm:
-            broken.append(f"point 2 m ahead by {found.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
-        turn_deg = abs(math.degrees(found.heading_rad_per_turn))
+        if self.ray_mm is not None and change.ray_m * 1e3 > self.ray_mm:
+            broken.append(f"point 2 m ahead by {change.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
+        turn_deg = abs(math.degrees(change.heading_rad_per_turn))
         if self.heading_deg is not None and turn_deg > self.heading_deg:
             broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {self.heading_deg:g})")
         return broken
@@ -105,7 +105,7 @@ def compare(
         write_file(plot, history_plot(labels, past).encode(), force)
     broken = tuple(
         f"{name}: {what}"
-        for name, found in zip(names[1:], differences, strict=True)
-        for what in limits.broken_by(found)
+        for name, change in zip(names[1:], differences, strict=True)
+        for what in limits.broken_by(change)
     )
     return Comparison(names, robots, differences, past if len(files) > 2 else None, broken)

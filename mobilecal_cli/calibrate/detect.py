@@ -22,8 +22,6 @@ from mobilecal_cli.model import (
     Rejection,
     Rig,
     Side,
-    Snapshot,
-    Sources,
     Station,
     StereoPair,
     StereoRig,
@@ -86,21 +84,6 @@ class Segment:
     thorough: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """Data common to all segments of a recording.
-
-    Attributes:
-        sources: the image topics.
-        cameras: the stereo pair, for the image sizes.
-        board: board to detect.
-    """
-
-    sources: Sources
-    cameras: StereoRig
-    board: Board
-
-
 def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
     """Check that an image has the size stated in its camera_info.
 
@@ -120,13 +103,7 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
 def first_pictures(
     recording: Recording, rig: Rig, plans: Sequence[Plan], rejections: list[Rejection]
 ) -> Iterator[GrayImage]:
-    """Some images of both cameras, spread over the recording, to estimate the board's size.
-
-    Args:
-        recording: the open recording.
-        rig: its topics and cameras.
-        plans: its stations.
-        rejections: receives those that cannot be decoded.
+    """Some images of both cameras, spread over the recording; `rejections` receives those that cannot be decoded.
 
     Raises:
         RecordingError: an image has another size than stated.
@@ -187,7 +164,7 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
 
 
 def detect_segment(
-    recording: Recording, scene: Scene, segment: Segment
+    recording: Recording, rig: Rig, board: Board, segment: Segment
 ) -> Iterator[int | list[StationDetections]]:
     """Detect the board in all images of a segment, in one pass over its part of the recording.
 
@@ -200,15 +177,15 @@ def detect_segment(
         "right": {pair.right_ns: i for i, station in enumerate(stations) for pair in station.pairs},
     }
     detections = [StationDetections() for _ in stations]
-    followers = {side: BoardFollower(scene.board, segment.thorough) for side in SIDES}
-    sources = scene.sources
+    followers = {side: BoardFollower(board, segment.thorough) for side in SIDES}
+    sources = rig.sources
     for side, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
         station = where[side][stamp]
         place = detections[station]
         if isinstance(picture, Rejection):
             place.rejections.append(picture)
             continue
-        check_picture(picture, side, scene.cameras)
+        check_picture(picture, side, rig.cameras)
         if station in segment.shown and side not in place.pictures:
             place.pictures[side] = snapshot_jpeg(picture)
         place.found[side][stamp] = followers[side].find(picture, stamp)
@@ -217,47 +194,37 @@ def detect_segment(
 
 
 def measure_stations(
-    log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
+    log: int,
+    cameras: StereoRig,
+    board: Board,
+    stations: Sequence[Station],
+    detections: Sequence[StationDetections],
 ) -> list[Measured | Rejection]:
-    """Measure the board at some stations of a recording.
-
-    Args:
-        log: index of the recording.
-        scene: cameras and board.
-        stations: stations to measure.
-        detections: detections at each of them.
-
-    Returns:
-        The board at each station, or a rejection.
-    """
-    return [_measured(log, scene, station, seen) for station, seen in zip(stations, detections, strict=True)]
+    """The board at some stations of recording number `log`, or why it cannot be measured."""
+    measured: list[Measured | Rejection] = []
+    for station, detected in zip(stations, detections, strict=True):
+        left, right = detected.pairs(station.pairs)
+        if left:
+            measured.append(measure(log, station, left, right, cameras, board))
+        else:
+            undecoded = [rejection.detail for rejection in detected.rejections]
+            detail = undecoded[0] if undecoded else "the recording does not contain the images"
+            reason = "images cannot be decoded"
+            measured.append(Rejection("readers", reason, detail, station.time_ns, station.index, log))
+    return measured
 
 
 def first_pairs(
     stations: Sequence[Station], detections: Sequence[StationDetections]
 ) -> list[tuple[Detection, Detection]]:
     """The board in the first stereo pair of each station that shows it in both images."""
-    found = []
-    for station, seen in zip(stations, detections, strict=True):
-        for left, right in zip(*seen.pairs(station.pairs), strict=True):
+    firsts = []
+    for station, detected in zip(stations, detections, strict=True):
+        for left, right in zip(*detected.pairs(station.pairs), strict=True):
             if isinstance(left, Detection) and isinstance(right, Detection):
-                found.append((left, right))
+                firsts.append((left, right))
                 break
-    return found
-
-
-def _measured(
-    log: int, scene: Scene, station: Station, detections: StationDetections
-) -> Measured | Rejection:
-    left, right = detections.pairs(station.pairs)
-    if not left:
-        detail = (
-            detections.rejections[0].detail
-            if detections.rejections
-            else "the recording does not contain the images"
-        )
-        return Rejection("readers", "images cannot be decoded", detail, station.time_ns, station.index, log)
-    return measure(log, station, left, right, scene.cameras, scene.board)
+    return firsts
 
 
 #: Largest number of pending segments per process, so that results do not fill the memory.
@@ -276,8 +243,8 @@ def _begin(files: Sequence[Path]) -> None:
     _Here.recording = resources.enter_context(open_recording(files))
 
 
-def _detect(scene: Scene, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
-    *_, detections = detect_segment(_Here.recording, scene, segment)
+def _detect(rig: Rig, board: Board, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
+    *_, detections = detect_segment(_Here.recording, rig, board, segment)
     assert isinstance(detections, list)
     return detections, _Here.recording.damage
 
@@ -297,10 +264,6 @@ class DetectionWorkers(Processes):
     """Worker processes that detect the board in the images of a long recording.
 
     If they cannot be started, or one dies, this process does the remaining segments.
-
-    Args:
-        recording: one recording, open.
-        jobs: largest number of worker processes.
     """
 
     def __init__(self, recording: Recording, jobs: int) -> None:
@@ -308,19 +271,15 @@ class DetectionWorkers(Processes):
         self._recording, self._jobs = recording, jobs
 
     def call(self, most: int | None = None) -> None:
-        """Start the worker processes in the background, if more than one may be used.
-
-        Args:
-            most: upper limit of useful processes; none by default.
-        """
+        """Start the worker processes in the background, at most `most`, if more than one may be used."""
         processes = min(self._jobs, self._jobs if most is None else most)
         if not self.started and processes > 1:
             self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
-    def detect_segment(
-        self, scene: Scene, segments: Sequence[Segment]
+    def detect_segments(
+        self, rig: Rig, board: Board, segments: Sequence[Segment]
     ) -> Iterator[int | list[StationDetections]]:
-        """`detecting.detect_segment` for all segments, in order.
+        """`detect_segment` for all segments, in order.
 
         Yields:
             The number of images processed since the last value; after each segment, its list of results.
@@ -329,77 +288,65 @@ class DetectionWorkers(Processes):
         self.call(len(segments) // 2)
         if self.started and len(segments) > 1:
             with suppress(*FAILED):
-                for detections, damage in self._together(scene, segments):
+                waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+                ahead = iter(segments)
+                while True:
+                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
+                        waiting.append(self.submit(_detect, rig, board, segment))
+                    if not waiting:
+                        break
+                    detections, damage = waiting.popleft().result()
                     for note in damage:
                         self._recording.note(note)
-                    yield sum(len(found) for one in detections for found in one.found.values())
+                    yield sum(len(of_side) for station in detections for of_side in station.found.values())
                     yield detections
                     done += 1
         for segment in segments[done:]:
-            yield from detect_segment(self._recording, scene, segment)
+            yield from detect_segment(self._recording, rig, board, segment)
 
     def measure_stations(
-        self, log: int, scene: Scene, stations: Sequence[Station], detections: Sequence[StationDetections]
+        self,
+        log: int,
+        cameras: StereoRig,
+        board: Board,
+        stations: Sequence[Station],
+        detections: Sequence[StationDetections],
     ) -> list[Measured | Rejection]:
-        """`detecting.measure_stations` for all stations, in the worker processes if there are many."""
+        """`measure_stations` in the worker processes, if there are many stations."""
         if self.started and len(stations) > _MEASURED_AT_ONCE:
             starts = range(0, len(stations), _MEASURED_AT_ONCE)
             some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
             with suppress(*FAILED):
                 tasks = [
-                    self.submit(measure_stations, log, scene, stations[part], detections[part])
+                    self.submit(measure_stations, log, cameras, board, stations[part], detections[part])
                     for part in some
                 ]
-                return [one for task in tasks for one in task.result()]
-        return measure_stations(log, scene, stations, detections)
-
-    def _together(
-        self, scene: Scene, segments: Sequence[Segment]
-    ) -> Iterator[tuple[list[StationDetections], tuple[str, ...]]]:
-        waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-        for segment in segments:
-            waiting.append(self.submit(_detect, scene, segment))
-            if len(waiting) >= _AHEAD * self._jobs:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+                return [measured for task in tasks for measured in task.result()]
+        return measure_stations(log, cameras, board, stations, detections)
 
 
 def detect_all(
-    workers: DetectionWorkers, scene: Scene, plans: Sequence[Plan], thorough: bool, progress: Progress
-) -> list[tuple[list[StationDetections], list[Snapshot]]]:
-    """Detect the board in the images of all stations of a recording.
+    workers: DetectionWorkers,
+    rig: Rig,
+    board: Board,
+    plans: Sequence[Plan],
+    thorough: bool,
+    progress: Progress,
+) -> list[list[StationDetections]]:
+    """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
 
-    Args:
-        workers: the worker processes; a few segments are processed without them.
-        scene: cameras and board.
-        plans: stations of each of its logs.
-        thorough: see `vision.detect`.
-        progress: called after every image.
-
-    Returns:
-        For each log: one `StationDetections` per station, and JPEGs of the first images of some stations.
+    A few segments are processed without the workers. For `thorough`, see `vision.detect`.
     """
-    segments = [segments_of(plan, thorough) for plan in plans]
+    segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
     total = 2 * sum(len(station.pairs) for plan in plans for station in plan.stations)
     done = 0
     detections: list[StationDetections] = []
     with _one_thread():
-        for step in workers.detect_segment(scene, [segment for some in segments for segment in some]):
+        for step in workers.detect_segments(rig, board, segments):
             if isinstance(step, int):
                 done += step
                 progress("detecting the board", done, total)
             else:
                 detections += step
-    found = iter(detections)
-    return [_with_snapshots(plan, list(islice(found, len(plan.stations)))) for plan in plans]
-
-
-def _with_snapshots(
-    plan: Plan, detections: list[StationDetections]
-) -> tuple[list[StationDetections], list[Snapshot]]:
-    return detections, [
-        Snapshot(0, station.index, seen.pictures["left"], seen.pictures["right"])
-        for station, seen in zip(plan.stations, detections, strict=True)
-        if all(side in seen.pictures for side in SIDES)
-    ]
+    in_order = iter(detections)
+    return [list(islice(in_order, len(plan.stations))) for plan in plans]

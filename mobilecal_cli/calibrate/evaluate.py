@@ -18,7 +18,6 @@ from mobilecal_cli.model import (
     Knowledge,
     Nominal,
     Solution,
-    WheelGeometry,
 )
 from mobilecal_cli.report.criteria import Check
 from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
@@ -90,17 +89,21 @@ def evaluate(
     progress("evaluating", 0, None)
     nominal = extraction.rig.nominal.wheels
     own = _own_estimate(solution, extraction, robot) if isinstance(solution, Solution) else solution
-    found = evaluate_parameters(
+    # Path length and rotation by wheels that do not come from the calibration under test, if there are any.
+    wheels_of_its_own = None
+    if isinstance(own, OwnEstimate) and own.robot.knowledge and own.robot.knowledge.observable[6:].all():
+        wheels_of_its_own = own.robot.wheels
+    evaluation = evaluate_parameters(
         extraction,
         parameters,
         wheels or nominal,
         offsets_s=clock_offsets(solution) if isinstance(solution, Solution) else {},
-        reference=_reference(own, nominal),
+        reference=wheels_of_its_own or nominal,
     )
     used = used_for(robot, extraction)
-    checks = tuple(gate_checks(limits, evaluated_figures(found)))
-    verdict = judge_evaluation(found, extraction.rig.cameras, robot, own, used, checks)
-    return Evaluated(found, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
+    checks = tuple(gate_checks(limits, evaluated_figures(evaluation)))
+    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, used, checks)
+    return Evaluated(evaluation, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
 
 
 def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | MobilecalError:
@@ -136,14 +139,3 @@ def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedR
     )
     cure = "; ".join(gap.cure for gap in motion_gaps(extraction))
     return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure)
-
-
-def _reference(own: OwnEstimate | MobilecalError, nominal: WheelGeometry | None) -> WheelGeometry | None:
-    """Wheels for path length and rotation that do not come from the calibration under test, if there are any."""
-    if (
-        isinstance(own, OwnEstimate)
-        and own.robot.knowledge is not None
-        and own.robot.knowledge.observable[6:].all()
-    ):
-        return own.robot.wheels
-    return nominal

@@ -11,14 +11,7 @@ from mobilecal_cli.calibrate.arguments import AnyPath, by_name, path_of, paths_o
 from mobilecal_cli.calibrate.load import differences, read_extraction, read_params
 from mobilecal_cli.calibrate.steps import Report
 from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
-from mobilecal_cli.export.formats import (
-    Exported,
-    Format,
-    Request,
-    format_of,
-    verdict_note,
-    with_verdict,
-)
+from mobilecal_cli.export.formats import Exported, Request, format_of, verdict_note, with_verdict
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.files.scratch import scratch_directory
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side
@@ -112,7 +105,10 @@ def export(
         "--log": bool(recordings),
     }
     to = format_of(target)
-    _check_options(to, [option for option, is_given in given.items() if is_given])
+    for option, is_given in given.items():
+        if is_given and option not in to.options:
+            formats = [name for name in Target if option in format_of(name).options]
+            raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
 
     def scene() -> Scene:
         from mobilecal_cli.calibrate.scene import scene_of
@@ -151,20 +147,8 @@ def _check_wheels(robot: CalibratedRobot, given: Mapping[Side, str], joints: Map
         raise ConfigError(f"--{side}-joint {name}: this joint {used}", hint)
 
 
-def _check_options(target: Format, given: Iterable[str]) -> None:
-    """Refuse an option that is given for a format that does not use it."""
-    for option in given:
-        if option not in target.options:
-            formats = [name for name in Target if option in format_of(name).options]
-            raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
-
-
 def _beside(params: Path, robot: CalibratedRobot) -> Extraction:
-    """The measurements in the directory of a params.yaml.
-
-    Raises:
-        ConfigError: there are none, or they are not its own.
-    """
+    """The measurements in the directory of a params.yaml."""
     path = params.with_name("extraction.npz")
     if not path.is_file():
         raise ConfigError(

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.detect import (
     DetectionWorkers,
-    Scene,
     StationDetections,
     board_size,
     detect_all,
@@ -27,6 +26,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    SIDES,
     Board,
     Extraction,
     LogSource,
@@ -66,7 +66,6 @@ class ExtractedLog:
     plan: Plan
     detections: Sequence[StationDetections]
     measured: Sequence[Measured | Rejection]
-    snapshots: Sequence[Snapshot]
     notes: tuple[str, ...]
 
 
@@ -82,15 +81,14 @@ def _extracted(
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
     description, urdf = read_description(recording), read_urdf(config)
-    resolved = resolve_rig(config, description, urdf)
+    rig, rig_notes = resolve_rig(config, description, urdf)
     everything = config.stations == "all"
-    if everything and recording.bytes_of(resolved.rig.sources.image.values()) >= WORTH_BYTES:
+    if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()
-    planned = plan_recording(recording, resolved.rig, resolved.rig.chain.prismatic, everything)
-    if planned.infos:
-        description = replace(description, infos={**description.infos, **planned.infos})
-        resolved = resolve_rig(config, description, urdf)
-    rig, plans = resolved.rig, planned.plans
+    plans, infos, plan_notes = plan_recording(recording, rig, everything)
+    if infos:
+        description = replace(description, infos={**description.infos, **infos})
+        rig, rig_notes = resolve_rig(config, description, urdf)
     for log in earlier:
         for plan in plans:
             if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
@@ -105,42 +103,32 @@ def _extracted(
                 "set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    scene = Scene(rig.sources, rig.cameras, board)
-    detected = detect_all(workers, scene, plans, not everything, progress)
-    stations = [station for detections, _ in detected for station in detections]
+    detected = detect_all(workers, rig, board, plans, not everything, progress)
+    stations = [station for detections in detected for station in detections]
     for side, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
         if lost and not any(station.found[side] for station in stations):
             raise undecodable(lost)
     any_board = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
     if not any_board and config.board.columns is not None and board.markers is None:
-        _refuse_wrong_size(recording, rig, plans, board)
+        size = board_size(recording, rig, plans)
+        if size is not None and set(size) != {board.columns, board.rows}:
+            raise ObservationError(
+                f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+                f"{size[0]} x {size[1]}",
+                f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+            )
     progress("measuring", 0, None)
-    notes = (*resolved.notes, *planned.notes, *recording.damage)
+    notes = (*rig_notes, *plan_notes, *recording.damage)
     logs = []
-    for number, (plan, (detections, snapshots)) in enumerate(zip(plans, detected, strict=True), len(earlier)):
-        measured = workers.measure_stations(number, scene, plan.stations, detections)
+    for number, (plan, detections) in enumerate(zip(plans, detected, strict=True), len(earlier)):
+        measured = workers.measure_stations(number, rig.cameras, board, plan.stations, detections)
         check_arrangement(measured, first_pairs(plan.stations, detections), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
-        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, snapshots, (*notes, *misfit)))
+        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, (*notes, *misfit)))
     return logs
-
-
-def _refuse_wrong_size(recording: Recording, rig: Rig, plans: Sequence[Plan], board: Board) -> None:
-    """Search for a board of another size after the configured one was not found.
-
-    Raises:
-        ObservationError: a board of another size was found.
-    """
-    size = board_size(recording, rig, plans)
-    if size is not None and set(size) != {board.columns, board.rows}:
-        raise ObservationError(
-            f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
-            f"{size[0]} x {size[1]}",
-            f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
-        )
 
 
 def board_of(config: RigConfig) -> Board | None:
@@ -149,13 +137,10 @@ def board_of(config: RigConfig) -> Board | None:
     if not (given.columns and given.rows):
         return None
     markers = None
-    if given.kind == "charuco":
-        markers = Markers(
-            "charuco", given.dictionary or "", given.marker_share or 0.0, given.first_id, given.border_bits
-        )
-    elif given.kind == "aprilgrid":
+    if given.kind != "checkerboard":
         family = given.dictionary or "DICT_APRILTAG_36h11"
-        markers = Markers("aprilgrid", family, given.gap_share or 0.0, given.first_id, given.border_bits)
+        share = given.marker_share if given.kind == "charuco" else given.gap_share
+        markers = Markers(given.kind, family, share or 0.0, given.first_id, given.border_bits)
     return Board(given.columns, given.rows, given.square_m, markers)
 
 
@@ -169,13 +154,6 @@ def extract(
 
     Files that follow one another in time form one recording; other files are separate recordings. No leg
     connects stations of two recordings.
-
-    Args:
-        logs: recordings.
-        config: see `config.load_rig`.
-        progress: called with the state of the work.
-        jobs: number of processes for board detection in long recordings and for drawing; with more than one, the
-            main module must be importable without side effects, as for `multiprocessing`.
 
     Raises:
         MobilecalError: see `errors`.
@@ -202,8 +180,14 @@ def extract(
             )
         other = _other_cameras(first, new)
         extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
-    extraction, snapshots = _assembled(extracted, sources)
+    extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
+    snapshots = tuple(
+        Snapshot(number, station.index, detected.pictures["left"], detected.pictures["right"])
+        for number, log in enumerate(extracted)
+        for station, detected in zip(log.plan.stations, log.detections, strict=True)
+        if all(side in detected.pictures for side in SIDES)
+    )
     return extraction, snapshots
 
 
@@ -234,50 +218,44 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
     )
 
 
-def _assembled(
-    logs: Sequence[ExtractedLog], sources: Sequence[LogSource]
-) -> tuple[Extraction, tuple[Snapshot, ...]]:
+def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Extraction:
     board, rig = logs[0].board, logs[0].rig
     square_m = board.square_m
     if square_m is None:
-        # All stations share one board: use the median of their square sizes, which the stereo baseline
-        # determines.
+        # All stations share one board: use the median of their square sizes, which the stereo baseline determines.
         sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []
     for number, log in enumerate(logs):
-        resolved = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
-        observations += [item for item in resolved if isinstance(item, Observation)]
+        squared = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
+        observations += [item for item in squared if isinstance(item, Observation)]
         lost = (rejection for detections in log.detections for rejection in detections.rejections)
-        missed = (item for item in resolved if isinstance(item, Rejection))
+        missed = (item for item in squared if isinstance(item, Rejection))
         rejections += [replace(r, log=number) for r in (*log.plan.rejections, *lost, *missed)]
     if observations:
         R_v_h = head_pose(rig.chain, np.stack([o.joints for o in observations]))[:, :3, :3]
         numbered, unresolved = resolve_numbering(observations, R_v_h, board)
         observations, rejections = list(numbered), [*rejections, *unresolved]
-    wheels: tuple[WheelTrack, ...] = tuple(log.plan.wheels for log in logs)
-    counts: dict[str, Any] = {
+    counts = {
         "stations": sum(len(log.plan.stations) for log in logs),
         "stations_at_rest": sum(s.at_rest for log in logs for s in log.plan.stations),
         "pictures": sum(
-            len(found) for log in logs for detections in log.detections for found in detections.found.values()
+            len(of_side) for log in logs for station in log.detections for of_side in station.found.values()
         ),
         "observations": len(observations),
     }
-    extraction = Extraction(
+    return Extraction(
         rig=rig,
         board=board,
         observations=tuple(observations),
-        wheels=wheels,
+        wheels=tuple(log.plan.wheels for log in logs),
         rejections=tuple(rejections),
         notes=tuple(dict.fromkeys(note for log in logs for note in log.notes)),
         logs=tuple(sources),
         counts=counts,
         joint_tracks=tuple(log.plan.joints for log in logs),
     )
-    snapshots = tuple(replace(s, log=number) for number, log in enumerate(logs) for s in log.snapshots)
-    return extraction, snapshots
 
 
 _SAME_SHARE = 0.9  # of the readings while both were recorded
@@ -302,29 +280,22 @@ def refuse_equal_files(logs: Sequence[LogSource]) -> None:
 def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> None:
     """Refuse recordings with the same readings or images, such as one recording in two containers.
 
-    Args:
-        extraction: of all recordings.
-        names: of the recordings.
-
     Raises:
         ConfigError: naming both recordings.
     """
     joints = extraction.joint_tracks or ((),) * len(extraction.wheels)
     signals = list(zip(extraction.wheels, joints, strict=True))
-    seen = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
+    by_log = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
     for i, j in itertools.combinations(range(len(signals)), 2):
         if same_signals(signals[i], signals[j]):
             refuse_same(names[i], names[j], "wheel and joint readings")
-        if _same_images(seen[i], seen[j]):
+        at = {o.time_ns: o for o in by_log[i]}
+        if any(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in by_log[j]):
             refuse_same(names[i], names[j], "images")
 
 
-def refuse_same(one: str, other: str, what: str) -> None:
-    """Refuse two recordings.
-
-    Raises:
-        ConfigError: always.
-    """
+def refuse_same(one: str, other: str, what: str) -> NoReturn:
+    """Refuse two recordings, always."""
     raise ConfigError(f"{one} and {other} are the same recording: they contain the same {what}", _HINT)
 
 
@@ -342,15 +313,9 @@ def _same_readings(one: Track, other: Track) -> bool:
         return False
     begin, end = max(one.time_ns[0], other.time_ns[0]), min(one.time_ns[-1], other.time_ns[-1])
     overlap = min(int(np.sum((track.time_ns >= begin) & (track.time_ns <= end))) for track in (one, other))
-    apart = one.value[i] - other.value[j]
-    same = np.abs(apart - np.median(apart)) < _SAME_VALUE
+    differences = one.value[i] - other.value[j]
+    same = np.abs(differences - np.median(differences)) < _SAME_VALUE
     return int(same.sum()) >= _SAME_SHARE * overlap
-
-
-def _same_images(one: Sequence[Observation], other: Sequence[Observation]) -> bool:
-    """Whether a station of one recording has the time and the corners of a station of the other."""
-    at = {o.time_ns: o for o in one}
-    return any(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in other)
 
 
 def _same_corners(one: Observation, other: Observation) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -42,12 +43,7 @@ class Gap:
 
 
 def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Gap, ...]:
-    """Gaps in the motion that leave some of the nine parameters unobservable (`method.md`, last table).
-
-    Args:
-        extraction: the stations.
-        fixed: names of the fixed parameters, of `NINE`.
-    """
+    """Gaps in the motion that leave some of the nine parameters unobservable, except `fixed` ones (`method.md`)."""
     observations = extraction.observations
     times = [
         np.array([o.time_ns for o in observations if o.log == log]) for log in range(len(extraction.wheels))
@@ -130,17 +126,15 @@ def require_stations(extraction: Extraction) -> None:
     have = len(extraction.observations)
     logs = len({o.log for o in extraction.observations})
     if have < FEWEST_STATIONS or have - logs < FEWEST_LEGS:
-        reasons: dict[str, int] = {}
-        for rejection in extraction.rejections:
-            reasons[rejection.reason] = reasons.get(rejection.reason, 0) + 1
-        counted = ", ".join(f"{n} x {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1]))
+        reasons = Counter(rejection.reason for rejection in extraction.rejections).most_common()
+        counted = ", ".join(f"{n} x {reason}" for reason, n in reasons)
         rejected = f"; rejected: {counted}" if counted else ""
-        found = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
+        where = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
         cure = "keep the whole board in both images, at rest, in good light, with squares of 7 pixels or more"
         if have < FEWEST_STATIONS:
-            raise ObservationError(f"{found} (at least {FEWEST_STATIONS} needed){rejected}", cure)
+            raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(
-            f"{found} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
+            f"{where} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
             f"(at least {FEWEST_LEGS} needed){rejected}",
             f"record more stations in each recording; {cure}",
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,6 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     NINE,
     SIDES,
-    BoardView,
-    FloatArray,
     Inspection,
     IntArray,
     JointRange,
@@ -70,6 +68,32 @@ _LEAST_COVERED = 0.9
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
+class _Findings:
+    """What is missing for a calibration, what limits it, and notes, in the order of the work."""
+
+    def __init__(self) -> None:
+        self.missing: list[Lack] = []
+        self.weak: list[Lack] = []
+        self.notes: list[str] = []
+
+    def miss(self, about: str, error: MobilecalError) -> None:
+        self.missing.append(_lack(about, error))
+
+    def add_gaps(self, about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> None:
+        """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others are missing.
+
+        What is `unread` of the recording may show the others.
+        """
+        fixed: list[Lack] = []
+        for gap in gaps:
+            of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
+            nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
+            what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
+            lack = Lack(about, what, gap.cure, SolveError.exit_code)
+            (fixed if nominal is not None else self.weak if unread else self.missing).append(lack)
+        self.weak += fixed
+
+
 def inspect(
     logs: Sequence[Path],
     config_path: Path | None = None,
@@ -92,39 +116,38 @@ def inspect(
         ConfigError: the configuration cannot be read.
     """
     config = load_rig(config_path, flags)
+    findings = _Findings()
     with open_recording(logs) as recording:
         progress("topics", 0, None)
         times = recording.log_times()
-        missing = _unknown_gates(config)
-        description, survey = _survey(recording, config, missing)
-        rig: Rig | None = None
-        notes: tuple[str, ...] = ()
-        if survey is not None and not survey.lacks:
-            resolved = complete_rig(survey, config)
-            rig, notes = resolved.rig, resolved.notes
-        board: BoardView | None = None
-        motion: MotionView | None = None
-        covered: tuple[int, int] | None = None
-        weak: list[Lack] = []
-        if rig is not None and description is not None:
+        try:
+            gates_of((), config.gates)
+        except ConfigError as error:
+            findings.miss("gates", error)
+        rig, survey, board, motion, covered = None, None, None, None, None
+        try:
+            description = read_description(recording)
+            survey = survey_rig(config, description, read_urdf(config))
+        except RecordingError as error:
+            findings.miss("recording", error)
+        if survey is not None and survey.lacks:
+            findings.missing += [_lack(part, error) for part, error in survey.lacks]
+        elif survey is not None:
+            rig, rig_notes = complete_rig(survey, config)
+            findings.notes += rig_notes
             progress("motion", 0, None)
-            weak += _wrong_chain(config, rig, description)
-            weak += _without_priors(rig, config, missing)
-            covered, uncovered = _covered(rig, times, missing)
-            motion, unobservable, seen = _motion(recording, rig, times, missing)
-            notes, weak = (*notes, *seen), [*weak, *uncovered, *unobservable]
+            findings.weak += _wrong_chain(config, rig, description)
+            findings.add_gaps("priors", rig, _without_priors(rig, config))
+            covered = _covered(rig, times, findings)
+            motion = _motion(recording, rig, times, findings)
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
+            layout, square_m = stereo_layout(config), config.board.square_m
             board, lacks, limits = sample_board(
-                recording,
-                survey.images,
-                stereo_layout(config),
-                survey.cameras,
-                board_of(config),
-                config.board.square_m,
+                recording, survey.images, layout, survey.cameras, board_of(config), square_m
             )
-            missing += lacks
-            weak += limits
+            findings.missing += lacks
+            findings.weak += limits
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -137,9 +160,9 @@ def inspect(
             board=board,
             motion=motion,
             covered=covered,
-            missing=tuple(missing),
-            weak=tuple(weak),
-            notes=(*notes, *recording.damage),
+            missing=tuple(findings.missing),
+            weak=tuple(findings.weak),
+            notes=(*findings.notes, *recording.damage),
         )
 
 
@@ -166,12 +189,7 @@ def check(
     flags: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> Inspection:
-    """`inspect`, with an invalid configuration and an unreadable recording among the problems found.
-
-    Args:
-        config_path: rig.yaml.
-        logs, flags, progress: see `inspect`.
-    """
+    """`inspect`, with an invalid configuration and an unreadable recording among the problems found."""
     about = "rig.yaml"
     try:
         read_urdf(load_rig(config_path, flags))
@@ -198,28 +216,6 @@ def _lack(about: str, error: MobilecalError) -> Lack:
     return Lack(about, error.message, error.hint, error.exit_code)
 
 
-def _unknown_gates(config: RigConfig) -> list[Lack]:
-    try:
-        gates_of((), config.gates)
-    except ConfigError as error:
-        return [_lack("gates", error)]
-    return []
-
-
-def _survey(
-    recording: Recording, config: RigConfig, missing: list[Lack]
-) -> tuple[RobotDescription | None, Survey | None]:
-    """What the recording states, and the parts of the rig that `calibrate` would use; what it lacks, to `missing`."""
-    try:
-        description = read_description(recording)
-    except RecordingError as error:
-        missing.append(_lack("recording", error))
-        return None, None
-    survey = survey_rig(config, description, read_urdf(config))
-    missing += [_lack(part, error) for part, error in survey.lacks]
-    return description, survey
-
-
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
     """Joints that the head chain probably has twice, or not at all."""
     links = Counter(link.joint for link in config.head.chain or () if link.joint)
@@ -239,29 +235,25 @@ def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> 
         )
 
 
-def _without_priors(rig: Rig, config: RigConfig, missing: list[Lack]) -> list[Lack]:
+def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
     """Parameters that are unobservable in any recording, because too many constants are free."""
     rows = table(rig.cameras, rig.chain)
     known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
-    every = {row.kind for row in rows} - known
+    free = {row.kind for row in rows} - known
     if config.board.square_m is None:
-        every.add("square_size")
-    gaps = []
-    if {"baseline_length", "square_size", "joint_position"} <= every:
+        free.add("square_size")
+    if {"baseline_length", "square_size", "joint_position"} <= free:
         because = (
             "the stereo baseline, the squares of the board and the positions of the head joints are all free"
         )
-        gaps.append(Gap(NINE[6:], because, "state how well one of these lengths is known", ()))
-    if {"joint_axis", "joint_zero"} <= every:
+        yield Gap(NINE[6:], because, "state how well one of these lengths is known", ())
+    if {"joint_axis", "joint_zero"} <= free:
         because = "the axes and zero positions of the head joints are all free"
-        gaps.append(Gap(NINE[:3], because, "state how well one of the two is known", ()))
-    return _unobservable("priors", rig, gaps, missing)
+        yield Gap(NINE[:3], because, "state how well one of the two is known", ())
 
 
-def _covered(
-    rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
-) -> tuple[tuple[int, int] | None, tuple[Lack, ...]]:
-    """Left images within the time of all other topics, and of all left images; and a lack if that are few.
+def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tuple[int, int] | None:
+    """Left images within the time of all other topics, and of all left images; few of them are a finding.
 
     Log times of one moment differ by what the messages take to arrive.
     """
@@ -269,19 +261,19 @@ def _covered(
     motion = [times.get(t) for t in (rig.sources.image["right"], *rig.sources.motion)]
     spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
     if images is None or not len(images) or len(spans) < len(motion):
-        return None, ()
+        return None
     late_ns = round(PAIR_AT_REST_S * 1e9)
     first, last = max(span[0] for span in spans) - late_ns, min(span[1] for span in spans) + late_ns
     count, total = int(np.sum((images >= first) & (images <= last))), len(images)
-    lack = Lack(
-        "time",
-        f"{count} of {total} left images were recorded while right images, joints and wheels were",
-        "record both cameras, joint states and wheels at the same time",
-        RecordingError.exit_code,
-    )
-    if not count:
-        missing.append(lack)
-    return (count, total), (lack,) if 0 < count < _LEAST_COVERED * total else ()
+    if count < _LEAST_COVERED * total:
+        lack = Lack(
+            "time",
+            f"{count} of {total} left images were recorded while right images, joints and wheels were",
+            "record both cameras, joint states and wheels at the same time",
+            RecordingError.exit_code,
+        )
+        (findings.weak if count else findings.missing).append(lack)
+    return count, total
 
 
 def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> TopicView:
@@ -299,22 +291,30 @@ def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> 
 
 
 def _motion(
-    recording: Recording, rig: Rig, times: Mapping[str, IntArray], missing: list[Lack]
-) -> tuple[MotionView | None, tuple[Lack, ...], tuple[str, ...]]:
-    """Motion of the robot, what is unobservable from it, and notes."""
+    recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: _Findings
+) -> MotionView | None:
+    """Motion of the robot; adds what is unobservable from it, and notes."""
     extent = Extent(MOTION_BYTES)
     try:
         logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
         wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
-        missing.append(_lack("motion", error))
-        return None, (), ()
+        findings.miss("motion", error)
+        return None
     joints = {}
     for name in rig.chain.joints:
         readings = np.concatenate([signals.joints[name].value for signals in logs])
         scale, unit = (1e3, "mm") if name in rig.chain.prismatic else (180 / np.pi, "deg")
         joints[name] = JointRange(float(readings.min()) * scale, float(readings.max()) * scale, unit)
-    wrong = [_wrong_unit(name, span) for name, span in joints.items() if not _possible(span)]
+        low, high = joints[name].low, joints[name].high
+        if high - low > _LARGEST_RANGE[unit]:
+            like, expected = ("degrees", "radians") if unit == "deg" else ("millimeters", "meters")
+            what = (
+                f"{name}: range {low:.0f} to {high:.0f} {unit} (limit {_LARGEST_RANGE[unit]:g}); "
+                f"the readings look like {like}, and {expected} are expected"
+            )
+            cure = "set its unit in joints.fields, or correct the driver"
+            findings.weak.append(Lack("joints", what, cure, SolveError.exit_code))
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
         for side in SIDES
@@ -322,30 +322,14 @@ def _motion(
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:
         legs = [integrate(cut_at(track, _seconds(track)), rig.nominal.wheels) for track in wheels]
-        driven_m = float(sum(np.linalg.norm(one.t_m, axis=1).sum() for one in legs))
-        turned_deg = float(
-            np.degrees(np.ptp(np.cumsum([0.0, *(psi for one in legs for psi in one.psi_rad)])))
-        )
+        driven_m = float(sum(np.linalg.norm(arcs.t_m, axis=1).sum() for arcs in legs))
+        turns_rad = [0.0, *(psi for arcs in legs for psi in arcs.psi_rad)]
+        turned_deg = float(np.degrees(np.ptp(np.cumsum(turns_rad))))
     share = recording.share(rig.sources.motion, extent)
-    rests, weak = _rests(rig, logs, times, share, missing)
+    rests = _rests(rig, logs, wheels, times, share, findings)
     # Gaps between the parts that are read would be noted as irregularities.
-    notes = tuple(note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note)
-    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share), (*wrong, *weak), notes
-
-
-def _possible(span: JointRange) -> bool:
-    return span.high - span.low <= _LARGEST_RANGE[span.unit]
-
-
-def _wrong_unit(name: str, span: JointRange) -> Lack:
-    units = ("degrees", "radians") if span.unit == "deg" else ("millimeters", "meters")
-    return Lack(
-        "joints",
-        f"{name}: range {span.low:.0f} to {span.high:.0f} {span.unit} (limit {_LARGEST_RANGE[span.unit]:g}); "
-        f"the readings look like {units[0]}, and {units[1]} are expected",
-        "set its unit in joints.fields, or correct the driver",
-        SolveError.exit_code,
-    )
+    findings.notes += [note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note]
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share)
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
@@ -356,29 +340,32 @@ def _seconds(wheels: WheelTrack) -> IntArray:
 
 
 def _rests(
-    rig: Rig, logs: Sequence[Signals], times: Mapping[str, IntArray], share: float, missing: list[Lack]
-) -> tuple[int | None, tuple[Lack, ...]]:
-    """Number of rests with images, and what is unobservable; what prevents a calibration goes to `missing`."""
+    rig: Rig,
+    logs: Sequence[Signals],
+    wheels: Sequence[WheelTrack],
+    times: Mapping[str, IntArray],
+    share: float,
+    findings: _Findings,
+) -> int | None:
+    """Number of rests with images; adds what is unobservable from them, or from all of the motion."""
     images = {side: times.get(rig.sources.image[side]) for side in SIDES}
     # Where a clock steps, log times do not tell which readings belong to an image.
     if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
-        tracks = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
-        moments = [_seconds(track) for track in tracks]
+        moments = [_seconds(track) for track in wheels]
         readings = [
             sampled([signals.joints[name] for name in rig.chain.joints], at)
             for signals, at in zip(logs, moments, strict=True)
         ]
-        unread: list[Lack] = []  # the rest of the recording may contain this motion
-        limits = _gaps(rig, np.concatenate(readings), tracks, moments, unread if share < 1 else missing)
-        return None, (*unread, *limits)
+        gaps = gaps_between(rig.chain, np.concatenate(readings), wheels, moments)
+        findings.add_gaps("motion", rig, gaps, unread=share < 1)
+        return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:
         (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
     except RecordingError as error:
-        missing.append(_lack("motion", error))
-        return None, ()
-    weak: list[Lack] = []
+        findings.miss("motion", error)
+        return None
     if len(plan.stations) < MIN_STATIONS:
         lack = Lack(
             "motion",
@@ -387,36 +374,9 @@ def _rests(
             "record at least ten rests of two seconds, and move head and base in between",
             ObservationError.exit_code,
         )
-        (missing if len(plan.stations) < FEWEST_STATIONS else weak).append(lack)
+        (findings.missing if len(plan.stations) < FEWEST_STATIONS else findings.weak).append(lack)
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         stops = np.stack([station.joints for station in plan.stations])
-        weak += _gaps(rig, stops, [plan.wheels], [at], missing)
-    return sum(station.at_rest for station in plan.stations), tuple(weak)
-
-
-def _gaps(
-    rig: Rig,
-    joints: FloatArray,
-    wheels: Sequence[WheelTrack],
-    times_ns: Sequence[IntArray],
-    missing: list[Lack],
-) -> tuple[Lack, ...]:
-    """What the motion between some moments leaves unobservable, see `gaps_between` and `_unobservable`."""
-    return tuple(_unobservable("motion", rig, gaps_between(rig.chain, joints, wheels, times_ns), missing))
-
-
-def _unobservable(about: str, rig: Rig, gaps: Sequence[Gap], missing: list[Lack]) -> list[Lack]:
-    """Limits of a calibration with nominal values; gaps without them go to `missing`."""
-    weak: list[Lack] = []
-    for gap in gaps:
-        what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        lack = Lack(about, what, gap.cure, SolveError.exit_code)
-        (weak if _has_nominal(rig, gap) else missing).append(lack)
-    return weak
-
-
-def _has_nominal(rig: Rig, gap: Gap) -> bool:
-    """Whether `calibrate` can fix the unobservable parameters at nominal values."""
-    of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
-    return (rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference) is not None
+        findings.add_gaps("motion", rig, gaps_between(rig.chain, stops, [plan.wheels], [at]))
+    return sum(station.at_rest for station in plan.stations)

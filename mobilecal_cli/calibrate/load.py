@@ -14,20 +14,10 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text, reason_of
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.model import (
-    SIDES,
-    CalibratedRobot,
-    Extraction,
-    Parameters,
-    Snapshot,
-)
+from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
 from mobilecal_cli.report.numbers import reference_frame
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
-
-
-def _is_extraction(path: Path) -> bool:
-    return path.is_file() and zipfile.is_zipfile(path)
 
 
 def load(
@@ -38,18 +28,12 @@ def load(
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """The extraction of recordings, or the one in an extraction.npz, with its snapshots.
 
-    Args:
-        logs: recordings, or one extraction.npz.
-        config: see `load_rig`.
-        progress: called with the progress.
-        jobs: see `extract`.
-
     Raises:
         RecordingError: a recording or an extraction cannot be used.
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    if not any(_is_extraction(path) for path in logs):
+    if not any(path.is_file() and zipfile.is_zipfile(path) for path in logs):
         return extract(logs, config, progress, jobs)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(

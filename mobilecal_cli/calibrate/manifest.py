@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
-from mobilecal_cli.model import FleetJob, FleetRow
+from mobilecal_cli.model import FleetRow
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.rig.config import load_rig
 
@@ -24,21 +25,47 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
 DONE, NO_RECORDING = "already done", "no recording"
 
 
-class _Robot(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+@dataclass(frozen=True, slots=True)
+class FleetJob:
+    """One robot to calibrate.
+
+    Attributes:
+        name: name of the robot and of its output directory.
+        logs: its recordings.
+        config: its rig.yaml, or None.
+        output: parent directory of the output directories.
+        flags: dotted key → value; these override the file.
+        gates: `NAME=LIMIT`.
+        force: calibrate the robot again, and replace also a result that the batch did not write.
+    """
+
+    name: str
+    logs: tuple[Path, ...]
+    config: Path | None
+    output: Path
+    flags: Mapping[str, Any] = field(default_factory=dict)
+    gates: tuple[str, ...] = ()
+    force: bool = False
+
+
+class _Robot(BaseModel, frozen=True, extra="forbid"):
     name: str
     logs: tuple[Path, ...] = Field(min_length=1)
     config: Path | None = None
 
 
-class _Manifest(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class _Manifest(BaseModel, frozen=True, extra="forbid"):
     schema_version: int = 1
     robots: tuple[_Robot, ...] = Field(min_length=1)
 
 
 def fleet_jobs(
-    source: Path, output: Path, config: Path | None, flags: Mapping[str, Any], gates: Sequence[str]
+    source: Path,
+    output: Path,
+    config: Path | None,
+    flags: Mapping[str, Any],
+    gates: Sequence[str],
+    force: bool = False,
 ) -> tuple[FleetJob, ...]:
     """The robots in a directory or a manifest, in order of name.
 
@@ -57,7 +84,13 @@ def fleet_jobs(
     _refuse_shared(source, robots)
     for robot in robots:
         if robot.config is not None:
-            _check_config(source, robot.name, robot.config, flags)
+            try:
+                load_rig(robot.config, flags)
+            except ConfigError:  # a manifest may name any file: do not quote it
+                raise ConfigError(
+                    f"{source}: the configuration of {robot.name} is not a valid rig.yaml: {robot.config}",
+                    f"calibrate this robot alone with --config {robot.config}, which shows what is wrong",
+                ) from None
     if config is not None:
         load_rig(config, flags)
     return tuple(
@@ -68,6 +101,7 @@ def fleet_jobs(
             output.absolute(),
             flags,
             tuple(gates),
+            force,
         )
         for robot in sorted(robots, key=lambda robot: robot.name)
     )
@@ -88,19 +122,13 @@ def _check_names(source: Path, names: Sequence[str]) -> None:
 
 
 def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
-    """Refuse a recording that two robots use, also as copies.
-
-    Raises:
-        ConfigError: naming both robots.
-    """
+    """Refuse a recording that two robots use, also as copies."""
     of_size: dict[int, list[tuple[str, Path]]] = {}
     for robot in robots:
         for log in robot.logs:
-            if log.is_file():
-                of_size.setdefault(log.stat().st_size, []).append((robot.name, log))
-            elif log.is_dir():
-                size = sum(path.stat().st_size for path in log.rglob("*") if path.is_file())
-                of_size.setdefault(size, []).append((robot.name, log))
+            files = log.rglob("*") if log.is_dir() else (log,)
+            size = sum(path.stat().st_size for path in files if path.is_file())
+            of_size.setdefault(size, []).append((robot.name, log))
     for size, alike in of_size.items():
         user: dict[str, str] = {}
         for name, log in alike if size and len(alike) > 1 else ():
@@ -113,21 +141,6 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
                     f"{source}: {other} and {name} have the same recording: {log.name}",
                     "give each robot its own recordings",
                 )
-
-
-def _check_config(source: Path, name: str, config: Path, flags: Mapping[str, Any]) -> None:
-    """Refuse a file that is no rig.yaml, without quoting it: a manifest may name any file.
-
-    Raises:
-        ConfigError: naming the robot and the file.
-    """
-    try:
-        load_rig(config, flags)
-    except ConfigError:
-        raise ConfigError(
-            f"{source}: the configuration of {name} is not a valid rig.yaml: {config}",
-            f"calibrate this robot alone with --config {config}, which shows what is wrong",
-        ) from None
 
 
 def _of_directory(folder: Path) -> list[_Robot]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,66 +19,43 @@ WORTH_BYTES = 2**26
 _MOST_SHARE = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedRecording:
-    """The logs of one recording: one, or one for each piece between steps of its clocks.
-
-    Attributes:
-        plans: their stations.
-        infos: see `Signals`.
-        notes: irregularities.
-    """
-
-    plans: tuple[Plan, ...]
-    infos: Mapping[str, CameraInfo]
-    notes: tuple[str, ...]
+#: Stations of each log of one recording (one, or one for each piece between steps of its clocks); its `Signals.infos`;
+#: and notes on irregularities.
+Planned = tuple[tuple[Plan, ...], Mapping[str, CameraInfo], tuple[str, ...]]
 
 
-def plan_recording(
-    recording: Recording, rig: Rig, sliding: frozenset[str], everything: bool = False
-) -> PlannedRecording:
-    """Choose the stations of one recording.
-
-    Args:
-        recording: the open recording.
-        rig: its topics and the head's joints.
-        sliding: names of the prismatic joints.
-        everything: see `plan_stations`.
+def plan_recording(recording: Recording, rig: Rig, everything: bool = False) -> Planned:
+    """Choose the stations of one recording; `everything` as for `plan_stations`.
 
     Raises:
         RecordingError: see `read_signals` and `plan_stations`.
     """
-    if not everything and _worth_it(recording, rig):
-        pictures = find_pictures(recording, rig.sources.image)
-        planned = None if pictures is None else _joints_first(recording, rig, sliding, pictures)
-        if planned is not None:
-            return planned
-    logs = read_signals(recording, rig.sources, rig.chain.joints)
-    plans = plan_stations(logs, rig.chain.joints, sliding, everything)
-    notes = [
-        *(note for signals in logs for note in signals.notes),
-        *(note for p in plans for note in p.notes),
-    ]
-    return PlannedRecording(plans, logs[0].infos, tuple(dict.fromkeys(notes)))
-
-
-def _worth_it(recording: Recording, rig: Rig) -> bool:
-    """Whether the images are stored apart from joints and wheels, and are much larger."""
     motion, images = rig.sources.motion, frozenset(rig.sources.image.values())
     joints_bytes, all_bytes = recording.bytes_of(motion), recording.bytes_of(motion | images)
-    return all_bytes - joints_bytes >= WORTH_BYTES and joints_bytes <= _MOST_SHARE * all_bytes
+    # Images that are stored apart from joints and wheels, and are much larger.
+    if (
+        not everything
+        and all_bytes - joints_bytes >= WORTH_BYTES
+        and joints_bytes <= _MOST_SHARE * all_bytes
+        and (pictures := find_pictures(recording, rig.sources.image)) is not None
+        and (planned := _joints_first(recording, rig, pictures)) is not None
+    ):
+        return planned
+    logs = read_signals(recording, rig.sources, rig.chain.joints)
+    plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
+    noted = (*(signals.notes for signals in logs), *(plan.notes for plan in plans))
+    notes = [note for each in noted for note in each]
+    return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
 
-def _joints_first(
-    recording: Recording, rig: Rig, sliding: frozenset[str], pictures: Pictures
-) -> PlannedRecording | None:
+def _joints_first(recording: Recording, rig: Rig, pictures: Pictures) -> Planned | None:
     """Choose the stations by the log times of images; header stamps are read only for the chosen images.
 
     Returns:
         None if the choice needs all header stamps: those of the sampled images do not tell the others', a clock steps,
         or a camera's calibration changes.
     """
-    joints, images = rig.chain.joints, rig.sources.image
+    joints, sliding, images = rig.chain.joints, rig.chain.prismatic, rig.sources.image
     alone, *others = read_signals(recording, replace(rig.sources, image={}), joints, clocks=pictures.clocks)
     if others or any(CAMERA_INFO_CHANGES in note for note in alone.notes):
         return None
@@ -96,11 +73,11 @@ def _joints_first(
     logged: dict[str, IntArray] = {}
     for side, index in plan.images.items():
         logged[images[side]] = np.union1d(logged.get(images[side], index.log_ns), index.log_ns)
-    found = read_stamps(recording, logged)
-    if found is None:
+    stamps = read_stamps(recording, logged)
+    if stamps is None:
         return None
-    own, notes = found
+    own, notes = stamps
     placed = with_stamps(plan, signals, joints, sliding, {side: own[topic] for side, topic in images.items()})
     if len(placed.stations) < len(plan.stations):
         return None  # the sampled delays do not represent the others
-    return PlannedRecording((placed,), {}, (*signals.notes, *notes, *placed.notes))
+    return (placed,), {}, (*signals.notes, *notes, *placed.notes)

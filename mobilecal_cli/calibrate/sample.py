@@ -32,7 +32,6 @@ from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 PICTURE_MOMENTS = 6
 #: Stereo pairs that measure the squares, for a limit on their stated size.
 _FEWEST_SQUARES = 2
-_Images = Mapping[Side, Sequence[GrayImage | Rejection]]
 
 
 def sample_board(
@@ -43,7 +42,7 @@ def sample_board(
     board: Board | None,
     stated_m: float | None = None,
 ) -> tuple[BoardView | None, list[Lack], list[Lack]]:
-    """The board in a few images, what is wrong with it, and what limits a calibration.
+    """The board in a few images (None if no image can be read), what is wrong with it, and what limits a calibration.
 
     Args:
         recording: the open recording.
@@ -52,27 +51,24 @@ def sample_board(
         cameras: the stereo pair, None if unknown.
         board: as configured, None if its size is found in the images.
         stated_m: side of a square as configured, m.
-
-    Returns:
-        The board; None if no image can be read.
     """
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
         return None, [], []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
     sources = Sources(images, {}, (), {}, layout=layout)
-    found = {
+    samples = {
         side: list(pictures_near(recording, replace(sources, image={side: images[side]}), moments))
         for side in SIDES
     }
-    readable = [image for side in SIDES for image in found[side] if not isinstance(image, Rejection)]
+    readable = [image for side in SIDES for image in samples[side] if not isinstance(image, Rejection)]
     if not readable:
-        broken = [image for side in SIDES for image in found[side] if isinstance(image, Rejection)]
+        broken = [image for side in SIDES for image in samples[side] if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
         return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")], []
-    lacks = [] if cameras is None else _wrong_sizes(found, cameras)
+    lacks = [] if cameras is None else _wrong_sizes(samples, cameras)
     stated, others = board, 0
-    if board is None or not _any_found(readable, board):
+    if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
         if vote.size is not None and board is not None and set(vote.size) != {board.columns, board.rows}:
             lacks.append(
@@ -86,18 +82,17 @@ def sample_board(
         board = None if vote.size is None else Board(*vote.size)
         others = sum(vote.votes.values()) - (vote.votes[vote.size] if vote.size else 0)
     if board is None:
-        lacks.append(
-            _lack(
-                "board",
-                f"a whole checkerboard is in none of {len(readable)} images spread over the recording"
-                if stated is None or stated.markers is None
-                else f"the configured board is in none of {len(readable)} images spread over the recording",
-                "keep the whole board in both images, in good light, with squares of 7 pixels or more",
-            )
-        )
+        plain = stated is None or stated.markers is None
+        what = "a whole checkerboard" if plain else "the configured board"
+        what = f"{what} is in none of {len(readable)} images spread over the recording"
+        cure = "keep the whole board in both images, in good light, with squares of 7 pixels or more"
+        lacks.append(_lack("board", what, cure))
         return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
-    detections = {side: [_detected(image, board) for image in found[side]] for side in SIDES}
-    seen = sum(isinstance(one, Detection) for side in SIDES for one in detections[side])
+    detections = {
+        side: [None if isinstance(image, Rejection) else find_board(image, board) for image in samples[side]]
+        for side in SIDES
+    }
+    seen = sum(isinstance(detection, Detection) for side in SIDES for detection in detections[side])
     squares_m = () if cameras is None or lacks else _squares_m(cameras, board, detections)
     square_m = float(np.median(squares_m)) if squares_m else None
     wrong = _wrong_square(stated_m, squares_m) if stated_m and squares_m else None
@@ -136,25 +131,17 @@ def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = Observa
     return Lack(about, what, cure, kind.exit_code)
 
 
-def _wrong_sizes(found: _Images, cameras: StereoRig) -> list[Lack]:
+def _wrong_sizes(samples: Mapping[Side, Sequence[GrayImage | Rejection]], cameras: StereoRig) -> list[Lack]:
     """Images that do not have the size that their camera_info states."""
     lacks = []
     for side in SIDES:
-        image = next((image for image in found[side] if not isinstance(image, Rejection)), None)
+        image = next((image for image in samples[side] if not isinstance(image, Rejection)), None)
         try:
             if image is not None:
                 check_picture(image, side, cameras)
         except RecordingError as error:
             lacks.append(_lack("camera infos", error.message, error.hint, RecordingError))
     return lacks
-
-
-def _any_found(images: Sequence[GrayImage], board: Board) -> bool:
-    return any(isinstance(find_board(image, board), Detection) for image in images)
-
-
-def _detected(image: GrayImage | Rejection, board: Board) -> Detection | Miss | None:
-    return None if isinstance(image, Rejection) else find_board(image, board)
 
 
 def _squares_m(

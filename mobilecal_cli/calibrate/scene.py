@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +20,11 @@ from mobilecal_cli.model import (
     CalibratedRobot,
     Extraction,
     FloatArray,
-    IntArray,
     Outlier,
     Parameters,
     Rejection,
     Residuals,
     Side,
-    Station,
 )
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
 from mobilecal_cli.report.numbers import station_names
@@ -49,7 +47,7 @@ def scene_of(
     Args:
         robot: the calibration.
         extraction: its measurements.
-        params: its file; report.json next to it names the outliers.
+        params: its file; report.json next to it, if it exists, names the outliers and the legs that were used.
         logs: its recordings, for the images; none for a scene without images.
 
     Raises:
@@ -58,28 +56,29 @@ def scene_of(
     """
     constants, rig = dict(robot.constants or {}), extraction.rig
     parameters = parameters_of(robot, extraction, params)
-    judged = _judged(params.with_name("report.json"))
-    seen, pairs = at_constants(extraction, parameters, constants)
-    residuals = residuals_of(seen, pairs, parameters)
+    report = params.with_name("report.json")
+    outliers, used_legs = _judged(report) if report.is_file() else ([], None)
+    at_estimate, pairs = at_constants(extraction, parameters, constants)
+    residuals = residuals_of(at_estimate, pairs, parameters)
     images = _images(extraction, logs) if logs else {}
     square_m = extraction.board.square_m
     if square_m is None:
         square_m = float(np.median([o.square_m for o in extraction.observations]))
-    views = _stations(extraction, residuals, pairs.T_v_h, parameters, images, judged)
+    views = _stations(extraction, residuals, pairs.T_v_h, parameters, images, used_legs)
+    logs_seen = sorted({o.log for o in extraction.observations})
     return Scene(
         robot=robot,
         chain=rig.chain,
         cameras=improved_cameras(rig, constants).cameras,
         board=replace(extraction.board, square_m=square_m),
         motions=tuple(
-            _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
-            for log in sorted({o.log for o in extraction.observations})
+            _motion(extraction, log, robot, constants, residuals, pairs.T_v_h) for log in logs_seen
         ),
         stations=tuple(
             tuple(view for view, o in zip(views, extraction.observations, strict=True) if o.log == log)
-            for log in sorted({o.log for o in extraction.observations})
+            for log in logs_seen
         ),
-        unused=tuple(sorted(_unused(extraction, judged.outliers), key=lambda item: item.start_ns)),
+        unused=tuple(sorted(_unused(extraction, outliers), key=lambda item: item.start_ns)),
     )
 
 
@@ -89,13 +88,11 @@ def _stations(
     T_v_h: FloatArray,
     parameters: Parameters,
     images: Images,
-    judged: _Judged,
+    used_legs: Collection[tuple[int, int]] | None,
 ) -> list[StationView]:
     names = station_names(extraction)
     legs = {
-        i: k
-        for k, (i, j) in enumerate(residuals.legs.tolist())
-        if judged.legs is None or (i, j) in judged.legs
+        i: k for k, (i, j) in enumerate(residuals.legs.tolist()) if used_legs is None or (i, j) in used_legs
     }
     T_w_c = residuals.T_w_v @ T_v_h @ parameters.T_h_c
     predicted = {"left": residuals.predicted_left_px, "right": residuals.predicted_right_px}
@@ -104,11 +101,10 @@ def _stations(
         leg = legs.get(number)
         corners: dict[Side, CornerView] = {}
         for side in SIDES:
-            found = o.left if side == "left" else o.right
+            detected = o.left if side == "left" else o.right
             jpeg = images.get(number, {}).get(side, b"")
-            corners[side] = CornerView(
-                found.pixels, found.seen, None if leg is None else predicted[side][leg], jpeg
-            )
+            expected_px = None if leg is None else predicted[side][leg]
+            corners[side] = CornerView(detected.pixels, detected.seen, expected_px, jpeg)
         view = StationView(names[number], o.time_ns, residuals.T_w_k[number], T_w_c[number], corners)
         if leg is not None:
             view = replace(
@@ -132,105 +128,63 @@ def _motion(
     """Base and head ten times per second and at the stations, where both are exactly those of the residuals."""
     mine = [k for k, o in enumerate(extraction.observations) if o.log == log]
     stops_ns = np.array([extraction.observations[k].time_ns for k in mine], dtype=np.int64)
-    between = np.arange(stops_ns[0], stops_ns[-1], _STEP_NS)
-    time_ns = np.union1d(between, stops_ns)
+    time_ns = np.union1d(np.arange(stops_ns[0], stops_ns[-1], _STEP_NS), stops_ns)
     track = extraction.wheels[log]
-    clocks = (
-        {} if extraction.observations[mine[0]].at_rest else constants
-    )  # stations at rest keep their stamps
-    read_ns = np.clip(_by_clock(time_ns, "time_wheels", clocks), track.time_ns[0], track.time_ns[-1])
+    # Stations at rest keep their stamps.
+    clocks = {} if extraction.observations[mine[0]].at_rest else constants
+    joints_ns, wheels_ns = (
+        time_ns + round(clocks.get(name, 0.0) * 1e9) for name in ("time_joints", "time_wheels")
+    )
+    read_ns = np.clip(wheels_ns, track.time_ns[0], track.time_ns[-1])
     T = [residuals.T_w_v[mine[0]]]
     if len(time_ns) > 1:
         for step in base_motion(integrate(cut_at(track, read_ns), robot.wheels)):
             T.append(T[-1] @ step)
-    head = _heads(extraction, log, constants, _by_clock(time_ns, "time_joints", clocks))
     at = np.searchsorted(time_ns, stops_ns)
     T_w_v = np.array(T)
     T_w_v[at] = residuals.T_w_v[mine]
-    if head is None:  # no joints between the stations
+    if not extraction.joint_tracks:  # no joints between the stations
         return Motion(stops_ns, T_w_v[at], T_v_h[mine])
+    # Between the stations without scale and backlash of the joints.
+    improved = improved_chain(extraction.rig, constants)
+    joints = [
+        track.at(joints_ns) + improved.zeros.get(name, 0.0)
+        for name, track in zip(extraction.rig.chain.joints, extraction.joint_tracks[log], strict=True)
+    ]
+    values = np.stack(joints, axis=1) if joints else np.zeros((len(time_ns), 0))
+    head = np.array(head_pose(improved.improved, values))
     head[at] = T_v_h[mine]
     return Motion(time_ns, T_w_v, head)
 
 
-def _by_clock(time_ns: IntArray, name: str, constants: Mapping[str, float]) -> IntArray:
-    """Times of the images by another clock, whose offset is a constant."""
-    return np.asarray(time_ns + round(constants.get(name, 0.0) * 1e9), dtype=np.int64)
-
-
-def _heads(
-    extraction: Extraction, log: int, constants: Mapping[str, float], time_ns: IntArray
-) -> FloatArray | None:
-    """(n, 4, 4) T_v_h between the stations, without scale and backlash of the joints; None without joint tracks."""
-    if not extraction.joint_tracks:
-        return None
-    improved = improved_chain(extraction.rig, constants)
-    joints = [
-        track.at(time_ns) + improved.zeros.get(name, 0.0)
-        for name, track in zip(extraction.rig.chain.joints, extraction.joint_tracks[log], strict=True)
-    ]
-    values = np.stack(joints, axis=1) if joints else np.zeros((len(time_ns), 0))
-    return np.array(head_pose(improved.improved, values))
-
-
-# -- what was not used ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Judged:
-    """What report.json says about the measurements.
-
-    Attributes:
-        outliers: the outliers.
-        legs: observations of the legs that were used; None if all were.
-    """
-
-    outliers: tuple[Outlier, ...] = ()
-    legs: frozenset[tuple[int, int]] | None = None
-
-
-def _judged(path: Path) -> _Judged:
-    """The outliers of a report.json; nothing if the file does not exist.
-
-    Raises:
-        ConfigError: it is another file.
-    """
-    if not path.is_file():
-        return _Judged()
+def _judged(path: Path) -> tuple[list[Outlier], set[tuple[int, int]]]:
+    """The outliers of a report.json, and the pairs of observations of the legs that were used."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        outliers = tuple(from_plain(Outlier, one) for one in found["outliers"])
-        legs = frozenset((int(leg["from_observation"]), int(leg["to_observation"])) for leg in found["legs"])
+        report = json.loads(path.read_text(encoding="utf-8"))
+        outliers = [from_plain(Outlier, outlier) for outlier in report["outliers"]]
+        legs = {(int(leg["from_observation"]), int(leg["to_observation"])) for leg in report["legs"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
             f"{path}: not a report.json of mobilecal", "remove the file, or calibrate again"
         ) from error
-    return _Judged(outliers, legs)
+    return outliers, legs
 
 
 def _unused(extraction: Extraction, outliers: Sequence[Outlier]) -> Iterator[Unused]:
     """A slip concerns the time between its two stations; everything else a moment."""
-    count, seen = len(extraction.observations), extraction.observations
-    for one in outliers:
-        times = [seen[k].time_ns for k in one.observations if 0 <= k < count] or [one.time_ns]
-        yield Unused(min(times), max(times), f"outlier ({one.kind})", one.text)
+    stamps_ns = [o.time_ns for o in extraction.observations]
+    for outlier in outliers:
+        times = [stamps_ns[k] for k in outlier.observations if 0 <= k < len(stamps_ns)] or [outlier.time_ns]
+        yield Unused(min(times), max(times), f"outlier ({outlier.kind})", outlier.text)
     for rejection in extraction.rejections:
         yield Unused(rejection.time_ns, rejection.time_ns, rejection.reason, rejection.detail)
 
 
-# -- images ---------------------------------------------------------------------------------------
-
-
 def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
-    """The first stereo pair of each station, from the recordings of the extraction.
-
-    Raises:
-        ConfigError: a recording is not one of the extraction's.
-        RecordingError: a recording cannot be read, or its stations are not those of the extraction.
-    """
+    """The first stereo pair of each station, from the recordings of the extraction."""
     known = {log.sha256 for log in extraction.logs}
     wanted = {(o.log, o.time_ns): number for number, o in enumerate(extraction.observations)}
-    found: dict[int, dict[Side, bytes]] = {}
+    jpegs: dict[int, dict[Side, bytes]] = {}
     log = 0
     for parts in join_splits(list(logs)):
         for part in parts:
@@ -242,35 +196,26 @@ def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
         with open_recording(parts) as recording:
             rig = extraction.rig
             for everything in (False, True):
-                plans = plan_recording(recording, rig, rig.chain.prismatic, everything).plans
+                plans, *_ = plan_recording(recording, rig, everything)
                 if any((log + k, s.time_ns) in wanted for k, plan in enumerate(plans) for s in plan.stations):
                     break
             for plan in plans:
                 mine = [s for s in plan.stations if (log, s.time_ns) in wanted]
+                numbers: dict[tuple[Side, int], int] = {}  # (side, time of its first image) → observation
+                for station in mine:
+                    number, pair = wanted[log, station.time_ns], station.pairs[0]
+                    numbers |= {("left", pair.left_ns): number, ("right", pair.right_ns): number}
                 firsts = [replace(station, pairs=station.pairs[:1]) for station in mine]
-                places = _places(firsts, log, wanted)
                 index = images_of(firsts, plan.images)
                 for side, time_ns, picture in read_images(
                     recording, rig.sources.image, index, rig.sources.layout
                 ):
                     if not isinstance(picture, Rejection):
-                        found.setdefault(places[side, time_ns], {})[side] = snapshot_jpeg(picture)
+                        jpegs.setdefault(numbers[side, time_ns], {})[side] = snapshot_jpeg(picture)
                 log += 1
-    if not found:
+    if not jpegs:
         raise RecordingError(
             "the stations of the recordings are not those of extraction.npz",
             "give the recordings in the same order as to calibrate, or calibrate again",
         )
-    return found
-
-
-def _places(
-    stations: Sequence[Station], log: int, wanted: Mapping[tuple[int, int], int]
-) -> dict[tuple[Side, int], int]:
-    """(side, time of its first image) → observation."""
-    places: dict[tuple[Side, int], int] = {}
-    for station in stations:
-        number = wanted[log, station.time_ns]
-        places["left", station.pairs[0].left_ns] = number
-        places["right", station.pairs[0].right_ns] = number
-    return places
+    return jpegs

@@ -118,8 +118,8 @@ class Fit:
 
         None for methods that give none.
         """
-        found = self.solution.uncertainty
-        return None if found is None else found.reference_covariance
+        uncertainty = self.solution.uncertainty
+        return None if uncertainty is None else uncertainty.reference_covariance
 
 
 def extract(
@@ -200,11 +200,7 @@ def solve(
 def check_options(
     method: Method, constraints: Constraints | None, hold_out: float | None, settings: Iterable[str] = ()
 ) -> None:
-    """Check how to solve, before any work.
-
-    Args:
-        method, constraints, hold_out: see `solve`.
-        settings: dotted keys of the settings that the user gives for this run.
+    """Check how to solve, before any work; `settings` are dotted keys that the user gives for this run.
 
     Raises:
         ConfigError: an unknown method, a share that is out of range, or options that the method does not use.
@@ -303,7 +299,8 @@ class Report:
         for gate in gates:
             require("gates", gate, Gate, "a mapping from name to limit")
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
-        self.provenance = Provenance(__version__, _created(), fit.method, extraction.logs, settings)
+        created = (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
+        self.provenance = Provenance(__version__, created, fit.method, extraction.logs, settings)
         robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
         _require_own(data.extraction, fit.extraction, robot)
         if last is None:
@@ -383,13 +380,7 @@ def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -
         )
 
 
-def _created() -> str:
-    """Current time in UTC; SOURCE_DATE_EPOCH overrides it, for reproducible output."""
-    return (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-#: Two legs between held-out stations are the least that gives an error.
-_LEAST_HELD_OUT = 3
+_LEAST_HELD_OUT = 3  # two legs between held-out stations are the least that gives an error
 
 
 def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extraction]:
@@ -398,21 +389,22 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
     Raises:
         ObservationError: too few stations would be held out.
     """
-    last: set[int] = set()
+    kept, tried = [], []
     for log in range(len(extraction.wheels)):
-        members = [n for n, o in enumerate(extraction.observations) if o.log == log]
-        last |= set(members[len(members) - math.ceil(share * len(members)) :])
-    if len(last) < _LEAST_HELD_OUT:
+        members = [o for o in extraction.observations if o.log == log]
+        first = len(members) - math.ceil(share * len(members))
+        kept += members[:first]
+        tried += members[first:]
+    if len(tried) < _LEAST_HELD_OUT:
         raise ObservationError(
-            f"--hold-out {share:g} holds out {len(last)} of {len(extraction.observations)} stations; at least "
+            f"--hold-out {share:g} holds out {len(tried)} of {len(extraction.observations)} stations; at least "
             f"{_LEAST_HELD_OUT} are needed",
             "hold out a larger share, or record more stops",
         )
     searched = extraction.counts.get("stations", 0)
-    kept = tuple(o for n, o in enumerate(extraction.observations) if n not in last)
-    tried = tuple(o for n, o in enumerate(extraction.observations) if n in last)
     counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
-    return replace(extraction, observations=kept, counts=counts), replace(extraction, observations=tried)
+    rest = replace(extraction, observations=tuple(tried))
+    return replace(extraction, observations=tuple(kept), counts=counts), rest
 
 
 def default_output(log: Path) -> Path:

@@ -66,10 +66,7 @@ def _leave_with_the_caller(files: Path | None) -> None:
 def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
     """Initialize a worker process: it ends when its parent ends for any reason, and cleans up on a signal.
 
-    Args:
-        files: directory of the parent, removed if the parent was killed.
-        get_ready: called last.
-        given: arguments of `get_ready`.
+    `files` of the parent are removed if it was killed; `get_ready` is called last.
     """
     unwind_on_signals()
     atexit.register(resources.close)
@@ -104,11 +101,7 @@ def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
 
 @contextmanager
 def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
-    """A pool of worker processes; a signal in this process ends them at once.
-
-    Args:
-        count: number of processes.
-        initializer: arguments of `stand_by`.
+    """A pool of `count` worker processes that call `stand_by` first; a signal in this process ends them at once.
 
     Raises:
         OSError, BrokenProcessPool: a process cannot be started.

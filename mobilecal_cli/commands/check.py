@@ -36,10 +36,10 @@ def check(
 
     with progress_bar(quiet) as progress:
         flags = flags_of(setting)
-        found = [checked(rig, parts, flags, progress) for parts in recordings(logs)]
+        inspections = [checked(rig, parts, flags, progress) for parts in recordings(logs)]
     if as_json:
-        texts = [checklist_json(each) for each in found]
+        texts = [checklist_json(each) for each in inspections]
     else:
-        titles = [f"{visible(each.name)}\n" if len(found) > 1 else "" for each in found]
-        texts = [title + checklist_text(each) for title, each in zip(titles, found, strict=True)]
-    show_each(found, texts, as_json)
+        titles = [f"{visible(each.name)}\n" if len(inspections) > 1 else "" for each in inspections]
+        texts = [title + checklist_text(each) for title, each in zip(titles, inspections, strict=True)]
+    show_each(inspections, texts, as_json)

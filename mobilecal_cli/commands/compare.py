@@ -44,15 +44,18 @@ def compare(
     from mobilecal_cli.calibrate.compare import compare as compared
     from mobilecal_cli.report.comparison import comparison_json, comparison_text
 
-    found = compared(files, Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
+    comparison = compared(files, Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
     if as_json:
-        typer.echo(comparison_json(found.names, found.robots, found.differences, found.past), nl=False)
+        typer.echo(
+            comparison_json(comparison.names, comparison.robots, comparison.differences, comparison.past),
+            nl=False,
+        )
     else:
-        typer.echo(comparison_text(found.names, found.differences, found.past), nl=False)
-    if found.broken:
+        typer.echo(comparison_text(comparison.names, comparison.differences, comparison.past), nl=False)
+    if comparison.broken:
         conclude(
             "FAIL",
-            f"The calibrations differ by more than the limit: {'; '.join(found.broken)}.",
+            f"The calibrations differ by more than the limit: {'; '.join(comparison.broken)}.",
             "Calibrate again to tell a changed robot from a bad recording.",
             quiet=as_json,
         )

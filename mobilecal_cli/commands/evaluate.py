@@ -58,7 +58,7 @@ def evaluate(
 
     with errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
-            found = evaluated(
+            result = evaluated(
                 logs,
                 params,
                 before=before,
@@ -68,10 +68,12 @@ def evaluate(
                 progress=progress,
             )
         if junit is not None:
-            write_file(junit, junit_xml(str(logs[0]), verdict_data(found.verdict)), force)
+            write_file(junit, junit_xml(str(logs[0]), verdict_data(result.verdict)), force)
     if as_json:
-        text = evaluation_json(found.evaluation, found.extraction, found.verdict, found.checks, found.used)
+        text = evaluation_json(
+            result.evaluation, result.extraction, result.verdict, result.checks, result.used
+        )
     else:
-        text = evaluation_text(evaluation_data(found.evaluation), found.notes, found.verdict)
+        text = evaluation_text(evaluation_data(result.evaluation), result.notes, result.verdict)
     typer.echo(text, nl=False)
-    conclude(found.verdict.level, found.verdict.reason, found.verdict.next_step, quiet=as_json)
+    conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)

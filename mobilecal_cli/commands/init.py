@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
 
 if TYPE_CHECKING:
-    from mobilecal_cli.model import Draft
+    from mobilecal_cli.rig.draft import Draft
 
 
 def init(
@@ -72,20 +73,15 @@ def draft(
         ConfigError: the URDF cannot be read.
     """
     from mobilecal_cli.calibrate.sample import sample_board
-    from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS, Draft
+    from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS
     from mobilecal_cli.readers import number_fields, open_recording, read_description
     from mobilecal_cli.rig.config import RigConfig, read_urdf
     from mobilecal_cli.rig.draft import draft_rig
     from mobilecal_cli.rig.names import may_be_a_reading
     from mobilecal_cli.rig.resolve import survey_rig
 
-    known = {
-        *IMAGES,
-        CAMERA_INFO,
-        JOINT_STATE,
-        STRING,
-        TRANSFORMS,
-    }  # read by their meaning, not by field paths
+    # Read by their meaning, not by field paths.
+    known = {*IMAGES, CAMERA_INFO, JOINT_STATE, STRING, TRANSFORMS}
     config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
     text = read_urdf(config)
     with open_recording(logs) as recording:
@@ -107,4 +103,4 @@ def draft(
             board=board,
             numbers=numbers,
         )
-        return Draft(made.text, made.filled, made.todo, (*made.notes, *recording.damage))
+        return replace(made, notes=(*made.notes, *recording.damage))

@@ -26,5 +26,9 @@ def inspect(
 
     with progress_bar(quiet) as progress:
         flags = flags_of(setting)
-        found = [inspected(parts, config, flags, progress) for parts in recordings(logs)]
-    show_each(found, [inspection_json(each) if as_json else inspection_text(each) for each in found], as_json)
+        inspections = [inspected(parts, config, flags, progress) for parts in recordings(logs)]
+    show_each(
+        inspections,
+        [inspection_json(each) if as_json else inspection_text(each) for each in inspections],
+        as_json,
+    )

@@ -191,12 +191,12 @@ def written_line(*paths: Path) -> str:
     return f"Written: {visible(', '.join(map(str, paths)))}"
 
 
-def show_each(found: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> None:
+def show_each(inspections: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> None:
     """Print one recording after another, in JSON as a list if there are several; end with the largest exit code."""
     if as_json and len(texts) > 1:
         typer.echo(f"[\n{','.join(texts)}]")
     else:
         typer.echo("\n".join(texts), nl=False)
-    code = max(each.exit_code for each in found)
+    code = max(each.exit_code for each in inspections)
     if code:
         raise typer.Exit(code)

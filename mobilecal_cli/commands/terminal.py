@@ -21,14 +21,7 @@ _PLAIN = "\x1b[0m"
 
 
 def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = False) -> str:
-    """The verdict as wrapped lines; the level is colored on a terminal, unless NO_COLOR is set.
-
-    Args:
-        level: "PASS", "FAIL" or "NOT ENOUGH".
-        reason: one or two sentences.
-        next_step: what to do now.
-        to_stderr: for standard error instead of standard output.
-    """
+    """The verdict as wrapped lines; the level is colored on a terminal, unless NO_COLOR is set."""
     stream = sys.stderr if to_stderr else sys.stdout
     lines = verdict_lines(level, reason, next_step)
     if stream.isatty() and not os.environ.get("NO_COLOR"):

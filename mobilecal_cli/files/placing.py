@@ -41,7 +41,7 @@ def partial_of(target: Path, recognize: Recognize) -> Iterator[Path]:
             yield folder / target.name
         finally:
             with uninterrupted():
-                _remove_unfinished(folder)
+                shutil.rmtree(folder, ignore_errors=True)
                 _remove_replaced(folder.with_suffix(".old"), recognize)
     if folder.with_suffix(".old").exists():
         raise OutputError(
@@ -166,8 +166,8 @@ def clean_up(target: Path, recognize: Recognize) -> None:
     with suppress(OSError):
         for folder in [path for path in target.parent.iterdir() if names.fullmatch(path.name)]:
             with abandoned(folder) as free:
-                if free and folder.suffix == ".partial":
-                    _remove_unfinished(folder)
+                if free and folder.suffix == ".partial":  # it contains only the new output
+                    shutil.rmtree(folder, ignore_errors=True)
                 elif free:
                     if not os.path.lexists(target) and (folder / _ASIDE).exists():
                         _move_to_free(folder / _ASIDE, target)
@@ -176,11 +176,6 @@ def clean_up(target: Path, recognize: Recognize) -> None:
 
 def _prefix(target: Path) -> str:
     return f".{os.fsdecode(os.fsencode(target.name)[:_LONGEST_NAME])}."
-
-
-def _remove_unfinished(folder: Path) -> None:
-    """Remove a directory that contains only the new output."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _remove_replaced(folder: Path, recognize: Recognize) -> None:

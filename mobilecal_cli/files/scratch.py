@@ -111,8 +111,7 @@ def _no_space(error: OSError) -> ResourceError:
 def locked(create: Callable[[], Path]) -> Iterator[Path]:
     """A new directory, locked while the block runs, so that no other process takes it for abandoned.
 
-    Args:
-        create: creates the directory. It is called again if another process removes the directory before the lock.
+    `create` is called again if another process removes the directory before the lock.
 
     Raises:
         OSError: the directory cannot be created or opened.

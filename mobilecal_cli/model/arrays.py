@@ -54,10 +54,6 @@ def freeze(
 def freeze_corners(value: object, seen: BoolArray) -> None:
     """Freeze `pixels` (M, 2) and `seen` (M,) of a board detection; an empty `seen` means all corners.
 
-    Args:
-        value: the dataclass instance, inside its ``__post_init__``.
-        seen: the given value of `seen`.
-
     Raises:
         ValueError: see `freeze`.
     """
@@ -69,12 +65,6 @@ def freeze_corners(value: object, seen: BoolArray) -> None:
 
 def freeze_covariances(value: object, name: str, given: FloatArray, default: float) -> None:
     """Freeze one (2, 2) covariance per corner, (M, 2, 2), after `freeze_corners`; default: `default` times identity.
-
-    Args:
-        value: the dataclass instance, inside its ``__post_init__``.
-        name: the attribute.
-        given: its given value.
-        default: variance of one coordinate.
 
     Raises:
         ValueError: see `freeze`.

@@ -1,14 +1,16 @@
-"""The nine parameters as a value that adds and subtracts."""
+"""The nine parameters as a value that adds and subtracts, and the contents of params.yaml."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model.arrays import FloatArray, freeze
-from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import Side, WheelGeometry
 
 NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 
@@ -52,3 +54,70 @@ class Parameters:
         turn = se3.log_so3(self.T_h_c[:3, :3] @ other.T_h_c[:3, :3].T)
         shift = self.T_h_c[:3, 3] - other.T_h_c[:3, 3]
         return np.concatenate([turn, shift, self.wheels.vector - other.wheels.vector])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """Uncertainty of the nine parameters of a params.yaml.
+
+    Attributes:
+        covariance: (9, 9) in the order of `NINE`: small rotation vector in the parent frame, rad; m.
+        observable: (9,) false for parameters fixed at nominal values; `covariance` does not apply to them.
+        noise: noise level → standard deviation, as far as the file states them; see `NoiseLevels`.
+    """
+
+    covariance: FloatArray
+    observable: BoolArray
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, covariance=(9, 9))
+        freeze(self, np.bool_, observable=(9,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedRobot:
+    """A calibration as stored in params.yaml.
+
+    Attributes:
+        parent_frame: head frame.
+        child_frame: optical frame of the reference camera.
+        T_parent_child: (4, 4) child coordinates to parent coordinates, m.
+        wheels: radii and separation.
+        knowledge: None for methods that give no uncertainty.
+        created: time, ISO 8601; "" if the file does not contain it.
+        logs: recordings used for the calibration.
+        wheel_joints: names of the wheel joints if the wheels were read from joint states.
+        nominal_wheels: nominal wheels, if any.
+        head_joints: names of the head's joints that were read from joint states.
+        rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
+        constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
+            or as a share; None if the file does not contain them.
+        verdict: "PASS", "FAIL" or "NOT ENOUGH"; "" if the file does not state it.
+        reasons: why the verdict is not PASS, whole sentences.
+    """
+
+    parent_frame: str
+    child_frame: str
+    T_parent_child: FloatArray
+    wheels: WheelGeometry
+    knowledge: Knowledge | None = None
+    created: str = ""
+    logs: tuple[LogSource, ...] = ()
+    wheel_joints: Mapping[Side, str] = field(default_factory=dict)
+    nominal_wheels: WheelGeometry | None = None
+    head_joints: tuple[str, ...] = ()
+    rectified: bool = False
+    constants: Mapping[str, float] | None = None
+    verdict: str = ""
+    reasons: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, T_parent_child=(4, 4))
+
+    @property
+    def unobservable(self) -> BoolArray:
+        """(9,) parameters that the recording does not determine and the user did not fix: they keep nominal values."""
+        if self.knowledge is None:
+            return np.zeros(9, dtype=np.bool_)
+        return np.asarray(~self.knowledge.observable & (np.diag(self.knowledge.covariance) > 0))

@@ -1,4 +1,4 @@
-"""Summary of a recording."""
+"""Summary of a recording, and the result of a robot of `batch`."""
 
 from __future__ import annotations
 
@@ -181,3 +181,32 @@ class Inspection:
         if not codes:
             return 0
         return codes[0] if self.rig is None else min(codes)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """Result of one robot, or a directory entry that was skipped.
+
+    Attributes:
+        name: name of the robot, or of the entry.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", "ERROR" without a result, or "SKIPPED" for an entry.
+        exit_code: exit code of `mobilecal calibrate`.
+        reason: one sentence.
+        stations: number of stations used.
+        rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
+        lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
+        std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
+        skipped: why the robot was not calibrated in this run; empty if it was.
+        hint: what to do next, if it did not pass.
+    """
+
+    name: str
+    verdict: str
+    exit_code: int
+    reason: str
+    stations: int = 0
+    rotvec_rad: tuple[float, ...] = ()
+    lengths_m: tuple[float, ...] = ()
+    std: tuple[float | None, ...] = ()
+    skipped: str = ""
+    hint: str = ""

@@ -56,3 +56,23 @@ class RobotDescription:
     urdfs: Mapping[str, str]
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
     unusable: Mapping[str, RecordingError] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class NumberField:
+    """A number in the messages of one topic, which may be a wheel's counter or a joint's angle.
+
+    Attributes:
+        topic, path: where it is; `path` as in rig.yaml ("data", "left.ticks").
+        integer: whether it is a whole number.
+        bits: width of its type, None if unknown.
+        wraps: number of bits at which it was seen to start again; None if it was not.
+        jump: size of the jumps where it starts again, if they fit no number of bits.
+    """
+
+    topic: str
+    path: str
+    integer: bool
+    bits: int | None = None
+    wraps: int | None = None
+    jump: int | None = None

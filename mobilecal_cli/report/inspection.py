@@ -14,7 +14,6 @@ from mobilecal_cli.model import (
     SIDES,
     BoardView,
     Camera,
-    Draft,
     HeadChain,
     Inspection,
     Lack,
@@ -27,6 +26,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import Table, json_text
+from mobilecal_cli.rig.draft import Draft
 
 #: Source of a setting in `Rig.setting_sources` → its text.
 _WHY = {

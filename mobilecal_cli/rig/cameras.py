@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from mobilecal_cli import se3
@@ -32,7 +30,6 @@ _FORMS = {
     "image", "raw", "color", "colour", "mono", "gray", "grey", "compressed", "video", "ffmpeg", "h264", "h265",
     "theora",
 }  # fmt: skip
-_CALIBRATE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
 def _present(description: RobotDescription) -> str:
@@ -55,10 +52,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side,
         ConfigError: several stereo cameras.
     """
     present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
-    configured: dict[Side, str | None] = {
-        "left": config.cameras.left.image,
-        "right": config.cameras.right.image,
-    }
+    configured: dict[Side, str | None] = {side: getattr(config.cameras, side).image for side in SIDES}
     for side, name in configured.items():
         if name is not None and name not in present:
             raise RecordingError(
@@ -98,33 +92,21 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side,
             f"set cameras.left.image and cameras.right.image; topics present: {_present(description)}",
         )
 
-    if configured["left"] is None and configured["right"] is None:
-        _refuse_several_cameras(candidates)
-
-    def preference(pair: dict[Side, str]) -> tuple[bool, bool, str]:
-        return is_rectified(pair["left"]), "CompressedImage" in present[pair["left"]].type, pair["left"]
-
-    return min(candidates, key=preference)
-
-
-def _refuse_several_cameras(pairs_: Sequence[dict[Side, str]]) -> None:
-    """Refuse pairs that differ in more than the form of their images.
-
-    Raises:
-        ConfigError: naming one pair of each camera.
-    """
-    cameras: dict[tuple[str, ...], dict[Side, str]] = {}
-    for pair in pairs_:
-        forms = (
-            word for word in mirrored(pair["left"]) if word not in _FORMS and not word.startswith("rect")
-        )
-        cameras.setdefault(tuple(forms), pair)
-    if len(cameras) > 1:
+    cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
+    for pair in candidates:
+        camera_words = (w for w in mirrored(pair["left"]) if w not in _FORMS and not w.startswith("rect"))
+        cameras.setdefault(tuple(camera_words), pair)
+    if len(cameras) > 1 and configured["left"] is None and configured["right"] is None:
         several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in cameras.values())
         raise ConfigError(
             f"several pairs of image topics could be the stereo pair: {several}",
             "set cameras.left.image and cameras.right.image in rig.yaml",
         )
+
+    def preference(pair: dict[Side, str]) -> tuple[bool, bool, str]:
+        return is_rectified(pair["left"]), "CompressedImage" in present[pair["left"]].type, pair["left"]
+
+    return min(candidates, key=preference)
 
 
 def info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
@@ -141,7 +123,7 @@ def info_topic(side: Side, image: str, config: RigConfig, description: RobotDesc
 
 def _info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
     present = {*description.infos, *description.unusable}
-    configured = (config.cameras.left if side == "left" else config.cameras.right).info
+    configured: str | None = getattr(config.cameras, side).info
     if configured is not None:
         if configured not in present:
             raise RecordingError(
@@ -157,9 +139,9 @@ def _info_topic(side: Side, image: str, config: RigConfig, description: RobotDes
     frame = "" if both else description.image_frames.get(image, "")
     same_frame = sorted(name for name, info in description.infos.items() if frame and info.frame_id == frame)
     same_side = sorted(name for name in present if side_of(name) == side)
-    for found in (same_frame, same_side):
-        if len(found) == 1:
-            return found[0]
+    for topics in (same_frame, same_side):
+        if len(topics) == 1:
+            return topics[0]
     raise RecordingError(
         f"no camera info for the {side} images on {image}: expected "
         + (f"one topic named {side}" if both else beside),
@@ -173,26 +155,19 @@ def _camera(info: CameraInfo, rectified: bool) -> Camera:
     return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
 
-def _rectified_origin(info: CameraInfo) -> FloatArray:
-    """Origin of the pair's rectified frame in this camera's rectified coordinates, (3,), m."""
-    return np.asarray(np.linalg.solve(info.P[:, :3], info.P[:, 3]), dtype=np.float64)
-
-
 def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: Side = "left") -> StereoRig:
     """Geometry of the stereo pair from its two camera infos, by ROS conventions.
 
     Raw coordinates x of a camera become rectified coordinates R x. The rectified frames are parallel, and
-    P = (K', K' t) gives the pair's origin in each. Hence T_c_r = (R_c^T R_r, R_c^T (t_r' - t_c')).
-
-    Args:
-        left, right: camera infos.
-        rectified: the images are rectified, so c and r are the rectified frames.
-        reference: the camera of the head-eye transform.
+    P = (K', K' t) gives the pair's origin in each. Hence T_c_r = (R_c^T R_r, R_c^T (t_r' - t_c')). If the images are
+    rectified, c and r are the rectified frames.
 
     Raises:
         RecordingError: no baseline, or left and right are exchanged.
     """
-    offset = _rectified_origin(left) - _rectified_origin(right)
+    # Origin of the pair's rectified frame in each camera's rectified coordinates, (3,), m.
+    origin, other_origin = (np.linalg.solve(info.P[:, :3], info.P[:, 3]) for info in (left, right))
+    offset = origin - other_origin
     if abs(left.P[0, 0] / right.P[0, 0] - 1) > _SAME_FOCAL:
         raise RecordingError(
             f"P[0, 0] is {left.P[0, 0]:g} in {left.frame_id or 'left'} and {right.P[0, 0]:g} in "
@@ -233,11 +208,7 @@ def check_baseline(offset_m: FloatArray) -> None:
 
 
 def check_sizes(infos: dict[Side, CameraInfo]) -> None:
-    """Check that the camera infos contain an image size.
-
-    Raises:
-        ConfigError: an image size is zero.
-    """
+    """Raise a ConfigError if a camera info contains no image size."""
     for side, info in infos.items():
         if info.width <= 0 or info.height <= 0:
             raise ConfigError(

@@ -291,11 +291,6 @@ class NominalConfig(_Section):
 
 
 def _prior_entry(value: object) -> object:
-    """One standard deviation, or a word.
-
-    Raises:
-        ValueError: neither of them.
-    """
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
         return value
@@ -393,7 +388,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     try:
         rig = RigConfig.model_validate(data)
     except ValidationError as error:
-        raise _explained(error, data, "" if path is None else f"{path}: ") from error
+        raise _explained(error, "" if path is None else f"{path}: ") from error
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
@@ -402,11 +397,9 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
 
 
 def checked_settings(settings: Mapping[str, Any], where: str) -> RigConfig:
-    """The settings of a result as a configuration, checked like those of rig.yaml.
+    """The settings of a result as a configuration, checked like those of rig.yaml; `where` is for messages.
 
-    Args:
-        settings: nested as in rig.yaml, as in params.yaml; keys that rig.yaml does not have are ignored.
-        where: file and section, for messages.
+    They are nested as in rig.yaml; keys that rig.yaml does not have are ignored.
 
     Raises:
         ConfigError: a value is not possible.
@@ -415,7 +408,7 @@ def checked_settings(settings: Mapping[str, Any], where: str) -> RigConfig:
     try:
         return RigConfig.model_validate(data)
     except ValidationError as error:
-        raise _explained(error, data, where) from error
+        raise _explained(error, where) from error
 
 
 def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
@@ -430,12 +423,13 @@ def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
     return known
 
 
-def _section_of(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401
-    """The section that a field holds, also where it may be None; None for a value, a list or a mapping."""
-    if get_origin(annotation) in (dict, tuple):
+def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None:  # noqa: ANN401
+    """The section that a field holds, also where it may be None, and if asked `inside` a list or a mapping."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) in (dict, tuple) and not inside:
         return None
-    inner = (annotation, *get_args(annotation))
-    return next((each for each in inner if isinstance(each, type) and issubclass(each, BaseModel)), None)
+    return next(filter(None, (_section_of(each, inside) for each in get_args(annotation))), None)
 
 
 def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
@@ -473,7 +467,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Key and value of one `--set KEY=VALUE`: a dotted key, and a value read as YAML.
+    """Dotted key, and value read as YAML, of one `--set KEY=VALUE`.
 
     Raises:
         ConfigError: no "=", or a value that is not YAML.
@@ -520,8 +514,7 @@ def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
 def setting_keys(section: type[BaseModel] = RigConfig, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Dotted keys of rig.yaml that hold a value, with their descriptions ("" if there is none)."""
     for name, field in section.model_fields.items():
-        inner = _section_of(field.annotation)
-        if inner is not None:
+        if (inner := _section_of(field.annotation)) is not None:
             yield from setting_keys(inner, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", field.description or ""
@@ -530,21 +523,13 @@ def setting_keys(section: type[BaseModel] = RigConfig, prefix: str = "") -> Iter
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     """Keys of the schema in the section at a location."""
     section: type[BaseModel] = RigConfig
-    for part in location:
-        if isinstance(part, int):
-            section = ChainLink
-            continue
-        if part not in section.model_fields:  # a key of a mapping, such as a joint's name
-            continue
-        annotation = section.model_fields[part].annotation
-        arguments = [annotation, *getattr(annotation, "__args__", ())]
-        inner = [a for a in arguments if isinstance(a, type) and issubclass(a, BaseModel)]
-        if inner:
-            section = inner[0]
+    for part in location:  # or a number, or a key of a mapping, such as a joint's name
+        field = section.model_fields.get(str(part))
+        section = (field and _section_of(field.annotation, inside=True)) or section
     return list(section.model_fields)
 
 
-def _explained(error: ValidationError, data: Mapping[str, Any], where: str) -> ConfigError:
+def _explained(error: ValidationError, where: str) -> ConfigError:
     problems, hints = [], []
     for item in error.errors():
         location = item["loc"]

@@ -5,21 +5,19 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
+from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import (
     IMAGES,
     SIDES,
     BoardView,
-    Draft,
-    Filled,
     FixedLink,
     FloatArray,
     HeadChain,
@@ -27,7 +25,6 @@ from mobilecal_cli.model import (
     NumberField,
     RobotDescription,
     Side,
-    Todo,
 )
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.rig.config import (
@@ -58,6 +55,57 @@ _SQUARE_STEPS_M, _SQUARE_NEAR = (0.01, 0.005, 0.001), 0.004
 T = TypeVar("T")
 
 
+@dataclass(frozen=True, slots=True)
+class Filled:
+    """A setting that was filled in.
+
+    Attributes:
+        key: dotted key of rig.yaml.
+        value: its value, as text.
+        source: where it comes from.
+    """
+
+    key: str
+    value: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Todo:
+    """A setting that is left to the user.
+
+    Attributes:
+        key: dotted key of rig.yaml.
+        why: why it is not filled in, and what to do.
+        needed: a calibration needs it.
+    """
+
+    key: str
+    why: str
+    needed: bool
+
+    def __str__(self) -> str:
+        """Key and reason; a reason that starts with the key stands for both."""
+        return self.why if self.why.startswith(f"{self.key}.") else f"{self.key}: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """Draft of a rig.yaml.
+
+    Attributes:
+        text: the file.
+        filled: what was filled in, in the order of the file.
+        todo: what is left to the user, in the order of the file.
+        notes: complete sentences.
+    """
+
+    text: str
+    filled: tuple[Filled, ...]
+    todo: tuple[Todo, ...]
+    notes: tuple[str, ...]
+
+
 def _quoted(text: str) -> str:
     """YAML string that any loader reads back unchanged, without characters that control a terminal."""
     return visible(json.dumps(text, ensure_ascii=False))  # YAML reads the escapes of both
@@ -83,13 +131,19 @@ def _listing(title: str, names: Iterable[str]) -> str:
     return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
 
 
+@dataclass
 class _Page:
-    """The file as it is written, with what is filled in and what is left."""
+    """What is known of the robot (see `draft_rig`); the file as it is written; what is filled in and what is left."""
 
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.filled: list[Filled] = []
-        self.todo: list[Todo] = []
+    description: RobotDescription
+    survey: Survey
+    urdf_text: str | None
+    urdf_path: str | None
+    board: BoardView | None
+    numbers: Sequence[NumberField]
+    lines: list[str] = field(default_factory=list)
+    filled: list[Filled] = field(default_factory=list)
+    todo: list[Todo] = field(default_factory=list)
 
     def add(self, *lines: str) -> None:
         self.lines += lines
@@ -107,9 +161,9 @@ class _Page:
         said = textwrap.wrap(f"TODO {self.todo[-1]}", _WIDTH, break_long_words=False, break_on_hyphens=False)
         self.lines += [f"{indent}# {line}" for line in (*said, *template)]
 
-    def ask_for(self, survey: Survey, part: Part, key: str, *template: str, indent: str = "") -> None:
-        """What a survey lacks of one part."""
-        errors = [_one_line(error) for lack, error in survey.lacks if lack == part]
+    def ask_for(self, part: Part, key: str, *template: str, indent: str = "") -> None:
+        """What the survey lacks of one part."""
+        errors = [_one_line(error) for lack, error in self.survey.lacks if lack == part]
         for number, why in enumerate(errors):
             last = number == len(errors) - 1
             self.ask(key, why, *(template if last else ()), needed=True, indent=indent)
@@ -139,7 +193,7 @@ def draft_rig(
         numbers: numbers that may be the readings of wheels or head joints.
     """
     survey = survey or survey_rig(RigConfig(), description, urdf_text)
-    page = _Page()
+    page = _Page(description, survey, urdf_text, urdf_path, board, numbers)
     page.add(
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
         "# The comment of a value says where it comes from. Fill in or delete what is marked TODO, then test the file",
@@ -147,12 +201,9 @@ def draft_rig(
         "schema_version: 1",
         "",
     )
-    _board(page, board)
-    _cameras(page, description, survey)
-    _wheels(page, description, survey, numbers)
-    _joints(page, description, survey, numbers)
-    _head(page, survey, urdf_path)
-    _nominal(page, description, survey, urdf_text)
+    for section in (_board, _cameras, _wheels, _joints, _head, _nominal):
+        section(page)
+        page.add("")
     page.add(
         "# known standard deviations; those omitted are estimated from the recording",
         f"# noise: {NoiseConfig.example}",
@@ -166,10 +217,10 @@ def draft_rig(
     )
 
 
-def _board(page: _Page, board: BoardView | None) -> None:
-    template = f"board: {BoardConfig.example}"
+def _board(page: _Page) -> None:
+    board, template = page.board, f"board: {BoardConfig.example}"
     if board is None:
-        page.add("# inner corners and squares of the board; no images to find it in", f"# {template}", "")
+        page.add("# inner corners and squares of the board; no images to find it in", f"# {template}")
         return
     if board.size is None or board.seen < _ENOUGH_BOARDS or board.other_sizes:
         what = f"board of {board.size[0]} x {board.size[1]}" if board.size else "checkerboard of one size"
@@ -181,7 +232,6 @@ def _board(page: _Page, board: BoardView | None) -> None:
             template,
             needed=board.size is None,
         )
-        page.add("")
         return
     columns, rows = board.size
     source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
@@ -189,7 +239,6 @@ def _board(page: _Page, board: BoardView | None) -> None:
     page.fill("board.columns", str(columns), source)
     page.fill("board.rows", str(rows), source)
     _square(page, board)
-    page.add("")
 
 
 def _square(page: _Page, board: BoardView) -> None:
@@ -225,14 +274,12 @@ def likely_square_m(measured_m: float) -> float | None:
     return None
 
 
-def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None:
-    images, infos = survey.images, survey.infos
-    page.add(
-        _listing("image topics in the recording", (t.name for t in description.topics if t.type in IMAGES))
-    )
+def _cameras(page: _Page) -> None:
+    images, infos = page.survey.images, page.survey.infos
+    present = (topic.name for topic in page.description.topics if topic.type in IMAGES)
+    page.add(_listing("image topics in the recording", present))
     if images is None:
-        page.ask_for(survey, "cameras", "cameras", *_example("cameras", CamerasConfig))
-        page.add("")
+        page.ask_for("cameras", "cameras", *_example("cameras", CamerasConfig))
         return
     page.add("cameras:")
     for side in SIDES:
@@ -240,31 +287,25 @@ def _cameras(page: _Page, description: RobotDescription, survey: Survey) -> None
         entry = f"image: {_quoted(images[side])}" + ("" if info is None else f", info: {_quoted(info)}")
         value = images[side] if info is None else f"{images[side]}, {info}"
         page.fill(f"cameras.{side}", f"{{{entry}}}", "recording: names and types of the topics", value)
-    page.ask_for(survey, "camera infos", "cameras", indent="  ")
+    page.ask_for("camera infos", "cameras", indent="  ")
     page.add("  reference: left  # default: camera of the head-eye transform")
-    rectified = "true" if survey.rectified else "false"
+    rectified = "true" if page.survey.rectified else "false"
     page.fill("cameras.rectified", rectified, "name of the image topic")
-    page.add("")
 
 
-def _wheels(
-    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
-) -> None:
+def _wheels(page: _Page) -> None:
     page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
-    if survey.wheels is not None:
+    if page.survey.wheels is not None:
         page.add("wheels:")
         for side in SIDES:
-            source = survey.wheels[side]
+            source = page.survey.wheels[side]
             entry = f"{{topic: {_quoted(source.topic)}, joint: {_quoted(source.joint or '')}, sign: {source.sign}}}"
             why = "recording: the only pair of joints named as wheels"
             page.fill(f"wheels.{side}", entry, why, f"{source.joint} on {source.topic}")
-        page.add("")
         return
-    found = wheel_pairs(numbers)
-    counters = [
-        pair for pair in found if all(field.integer and field.jump is None for field in pair.values())
-    ]
-    if len(found) == 1 and counters:
+    pairs = wheel_pairs(page.numbers)
+    counters = [pair for pair in pairs if all(n.integer and n.jump is None for n in pair.values())]
+    if len(pairs) == 1 and counters:
         page.add("wheels:")
         for side in SIDES:
             _counter(page, side, counters[0][side])
@@ -274,56 +315,49 @@ def _wheels(
             needed=True,
             indent="  ",
         )
-        page.add("")
         return
     page.ask_for(
-        survey,
         "wheels",
         "wheels",
-        *(f"candidate: {_described(field)}" for pair in found for field in pair.values()),
+        *(f"candidate: {_described(number)}" for pair in pairs for number in pair.values()),
         *_example("wheels", WheelsConfig),
     )
-    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
+    odometry = [topic.name for topic in page.description.topics if topic.type == ODOMETRY]
     if odometry:
         page.add(
             f"# or, with nominal.wheels exactly as in the driver: wheels: {{odometry: {_quoted(odometry[0])}}}"
         )
-    page.add("")
 
 
-def _counter(page: _Page, side: Side, field: NumberField) -> None:
+def _counter(page: _Page, side: Side, number: NumberField) -> None:
     width, said = None, "it did not start again"
-    if field.wraps is not None:
-        width, said = field.wraps, f"bits: it starts again after 2^{field.wraps} steps"
-    elif field.bits in (8, 16):
-        width, said = field.bits, "bits: width of its type"
+    if number.wraps is not None:
+        width, said = number.wraps, f"bits: it starts again after 2^{number.wraps} steps"
+    elif number.bits in (8, 16):
+        width, said = number.bits, "bits: width of its type"
     bits = "" if width is None else f", bits: {width}"
-    entry = f"topic: {_quoted(field.topic)}, field: {_quoted(field.path)}, ticks_per_revolution: {TODO}{bits}"
+    topic, path = _quoted(number.topic), _quoted(number.path)
+    entry = f"{{topic: {topic}, field: {path}, ticks_per_revolution: {TODO}{bits}}}"
     source = f"recording: the only pair of whole numbers named as counters; {said}"
-    page.fill(f"wheels.{side}", f"{{{entry}}}", source, f"{field.path} on {field.topic}{bits}")
+    page.fill(f"wheels.{side}", entry, source, f"{number.path} on {number.topic}{bits}")
 
 
-def _described(field: NumberField) -> str:
-    kind = "whole number" if field.integer else "number, unit unknown"
-    jumps = "" if field.jump is None else f", jumps by {field.jump}"
-    return f"topic {_quoted(field.topic)}, field {_quoted(field.path)} ({kind}{jumps})"
+def _described(number: NumberField) -> str:
+    kind = "whole number" if number.integer else "number, unit unknown"
+    jumps = "" if number.jump is None else f", jumps by {number.jump}"
+    return f"topic {_quoted(number.topic)}, field {_quoted(number.path)} ({kind}{jumps})"
 
 
-def _joints(
-    page: _Page, description: RobotDescription, survey: Survey, numbers: Sequence[NumberField]
-) -> None:
-    names = joint_state_names(description)
+def _joints(page: _Page) -> None:
+    survey, names = page.survey, joint_state_names(page.description)
     page.add(_listing("joints in the recording's joint states", names))
     if survey.head is not None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), description, names)) or ("", "")
-    keys = (
-        {"topic": survey.joints[0]}
-        if survey.joints and len(survey.joints) == 1 and not survey.elsewhere
-        else {}
-    )
+        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), page.description, names)) or ("", "")
+    only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
+    keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}
     if keys:
         page.add("joints:")
@@ -331,32 +365,20 @@ def _joints(
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
         page.fill(f"joints.{key}", _quoted(value), source, value)
     missing = () if survey.head is None else [n for n in survey.head.chain.joints if n not in names]
-    candidates = [f"candidate: {_described(field)}" for name in missing for field in named_as(name, numbers)]
-    page.ask_for(
-        survey,
-        "joints",
-        "joints.fields",
-        *candidates,
-        *([] if keys else ["joints:"]),
-        *(
-            f"{'' if keys else '  '}{line}"
-            for line in (
-                "fields:",
-                *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing),
-            )
-        ),
-        indent="  " if keys else "",
-    )
-    page.add("")
+    named = [number for name in missing for number in named_as(name, page.numbers)]
+    template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
+    if not keys:
+        template = ["joints:", *(f"  {line}" for line in template)]
+    candidates = (f"candidate: {_described(number)}" for number in named)
+    page.ask_for("joints", "joints.fields", *candidates, *template, indent="  " if keys else "")
 
 
-def _head(page: _Page, survey: Survey, urdf_path: str | None) -> None:
-    if survey.head is None:
-        page.ask_for(survey, "head chain", "head", *_example("head", HeadConfig))
-        page.add("")
+def _head(page: _Page) -> None:
+    head, urdf_path = page.survey.head, page.urdf_path
+    if head is None:
+        page.ask_for("head chain", "head", *_example("head", HeadConfig))
         return
-    chain, origin = survey.head.chain, survey.head.origin
-    source = "the given URDF" if urdf_path else origin
+    chain, source = head.chain, "the given URDF" if urdf_path else head.origin
     page.add("head:")
     if urdf_path is not None:
         page.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
@@ -369,8 +391,7 @@ def _head(page: _Page, survey: Survey, urdf_path: str | None) -> None:
         "  # chain:",
         *(f"  #   - {link}" for link in _links(chain)),
     )
-    page.ask_for(survey, "head chain", "head", indent="  ")
-    page.add("")
+    page.ask_for("head chain", "head", indent="  ")
 
 
 def _links(chain: HeadChain) -> list[str]:
@@ -384,11 +405,9 @@ def _links(chain: HeadChain) -> list[str]:
             lines.append(f"{{xyz_m: {_numbers(T[:3, 3])}{rpy}}}")
             continue
         kind = ", kind: prismatic" if link.kind == "prismatic" else ""
-        mimic = (
-            ""
-            if (link.multiplier, link.offset) == (1.0, 0.0)
-            else f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
-        )
+        mimic = ""
+        if (link.multiplier, link.offset) != (1.0, 0.0):
+            mimic = f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
         lines.append(f"{{joint: {_quoted(link.joint)}, axis: {_numbers(link.axis)}{kind}}}{mimic}")
     return lines
 
@@ -397,8 +416,10 @@ def _numbers(values: FloatArray) -> str:
     return f"[{', '.join(f'{0.0 if abs(value) < 1e-12 else value:.10g}' for value in values)}]"
 
 
-def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_text: str | None) -> None:
-    urdf = _parsed(description, urdf_text)
+def _nominal(page: _Page) -> None:
+    survey = page.survey
+    text = page.urdf_text or next((text for _, text in sorted(page.description.urdfs.items())), None)
+    urdf = None if text is None else _tried(lambda: parse_urdf(text))
     drawn = Nominal() if survey.head is None else survey.head.drawn
     if urdf is not None and drawn.wheels is None:
         drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
@@ -438,13 +459,6 @@ def _nominal(page: _Page, description: RobotDescription, survey: Survey, urdf_te
             needed=False,
             indent=indent,
         )
-    page.add("")
-
-
-def _parsed(description: RobotDescription, urdf_text: str | None) -> Urdf | None:
-    """The URDF that is given, or that of the recording; None without a valid one."""
-    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
-    return None if text is None else _tried(lambda: parse_urdf(text))
 
 
 def _priors() -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.config import ChainLink, RigConfig
 from mobilecal_cli.rig.joints import pan_and_tilt
+from mobilecal_cli.rig.names import joint_state_names
 from mobilecal_cli.rig.wheels import nominal_wheels, urdf_wheels
 
 _MIDWAY_M = 1e-6
@@ -76,10 +78,9 @@ def head_of(
         moving = [link.joint for link in config.head.chain if link.joint]
         pan, tilt = pan_and_tilt(config, description, dict.fromkeys(moving))
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
-        chain = explicit_chain(config, base, head, pan, tilt)
+        chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
         return Head(chain, None, Nominal(), "head.chain of the configuration", ())
-    origin = "head.urdf of the configuration"
-    notes = []
+    origin, notes = "head.urdf of the configuration", []
     if urdf_text is None and not description.urdfs:
         return _head_of_transforms(config, description, wheels, camera_frame)
     if urdf_text is None:
@@ -88,7 +89,11 @@ def head_of(
         if len(set(description.urdfs.values())) > 1:
             notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
     urdf = parse_urdf(urdf_text)
-    pan, tilt = _pan_and_tilt_of_urdf(config, description, urdf)
+    in_states = {*joint_state_names(description), *config.joints.fields}
+    pan, tilt = pan_and_tilt(config, description, [name for name in urdf.joints if name in in_states])
+    if not tilt and config.head.head_frame is None:
+        # Joint states may lack some of the head's joints; the URDF still names them.
+        pan, tilt = pan_and_tilt(config, description, list(urdf.joints))
     return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
 
 
@@ -104,9 +109,7 @@ def _head_of_transforms(
             "the configuration",
             "set head.urdf or head.chain in rig.yaml; mobilecal init LOG --urdf FILE drafts it",
         )
-    base = config.head.base_frame or next(
-        (name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root
-    )
+    base = _base_of(config, urdf)
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
     pan, tilt = pan_and_tilt(config, description, moving)
     if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
@@ -116,17 +119,6 @@ def _head_of_transforms(
         "joint angles are zero at the first transform."
     )
     return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the recording", [note])
-
-
-def _pan_and_tilt_of_urdf(config: RigConfig, description: RobotDescription, urdf: Urdf) -> tuple[str, str]:
-    in_states = {name for names in description.joint_names.values() for name in names} | set(
-        config.joints.fields
-    )
-    pan, tilt = pan_and_tilt(config, description, [name for name in urdf.joints if name in in_states])
-    if not tilt and config.head.head_frame is None:
-        # Joint states may lack some of the head's joints; the URDF still names them.
-        pan, tilt = pan_and_tilt(config, description, list(urdf.joints))
-    return pan, tilt
 
 
 def _mounted(
@@ -139,16 +131,11 @@ def _mounted(
     origin: str,
     notes: list[str],
 ) -> Head:
-    chain, chain_notes = chain_from_urdf(config, urdf, wheels, pan, tilt, camera_frame)
-    base, _ = frames(config, urdf, tilt, camera_frame)
-    drawn = Nominal(drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    base = _base_of(config, urdf)
+    head = _head_link_of(config, urdf, base, tilt, camera_frame)
+    chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
+    drawn = Nominal(_drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
-
-
-def explicit_chain(config: RigConfig, base_frame: str, head_frame: str, pan: str, tilt: str) -> HeadChain:
-    """The chain given in rig.yaml."""
-    links = tuple(_chain_link(link) for link in config.head.chain or ())
-    return HeadChain(base_frame, head_frame, links, pan, tilt)
 
 
 def _chain_link(link: ChainLink) -> FixedLink | JointLink:
@@ -159,24 +146,23 @@ def _chain_link(link: ChainLink) -> FixedLink | JointLink:
     return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
 
 
-def frames(config: RigConfig, urdf: Urdf, tilt: str, camera_frame: str) -> tuple[str, str]:
-    """Base and head link of a URDF: as configured, or base_link and the child of the tilt joint.
+def _base_of(config: RigConfig, urdf: Urdf) -> str:
+    usual = (name for name in ("base_link", "base_footprint") if name in urdf.links)
+    return config.head.base_frame or next(usual, urdf.root)
 
-    Without a tilt joint, the head is the last link that a joint moves on the way to the camera; if none moves, the
-    camera is fixed to the base, which is the head then.
 
-    Raises:
-        ConfigError: neither a tilt joint nor the camera's frame to derive the head link from.
+def _head_link_of(config: RigConfig, urdf: Urdf, base: str, tilt: str, camera_frame: str) -> str:
+    """Head link of a URDF: as configured, or the child of the tilt joint, or head_link if that is fixed to it.
+
+    Without a tilt joint, it is the last link that a joint moves on the way to the camera; if none moves, the camera is
+    fixed to the base, which is the head then.
     """
-    base = config.head.base_frame
-    if base is None:
-        base = next((name for name in ("base_link", "base_footprint") if name in urdf.links), urdf.root)
     if config.head.head_frame is not None:
-        return base, config.head.head_frame
+        return config.head.head_frame
     tilts = tilt in urdf.joints and urdf.joints[tilt].kind != "fixed"
     if not tilts and camera_frame in urdf.links:
         moving = [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
-        return base, moving[-1].child if moving else base
+        return moving[-1].child if moving else base
     if tilt not in urdf.joints:
         raise ConfigError(
             f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",
@@ -189,32 +175,31 @@ def frames(config: RigConfig, urdf: Urdf, tilt: str, camera_frame: str) -> tuple
         while link in above and above[link].kind == "fixed":
             link = above[link].parent
         if link == carried:
-            return base, "head_link"
-    return base, carried
+            return "head_link"
+    return carried
 
 
-def chain_from_urdf(
-    config: RigConfig,
-    urdf: Urdf,
-    sources: dict[Side, WheelSource],
-    pan: str,
-    tilt: str,
-    camera_frame: str,
+def _chain_from_urdf(
+    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str, head: str, pan: str, tilt: str
 ) -> tuple[HeadChain, list[str]]:
     """Kinematic chain from v to the head, and notes on the position of v.
 
     The vehicle frame v lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
     differs, the offset is computed from the origins of the wheel joints.
-
-    Raises:
-        ConfigError: a link is missing or not connected.
     """
-    base, head = frames(config, urdf, tilt, camera_frame)
-    wheels = urdf_wheels(urdf, sources, base)
+    wheels = urdf_wheels(urdf, sources)
     if len(wheels) < 2:
         return head_chain(urdf, base, head, pan, tilt), []
     T_base_v = vehicle_frame(*wheel_centres(urdf, base, wheels["left"], wheels["right"]))
-    notes = _moving_wheels(urdf, base, wheels)
+    notes = []
+    moving = [
+        joint.name for joint in urdf.path(base, urdf.joints[wheels["left"]].parent) if joint.kind != "fixed"
+    ]
+    if moving:  # as on a robot that steers its axle
+        notes.append(
+            f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
+            "calibrated, with these joints at zero."
+        )
     shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
     if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
         return head_chain(urdf, base, head, pan, tilt), notes
@@ -225,19 +210,7 @@ def chain_from_urdf(
     return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
 
 
-def _moving_wheels(urdf: Urdf, base: str, wheels: dict[Side, str]) -> list[str]:
-    """A note if the wheels move against the base, as on a robot that steers its axle."""
-    path = urdf.path(base, urdf.joints[wheels["left"]].parent)
-    moving = [joint.name for joint in path if joint.kind != "fixed"]
-    if not moving:
-        return []
-    return [
-        f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
-        "calibrated, with these joints at zero."
-    ]
-
-
-def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
+def _drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
     """(4, 4) camera-to-head transform of the URDF; None unless only fixed joints connect the two frames."""
     if camera_frame not in urdf.links:
         return None
@@ -247,10 +220,7 @@ def drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | Non
         return None  # the camera is not below the head
     if any(joint.kind != "fixed" for joint in path):
         return None
-    T_h_reference = np.eye(4)
-    for joint in path:
-        T_h_reference = T_h_reference @ joint.T_parent_child
-    return T_h_reference
+    return reduce(np.matmul, (joint.T_parent_child for joint in path), np.eye(4))
 
 
 def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
@@ -258,10 +228,7 @@ def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf
 
     A transform that does not change is a fixed joint. One that only rotates about one axis is revolute, and one that
     only translates along one axis is prismatic. Any other is "floating". A joint is at zero at the first sample; this
-    choice does not change the poses of the links.
-
-    Args:
-        transforms: (parent, child) → (n, 4, 4) samples of T_parent_child over the recording.
+    choice does not change the poses of the links. `transforms`: see `RobotDescription`.
     """
     joints = {child: _joint(parent, child, T) for (parent, child), T in sorted(transforms.items())}
     return Urdf("transforms", joints, {})

@@ -6,9 +6,7 @@ import math
 from collections.abc import Container, Iterable
 
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import (
-    Urdf,
-)
+from mobilecal_cli.kinematics.urdf import Urdf
 from mobilecal_cli.model import (
     TRANSFORMS,
     HeadChain,
@@ -24,8 +22,8 @@ from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_sta
 
 def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
     """The joint named pan (or tilt), preferably also named head; "" if there is none."""
-    found = [name for name in names if kinds & set(words(name))]
-    best = [name for name in found if HEAD_WORDS & set(words(name))] or found
+    of_kind = [name for name in names if kinds & set(words(name))]
+    best = [name for name in of_kind if HEAD_WORDS & set(words(name))] or of_kind
     if len(best) > 1:
         raise ConfigError(
             f"several joints could be the {role} joint: {listed(best)}", f"set joints.{role} in rig.yaml"
@@ -68,7 +66,7 @@ def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadCh
         RecordingError: a topic is missing; the hint lists those present.
     """
     present = {topic.name for topic in description.topics}
-    found = {}
+    fields = {}
     for joint, source in config.joints.fields.items():
         if joint not in chain.joints:
             raise ConfigError(
@@ -80,10 +78,9 @@ def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadCh
                 f"joints.fields: no topic {source.topic} in this recording",
                 f"topics present: {listed(sorted(present))}",
             )
-        found[joint] = JointField(
-            source.topic, source.field, math.radians(1) if source.unit == "deg" else 1.0
-        )
-    return found
+        scale = math.radians(1) if source.unit == "deg" else 1.0
+        fields[joint] = JointField(source.topic, source.field, scale)
+    return fields
 
 
 def joint_transforms(
@@ -96,7 +93,7 @@ def joint_transforms(
     )
     if topic is None or urdf is None:
         return {}
-    told = {name for names in description.joint_names.values() for name in names} | set(config.joints.fields)
+    told = {*joint_state_names(description), *config.joints.fields}
     kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
     return {
         name: JointTransform(topic, joint.parent, joint.child, joint.T_parent_child, joint.axis, kinds[name])

@@ -35,19 +35,6 @@ _Lack = RecordingError | ConfigError
 Part = Literal["cameras", "camera infos", "wheels", "head chain", "joints", "priors"]
 
 
-@dataclass(frozen=True, slots=True)
-class ResolvedRig:
-    """A resolved rig, and notes on it.
-
-    Attributes:
-        rig: the complete rig.
-        notes: complete sentences for the report.
-    """
-
-    rig: Rig
-    notes: tuple[str, ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
     """The parts of a rig that configuration and recording determine, and why the others are unknown.
@@ -79,13 +66,8 @@ def resolve_rig(
     config: RigConfig,
     description: RobotDescription,
     urdf_text: str | None = None,
-) -> ResolvedRig:
-    """Complete a configuration with the contents of the recording.
-
-    Args:
-        config: the configuration.
-        `description`: topics and first messages of the recording.
-        urdf_text: contents of `head.urdf`, if the configuration names one.
+) -> tuple[Rig, tuple[str, ...]]:
+    """Complete a configuration with the contents of the recording: the rig, and notes for the report.
 
     Raises:
         RecordingError: the recording lacks something that the configuration does not give.
@@ -94,12 +76,8 @@ def resolve_rig(
     return complete_rig(survey_rig(config, description, urdf_text), config)
 
 
-def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
-    """The rig of a survey.
-
-    Args:
-        survey: of the same configuration.
-        config: see `resolve_rig`.
+def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...]]:
+    """The rig of a survey of the same configuration, and notes for the report.
 
     Raises:
         RecordingError, ConfigError: the first error of the survey.
@@ -145,18 +123,16 @@ def complete_rig(survey: Survey, config: RigConfig) -> ResolvedRig:
         "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
         "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
-    return ResolvedRig(
-        Rig(
-            cameras,
-            chain,
-            nominal,
-            Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
-            setting_sources,
-            KnownNoise(**config.noise.model_dump()),
-            prior_sigmas(config.priors, cameras, chain),
-        ),
-        head.notes,
+    rig = Rig(
+        cameras,
+        chain,
+        nominal,
+        Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
+        setting_sources,
+        KnownNoise(**config.noise.model_dump()),
+        prior_sigmas(config.priors, cameras, chain),
     )
+    return rig, head.notes
 
 
 def stereo_layout(config: RigConfig) -> StereoLayout:
@@ -165,11 +141,7 @@ def stereo_layout(config: RigConfig) -> StereoLayout:
 
 
 def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str | None = None) -> Survey:
-    """Everything that configuration and recording determine, and all errors, except those that follow from another.
-
-    Args:
-        config, `description`, urdf_text: see `resolve_rig`.
-    """
+    """Everything that configuration and recording determine, and all errors, except those that follow from another."""
     lacks: list[tuple[Part, _Lack]] = []
 
     def tried(part: Part, step: Callable[[], T]) -> T | None:

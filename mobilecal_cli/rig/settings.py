@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.nuisance import KINDS, Constant, table
+from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import (
     SIDES,
     Board,
@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     WheelSource,
     WheelTrack,
 )
-from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig
+from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal
 
 
 def _numbers(array: FloatArray) -> list[float]:
@@ -55,15 +55,8 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
 
 
 def _wheel(source: WheelSource) -> dict[str, Any]:
-    settings = {
-        "topic": source.topic,
-        "joint": source.joint,
-        "field": source.field,
-        "ticks_per_revolution": source.ticks_per_revolution,
-        "bits": source.bits,
-        "sign": source.sign,
-        "odometry_made_with": asdict(source.baked_in) if source.baked_in is not None else None,
-    }
+    settings = asdict(source)
+    settings["odometry_made_with"] = settings.pop("baked_in")
     return {key: value for key, value in settings.items() if value is not None}
 
 
@@ -88,10 +81,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "board": _board(board, [o.square_m for o in extraction.observations]),
         "cameras": {
-            **{
-                side: {"image": rig.sources.image[side], "info": rig.sources.info[side]}
-                for side in ("left", "right")
-            },
+            **{side: {"image": rig.sources.image[side], "info": rig.sources.info[side]} for side in SIDES},
             **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,
@@ -102,7 +92,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "tilt": rig.chain.tilt,
             **({"elsewhere": elsewhere} if elsewhere else {}),
         },
-        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in ("left", "right")},
+        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in SIDES},
         "head": {
             "base_frame": rig.chain.base_frame,
             "head_frame": rig.chain.head_frame,
@@ -112,14 +102,8 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     }
     nominal = rig.nominal
     if nominal.wheels is not None:
-        wheels = nominal.wheels
-        settings["nominal"] = {
-            "wheels": {
-                "radius_left_m": wheels.radius_left_m,
-                "radius_right_m": wheels.radius_right_m,
-                "separation_m": wheels.separation_m,
-            }
-        }
+        sizes = asdict(nominal.wheels)
+        settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
         settings.setdefault("nominal", {})["head_eye"] = {
             "translation_m": _numbers(nominal.T_h_reference[:3, 3]),
@@ -139,32 +123,29 @@ ALL = "all"
 def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: HeadChain) -> dict[str, float]:
     """Name of each constant that the configuration mentions → its prior sigma, see `Rig.prior_sigmas`.
 
-    An entry for one constant overrides that of its kind, which overrides that of all.
-
-    Args:
-        priors: "all", a kind or a constant → one standard deviation in the kind's unit for people, "fixed" or "free".
-        cameras: the stereo pair.
-        chain: the head chain.
+    An entry for one constant overrides that of its kind, which overrides that of all. An entry is one standard
+    deviation in the kind's unit for people, "fixed" or "free".
 
     Raises:
         ConfigError: a name that this robot does not have.
     """
     rows = table(cameras, chain)
-    _check(priors, rows)
+    kinds, names = [kind.name for kind in KINDS], [row.name for row in rows]
+    known = [ALL, *kinds, *names]
+    for name in priors:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            every = f"kinds: {', '.join(kinds)}; constants: {', '.join(names)}"
+            hint = f"did you mean {near[0]}?" if near else every
+            raise ConfigError(f"priors.{name}: this robot has no such constant", hint)
     sigmas = {}
     for row in rows:
-        for key in (row.name, row.kind, ALL):
-            if key in priors:
-                sigmas[row.name] = _sigma(row, priors[key])
-                break
+        entry = next((priors[key] for key in (row.name, row.kind, ALL) if key in priors), None)
+        if isinstance(entry, str):
+            sigmas[row.name] = {"fixed": 0.0, "free": math.inf}[entry]
+        elif entry is not None:  # joints that slide have other units than those that turn
+            sigmas[row.name] = entry / row.of_kind.shown * (row.sigma / row.of_kind.sigma)
     return sigmas
-
-
-def _sigma(row: Constant, entry: PriorEntry) -> float:
-    """Prior sigma in the unit of the code; joints that slide have other units than those that turn."""
-    if isinstance(entry, str):
-        return {"fixed": 0.0, "free": math.inf}[entry]
-    return entry / row.of_kind.shown * (row.sigma / row.of_kind.sigma)
 
 
 def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadChain) -> dict[str, PriorEntry]:
@@ -179,20 +160,6 @@ def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadCha
     return entries
 
 
-def _check(priors: Mapping[str, PriorEntry], rows: tuple[Constant, ...]) -> None:
-    kinds, names = [kind.name for kind in KINDS], [row.name for row in rows]
-    known = [ALL, *kinds, *names]
-    for name in priors:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = (
-                f"did you mean {near[0]}?"
-                if near
-                else f"kinds: {', '.join(kinds)}; constants: {', '.join(names)}"
-            )
-            raise ConfigError(f"priors.{name}: this robot has no such constant", hint)
-
-
 def nominal_of(config: RigConfig) -> Nominal:
     """Nominal values that the configuration gives; None where it gives none."""
     head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
@@ -200,12 +167,7 @@ def nominal_of(config: RigConfig) -> Nominal:
     if head_eye is not None:
         rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
         T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
-    return Nominal(
-        T_h_reference,
-        None
-        if wheels is None
-        else WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m),
-    )
+    return Nominal(T_h_reference, None if wheels is None else WheelGeometry(**wheels.model_dump()))
 
 
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.
@@ -220,11 +182,7 @@ CHANGEABLE = (
 
 
 def refuse_others(keys: Collection[str], extraction: str) -> None:
-    """Refuse settings that were used to make an extraction.
-
-    Args:
-        keys: dotted keys that the user gave.
-        extraction: name of the extraction, for the message.
+    """Refuse those of the dotted keys that were used to make an extraction, which the message names.
 
     Raises:
         ConfigError: naming them, and the settings that can be changed.
@@ -272,11 +230,7 @@ def _seen_from(rig: Rig, reference: Side) -> Rig:
 
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
-    """The rig with the nominal values that the configuration gives.
-
-    Raises:
-        ConfigError: the wheels' rotations were computed with the nominal wheels.
-    """
+    """The rig with the nominal values that the configuration gives."""
     given = nominal_of(config)
     if given.wheels is not None and any(source.baked_in for source in rig.sources.wheels.values()):
         raise ConfigError(
@@ -295,29 +249,22 @@ def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
 def _rescaled(
     rig: Rig, tracks: tuple[WheelTrack, ...], side: Side, wheel: WheelConfig, keys: Collection[str]
 ) -> tuple[Rig, tuple[WheelTrack, ...]]:
-    """The rig and the wheel tracks with another sign or resolution of one wheel.
-
-    Raises:
-        ConfigError: the rotation of the wheel was computed from odometry.
-    """
+    """The rig and the wheel tracks with another sign or resolution of one wheel."""
     old = rig.sources.wheels[side]
     if old.baked_in is not None:
         raise ConfigError(
             f"{', '.join(sorted(keys))}: the rotation of the wheel was computed from odometry",
             "calibrate from the recording",
         )
-    new = replace(old, **{key.rsplit(".", 1)[1]: getattr(wheel, key.rsplit(".", 1)[1]) for key in keys})
-    factor = _turn_per_unit(new) / _turn_per_unit(old)
+    names = {key.rsplit(".", 1)[1] for key in keys}
+    new = replace(old, **{name: getattr(wheel, name) for name in names})
+    # Turns per unit of the readings, with the sign.
+    after, before = (source.sign / (source.ticks_per_revolution or 2 * math.pi) for source in (new, old))
     scaled = []
     for track in tracks:
-        one: Track = getattr(track, side)
-        turned = Track(one.time_ns, one.value * factor)
+        own: Track = getattr(track, side)
+        turned = Track(own.time_ns, own.value * (after / before))
         scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
     name = f"{side} wheel {old.topic} {old.joint or old.field}"
     sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
     return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)
-
-
-def _turn_per_unit(source: WheelSource) -> float:
-    """Turns per unit of the readings, with the sign."""
-    return source.sign / (source.ticks_per_revolution or 2 * math.pi)

@@ -51,7 +51,7 @@ def decode_alone(path: Path, workers: int) -> float:
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.calibrate.detect import DetectionWorkers, Scene, detect_all, measure_stations
+    from mobilecal_cli.calibrate.detect import DetectionWorkers, detect_all, measure_stations
     from mobilecal_cli.calibrate.plan import plan_recording
     from mobilecal_cli.model import Board
     from mobilecal_cli.readers import open_recording, read_description
@@ -63,16 +63,15 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig = resolve_rig(load_rig(None), read_description(recording)).rig
-        (plan,) = plan_recording(recording, rig, rig.chain.prismatic, True).plans
-        scene = Scene(rig.sources, rig.cameras, board)
-        ((detections, _),) = detect_all(workers, scene, [plan], False, lambda *_: None)
+        rig, _ = resolve_rig(load_rig(None), read_description(recording))
+        (plan,), *_ = plan_recording(recording, rig, True)
+        (detections,) = detect_all(workers, rig, board, [plan], False, lambda *_: None)
     seconds = time.perf_counter() - start
     found = sum(
         isinstance(d, Detection) for one in detections for side in one.found.values() for d in side.values()
     )
     start = time.perf_counter()
-    for item in measure_stations(0, scene, plan.stations[:_MEASURED], detections[:_MEASURED]):
+    for item in measure_stations(0, rig.cameras, board, plan.stations[:_MEASURED], detections[:_MEASURED]):
         if isinstance(item, Measured):
             resolve_square(item, board.square_m)
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found

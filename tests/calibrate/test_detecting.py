@@ -127,10 +127,9 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     resolve = EXTRACTING.resolve_rig
 
     def other_size(*args):
-        resolved = resolve(*args)
-        rig = resolved.rig
+        rig, notes = resolve(*args)
         left = replace(rig.cameras.left, width=641)
-        return replace(resolved, rig=replace(rig, cameras=replace(rig.cameras, left=left)))
+        return replace(rig, cameras=replace(rig.cameras, left=left)), notes
 
     monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:

@@ -95,8 +95,8 @@ def bag(folder, joints, pictures):
 
 
 def one_plan(recording):
-    planned = plan_recording(recording, RIG, frozenset())
-    return planned.plans, planned.notes
+    plans, _, notes = plan_recording(recording, RIG)
+    return plans, notes
 
 
 def planned(paths, joints_first, read=()):
@@ -167,7 +167,7 @@ def test_one_pass_where_chunks_hold_both(tmp_path):
 def test_one_pass_where_the_pictures_are_few(tmp_path):
     paths = sqlite(tmp_path, *log())
     with mock.patch.object(planning, "find_pictures") as find, open_recording(paths) as recording:
-        plan_recording(recording, RIG, frozenset())
+        plan_recording(recording, RIG)
     find.assert_not_called()
 
 
@@ -290,7 +290,7 @@ def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
             open_recording(paths) as recording,
             pytest.raises(RecordingError) as caught,
         ):
-            plan_recording(recording, RIG, frozenset())
+            plan_recording(recording, RIG)
         messages.append((caught.value.message, caught.value.hint))
     assert messages[0] == messages[1]
     assert "no stereo pairs" in messages[0][0]

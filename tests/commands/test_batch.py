@@ -17,12 +17,13 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
 from mobilecal_cli.calibrate.batch import run_on
+from mobilecal_cli.calibrate.manifest import FleetJob
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.model import FleetJob, FleetRow, LogSource
+from mobilecal_cli.model import FleetRow, LogSource
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text, standing_out
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS

@@ -278,7 +278,7 @@ def test_images_at_the_ends_are_counted(sample_logs, rig, late_s, counted):
     left = np.arange(40) * 10**9
     others = {robot.sources.image["right"], *robot.sources.motion}
     times = {robot.sources.image["left"]: left, **dict.fromkeys(others, left + round(late_s * 1e9))}
-    covered, _ = inspect._covered(robot, times, [])
+    covered = inspect._covered(robot, times, inspect._Findings())
     assert covered == (counted, 40)
 
 

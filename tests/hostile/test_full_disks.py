@@ -12,8 +12,8 @@ import pytest
 import zstandard
 
 from mobilecal_cli.calibrate import batch as fleet
+from mobilecal_cli.calibrate.manifest import FleetJob
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.model import FleetJob
 from tests.hostile.refusals import extraction
 
 #: A file system of some bytes, mounted for one command only.

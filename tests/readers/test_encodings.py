@@ -103,9 +103,7 @@ def other(request, original, tmp_path_factory):
 
 def test_it_says_the_same_as_the_ros_recording(original, other):
     urdf = next(iter(read_description(original).urdfs.values()))
-    rigs = [
-        resolve_rig(RigConfig(), read_description(recording), urdf).rig for recording in (original, other)
-    ]
+    rigs = [resolve_rig(RigConfig(), read_description(recording), urdf)[0] for recording in (original, other)]
     for side in ("left", "right"):
         ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)

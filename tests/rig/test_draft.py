@@ -43,9 +43,7 @@ def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
 def test_a_draft_loads_and_settles_the_same_rig():
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
     draft = draft_rig(description(urdf=urdf), "some log.mcap", board=board())
-    again, first = (
-        resolve_rig(config, description(urdf=urdf)).rig for config in (loaded(draft), RigConfig())
-    )
+    again, first = (resolve_rig(config, description(urdf=urdf))[0] for config in (loaded(draft), RigConfig()))
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
     assert again.nominal.wheels == first.nominal.wheels
@@ -91,7 +89,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     given = RigConfig.model_validate(
         {"head": {"chain": chain}, "joints": {"pan": "head_pan_joint", "tilt": "head_tilt_joint"}}
     )
-    ours, theirs = (resolve_rig(config, description(urdf=urdf)).rig.chain for config in (given, RigConfig()))
+    ours, theirs = (resolve_rig(config, description(urdf=urdf))[0].chain for config in (given, RigConfig()))
     angles = np.array([[0.3, -0.2], [-1.0, 0.4]])
     np.testing.assert_allclose(head_pose(ours, angles), head_pose(theirs, angles), atol=1e-9)
     assert "not midway between the wheels" in draft.notes[0]
@@ -230,7 +228,7 @@ def test_a_chain_of_transforms_is_drafted():
     log = replace(description(urdf=None, extra=(tf,)), transforms=transforms)
     draft = draft_rig(log, "log")
     assert keys(draft)["head.head_frame"] == "neck"
-    again, first = (resolve_rig(config, log).rig for config in (loaded(draft), RigConfig()))
+    again, first = (resolve_rig(config, log)[0] for config in (loaded(draft), RigConfig()))
     assert again.chain.joints == first.chain.joints == ("neck",)
     assert math.isclose(again.nominal.T_h_reference[1, 3], 0.06)
 

@@ -92,7 +92,7 @@ def test_unknown_names(name, hint):
 
 
 def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
-    rig = resolve_rig(config(priors={"pan_zero": "free"}), description()).rig
+    rig = resolve_rig(config(priors={"pan_zero": "free"}), description())[0]
     assert rig.prior_sigmas == {"pan_zero": math.inf}
     wrong = config(priors={"neck_zero": 1})
     assert [(part, error.message) for part, error in survey_rig(wrong, description(urdf=AT_BASE)).lacks] == [

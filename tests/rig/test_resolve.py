@@ -73,8 +73,7 @@ def config(**sections):
 
 
 def test_a_log_tells_everything():
-    resolved = resolve_rig(RigConfig(), description())
-    rig = resolved.rig
+    rig, _ = resolve_rig(RigConfig(), description())
     assert rig.sources.image == {"left": "/stereo/left/image_raw", "right": "/stereo/right/image_raw"}
     assert rig.sources.info["right"] == "/stereo/right/camera_info"
     assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
@@ -88,7 +87,7 @@ def test_a_log_tells_everything():
 
 
 def test_raw_stereo_geometry_is_what_rectification_says():
-    cameras = resolve_rig(RigConfig(), description()).rig.cameras
+    cameras = resolve_rig(RigConfig(), description())[0].cameras
     # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
     point_r = np.array([0.3, -0.2, 2.0])
     point_c = se3.act(cameras.T_c_r, point_r[None])[0]
@@ -98,7 +97,7 @@ def test_raw_stereo_geometry_is_what_rectification_says():
 
 def test_rectified_images_use_the_projection_matrices():
     topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
-    cameras = resolve_rig(RigConfig(), description(topics)).rig.cameras
+    cameras = resolve_rig(RigConfig(), description(topics))[0].cameras
     assert cameras.rectified
     assert cameras.left.K[0, 0] == 540
     assert cameras.left.D.size == 0
@@ -112,22 +111,22 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
         for side in ("left", "right")
     ]
     assert (
-        resolve_rig(RigConfig(), description(names, compressed)).rig.sources.image["left"]
+        resolve_rig(RigConfig(), description(names, compressed))[0].sources.image["left"]
         == "/stereo/left/image_raw"
     )
-    rectified = resolve_rig(config(cameras={"rectified": True}), description(names, compressed)).rig
+    rectified = resolve_rig(config(cameras={"rectified": True}), description(names, compressed))[0]
     assert rectified.sources.image["left"] == "/stereo/left/image_rect"
-    only = resolve_rig(RigConfig(), description((), compressed)).rig
+    only = resolve_rig(RigConfig(), description((), compressed))[0]
     assert only.sources.image["right"] == "/stereo/right/image_raw/compressed"
     assert only.sources.info["right"] == "/stereo/right/camera_info"
 
 
 def test_base_link_off_the_axle_is_taken_out():
-    resolved = resolve_rig(RigConfig(), description(urdf=URDF.format(x=-0.2)))
-    T_v_h = head_pose(resolved.rig.chain, np.zeros(2))
+    rig, notes = resolve_rig(RigConfig(), description(urdf=URDF.format(x=-0.2)))
+    T_v_h = head_pose(rig.chain, np.zeros(2))
     assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
-    assert "not midway between the wheels" in resolved.notes[0]
-    assert "x -200.0 mm" in resolved.notes[0]
+    assert "not midway between the wheels" in notes[0]
+    assert "x -200.0 mm" in notes[0]
 
 
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
@@ -141,7 +140,7 @@ CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child li
 )
 def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind=kind, parent=parent))
-    rig = resolve_rig(config(head={"head_frame": "tilt"}), description(urdf=urdf)).rig
+    rig = resolve_rig(config(head={"head_frame": "tilt"}), description(urdf=urdf))[0]
     assert rig.setting_sources["nominal head_eye"] == ("URDF" if drawn else "none")
     if drawn:
         expected = se3.transform(se3.rotation_z(1.0), np.array([0.03, 0.06, 0.05]))
@@ -151,14 +150,14 @@ def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
 
 
 def test_known_noise_is_settled():
-    rig = resolve_rig(config(noise={"joint_rad": 0.001}), description()).rig
+    rig = resolve_rig(config(noise={"joint_rad": 0.001}), description())[0]
     assert rig.noise.given == {"joint_rad": 0.001}
 
 
 def test_flag_file_and_log_are_told_apart(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("joints: {pan: head_pan_joint}", encoding="utf-8")
-    rig = resolve_rig(load_rig(path, {"joints.tilt": "head_tilt_joint"}), description()).rig
+    rig = resolve_rig(load_rig(path, {"joints.tilt": "head_tilt_joint"}), description())[0]
     assert rig.setting_sources["pan joint head_pan_joint"] == "file"
     assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
     assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
@@ -173,7 +172,7 @@ def test_two_stereo_cameras_are_not_guessed():
     assert "/front/left/image_raw and /front/right/image_raw; /rear/left" in told.value.message
     one = config(cameras={"left": {"image": "/rear/left/image_raw"}})
     infos = {f"/rear/{side}/camera_info": info(side) for side in ("left", "right")}
-    rig = resolve_rig(one, description((*front, *rear), infos=infos)).rig
+    rig = resolve_rig(one, description((*front, *rear), infos=infos))[0]
     assert rig.sources.image["right"] == "/rear/right/image_raw"
 
 
@@ -187,9 +186,9 @@ def test_wheels_on_a_moving_part_are_noted():
             f'<joint name="wheel_{side}_joint" type="continuous"><parent link="base_link"/>',
             f'<joint name="wheel_{side}_joint" type="continuous"><parent link="axle"/>',
         )
-    (note,) = resolve_rig(RigConfig(), description(urdf=steered)).notes
+    _, (note,) = resolve_rig(RigConfig(), description(urdf=steered))
     assert "the wheels move against base_link with roll" in note
-    assert resolve_rig(RigConfig(), description()).notes == ()
+    assert resolve_rig(RigConfig(), description())[1] == ()
 
 
 def test_tick_counters():
@@ -204,7 +203,7 @@ def test_tick_counters():
             }
         ),
         description(extra=ticks, joint_names=head_only),
-    ).rig
+    )[0]
     assert rig.sources.wheels["right"].sign == -1
     assert rig.sources.wheels["left"].ticks_per_revolution == 4096
     with pytest.raises(RecordingError, match="look like tick counters") as caught:
@@ -214,7 +213,7 @@ def test_tick_counters():
 
 def test_explicit_chain_needs_no_urdf():
     chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
-    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), description(urdf=None)).rig
+    rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), description(urdf=None))[0]
     assert rig.chain.joints == ("head_pan_joint",)
     assert rig.chain.head_frame == "cam_mount"
     assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
@@ -311,7 +310,7 @@ def test_joints_in_other_messages_than_joint_states():
     topic = TopicInfo("/servo", "std_msgs/msg/Float64", 100)
     names = {"/joint_states": tuple(name for name in JOINTS if name != "head_tilt_joint")}
     fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
-    rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names)).rig
+    rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names))[0]
     assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
     assert rig.sources.joints == ("/joint_states",)
     with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
@@ -329,7 +328,7 @@ def test_odometry_needs_the_wheels_that_it_was_made_with():
     with pytest.raises(ConfigError, match="wheel radii and separation, which are not given"):
         resolve_rig(config(wheels={"odometry": "/odom"}), bare)
     nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
-    rig = resolve_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare).rig
+    rig = resolve_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare)[0]
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
     with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
         resolve_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
@@ -338,7 +337,7 @@ def test_odometry_needs_the_wheels_that_it_was_made_with():
 
 def test_both_cameras_in_one_topic():
     both = {"image": "/stereo/image_raw", "layout": "stacked"}
-    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",))).rig
+    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",)))[0]
     assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
     assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
     assert rig.sources.layout == "stacked"
@@ -351,12 +350,12 @@ def test_both_cameras_in_one_topic():
 def test_joints_that_only_tf_tells():
     tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
-    rig = resolve_rig(RigConfig(), description(extra=[tf], joint_names=states)).rig
+    rig = resolve_rig(RigConfig(), description(extra=[tf], joint_names=states))[0]
     assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
-    assert resolve_rig(RigConfig(), description(extra=[tf])).rig.sources.elsewhere == {}
+    assert resolve_rig(RigConfig(), description(extra=[tf]))[0].sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
         resolve_rig(RigConfig(), description(joint_names=states))
 
@@ -399,7 +398,7 @@ def test_joints_out_of_transforms():
     np.testing.assert_allclose(urdf.joints["skull"].axis, [0, 1, 0], atol=1e-9)
     np.testing.assert_array_equal(urdf.joints["neck"].T_parent_child, transforms["torso", "neck"][0])
 
-    found = resolve_rig(RigConfig(), replace(description(urdf=None, extra=(TF,)), transforms=transforms)).rig
+    found = resolve_rig(RigConfig(), replace(description(urdf=None, extra=(TF,)), transforms=transforms))[0]
     assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
     assert found.chain.joints == ("torso", "neck", "skull")
     assert found.chain.head_frame == "skull"
