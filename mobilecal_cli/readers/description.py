@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Sequence
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -60,23 +60,31 @@ def read_description(recording: Recording) -> RobotDescription:
     texts = _first(recording, described, lambda message: str(message.data))
     urdfs = {topic: text for topic, text in texts.items() if text.strip()}
     infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
+    image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
+    joints = _read(
+        recording,
+        names.get(JOINT_STATE, []),
+        JOINT_MESSAGES,
+        JOINT_MESSAGES,
+        lambda message: [str(name) for name in message.name],
+    )
+    transforms: dict[tuple[str, str], FloatArray] = {}
+    if not urdfs:
+        try:
+            transforms = transforms_of(recording, names.get(TRANSFORMS, []))
+        except RecordingError as error:  # the configuration may not need them
+            recording.note(error.message)
     return RobotDescription(
         topics=recording.topics,
         infos=infos,
         unusable=unusable,
-        image_frames=_first(recording, images, lambda message: str(message.header.frame_id)),
-        joint_names=_joint_names(recording, names.get(JOINT_STATE, [])),
+        image_frames=image_frames,
+        joint_names={
+            topic: tuple(islice(dict.fromkeys(chain(*lists)), MOST_JOINTS)) for topic, lists in joints.items()
+        },
         urdfs=urdfs,
-        transforms={} if urdfs else _transforms(recording, names.get(TRANSFORMS, [])),
+        transforms=transforms,
     )
-
-
-def _transforms(recording: Recording, topics: list[str]) -> dict[tuple[str, str], FloatArray]:
-    try:
-        return transforms_of(recording, topics)
-    except RecordingError as error:  # the configuration may not need them
-        recording.note(error.message)
-        return {}
 
 
 def _first(recording: Recording, topics: Sequence[str], read: Callable[[Any], T]) -> dict[str, T]:
@@ -120,20 +128,6 @@ def _read(
         if not found[topic]:
             recording.note(reason)
     return found
-
-
-def _joint_names(recording: Recording, topics: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    found = _read(
-        recording,
-        topics,
-        JOINT_MESSAGES,
-        JOINT_MESSAGES,
-        lambda message: [str(name) for name in message.name],
-    )
-    return {
-        topic: tuple(islice(dict.fromkeys(name for names in messages for name in names), MOST_JOINTS))
-        for topic, messages in found.items()
-    }
 
 
 def _infos(

@@ -206,7 +206,7 @@ def recognised(path: Path) -> bool:
 def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """Group the user's paths into recordings.
 
-    See `splits.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
+    See `group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
 
     Returns:
         Groups of paths, in order of their first path; each in order of time.
@@ -216,11 +216,11 @@ def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """
     if len(paths) < 2:
         return [list(paths)] if paths else []
-    ranges = []
+    recordings = []
     for path in paths:
         with open_recording([path]) as recording:
-            ranges.append(recording)
-    return [[paths[i] for i in group] for group in group_splits(ranges)]
+            recordings.append(recording)
+    return [[paths[i] for i in group] for group in group_splits(recordings)]
 
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
