@@ -277,7 +277,7 @@ def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
     drawn = cv2.aruco.CharucoBoard((columns, rows), 1.0, markers.share, family, ids)
     corners = np.array([np.asarray(points)[0, :2] for points in drawn.getObjPoints()], dtype=np.float64)
     light = {(int(x), int(y)) for x, y in np.floor(corners)}
-    found = [
+    rectangles = [
         (float(x), float(y), 1.0, 1.0) for y in range(rows) for x in range(columns) if (x, y) not in light
     ]
     cells = family.markerSize + 2 * markers.border_bits
@@ -287,5 +287,5 @@ def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
         for y, line in enumerate(np.asarray(code) == 0):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]])))
             for start, end in edges.reshape(-1, 2):
-                found.append((left + start * side, top + y * side, (end - start) * side, side))
-    return np.array(found)
+                rectangles.append((left + start * side, top + y * side, (end - start) * side, side))
+    return np.array(rectangles)

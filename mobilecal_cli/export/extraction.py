@@ -69,25 +69,27 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
     Raises:
         ValueError: the observations have different numbers of corners or joints.
     """
-    seen = extraction.observations
+    observations = extraction.observations
     header = {
         "format": _FORMAT,
         "schema_version": SCHEMA_VERSION,
         "made_by": __version__,
         **{name: to_plain(getattr(extraction, name)) for name in _HEADER},
-        "observations": len(seen),
+        "observations": len(observations),
         "wheels": len(extraction.wheels),
         "joint_tracks": [len(tracks) for tracks in extraction.joint_tracks],
     }
     text = json.dumps(header, allow_nan=False, separators=(",", ":"))
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
-    if seen:
+    if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
-            arrays[f"observations.{name}"] = np.stack([np.asarray(getattr(o, name), dtype) for o in seen])
+            arrays[f"observations.{name}"] = np.stack(
+                [np.asarray(getattr(o, name), dtype) for o in observations]
+            )
         for side in ("left", "right"):
             for name, dtype in _CORNER_ARRAYS.items():
                 arrays[f"observations.{side}.{name}"] = np.stack(
-                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in seen]
+                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in observations]
                 )
     for i, track in enumerate(extraction.wheels):
         for side, wheel in (("right", track.right), ("left", track.left)):
@@ -137,10 +139,10 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
         raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
     if not isinstance(header, dict) or header.get("format") != _FORMAT:
         raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
-    found = header.get("schema_version")
-    if found not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
+    version = header.get("schema_version")
+    if version not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
         raise RecordingError(
-            f"{name}: schema version {found!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
+            f"{name}: schema version {version!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
             _HINT,
         )
     try:

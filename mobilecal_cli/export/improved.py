@@ -120,8 +120,8 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, Fl
     def residual(D: FloatArray) -> FloatArray:
         return np.asarray((project(distorted_by(D), rays) - pixels).ravel())
 
-    found = least_squares(residual, plain.D[:free], x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    return distorted_by(found.x), np.linalg.norm(residual(found.x).reshape(-1, 2), axis=1)
+    fitted = least_squares(residual, plain.D[:free], x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return distorted_by(fitted.x), np.linalg.norm(residual(fitted.x).reshape(-1, 2), axis=1)
 
 
 def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:

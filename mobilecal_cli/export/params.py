@@ -127,12 +127,12 @@ def _verdict_lines(verdict: str, reasons: Sequence[str]) -> list[str]:
 
 def _uncertainty_lines(solution: Solution) -> list[str]:
     """The block `uncertainty`; empty for methods that give none."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return []
-    covariance = (found.reference_covariance + found.reference_covariance.T) / 2
+    covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
     std = np.sqrt(np.diag(covariance))
-    seen = found.observable
+    observable = zip(NINE, uncertainty.observable, strict=True)
     shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(NINE, std, strict=True))
     return [
         "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
@@ -143,8 +143,8 @@ def _uncertainty_lines(solution: Solution) -> list[str]:
         f"  std: {{{shown}}}",
         "  covariance:",
         *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
-        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in zip(NINE, seen, strict=True))}}}",
-        f"  noise: {{{_noise(found.noise)}}}",
+        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in observable)}}}",
+        f"  noise: {{{_noise(uncertainty.noise)}}}",
         "",
     ]
 
@@ -161,12 +161,12 @@ def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
     if solution.uncertainty is None:
         return []
     sliding = extraction.rig.chain.prismatic
-    changed = [found for found in solution.constants.values() if found.prior > 0 or found.value]
+    changed = [constant for constant in solution.constants.values() if constant.prior > 0 or constant.value]
     return [
         "# Constants of the robot description: value is the difference from the stated value, sigma its standard",
         "# deviation, prior that of the stated value. Units: rad, m, s; share: relative, or of the image width.",
         "constants:" if changed else "constants: {}",
-        *(_constant_line(found, sliding) for found in changed),
+        *(_constant_line(constant, sliding) for constant in changed),
         "",
     ]
 
@@ -226,11 +226,11 @@ def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
     return "m" if found.kind in _JOINT_POSITIONS and found.part in sliding else unit
 
 
-def _constant_line(found: EstimatedConstant, sliding: frozenset[str]) -> str:
-    name = found.name if _PLAIN_NAME.fullmatch(found.name) else quoted(found.name)
-    numbers = (("value", found.value), ("sigma", found.std), ("prior", found.prior))
+def _constant_line(constant: EstimatedConstant, sliding: frozenset[str]) -> str:
+    name = constant.name if _PLAIN_NAME.fullmatch(constant.name) else quoted(constant.name)
+    numbers = (("value", constant.value), ("sigma", constant.std), ("prior", constant.prior))
     shown = ", ".join(f"{key}: {exponential(value)}" for key, value in numbers)
-    return f"  {name}: {{{shown}, unit: {_unit(found, sliding)}}}  # {visible(found.part)}: {found.meaning}"
+    return f"  {name}: {{{shown}, unit: {_unit(constant, sliding)}}}  # {visible(constant.part)}: {constant.meaning}"
 
 
 class _Section(BaseModel):

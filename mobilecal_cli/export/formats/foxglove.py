@@ -82,7 +82,7 @@ class _Messages:
     """Messages of all topics, written in order of time."""
 
     def __init__(self) -> None:
-        self._found: list[tuple[int, str, str, bytes]] = []
+        self._messages: list[tuple[int, str, str, bytes]] = []
         self._schemas: dict[str, tuple[str, str, bytes]] = {}
 
     def add(self, topic: str, time_ns: int, message: Any) -> None:  # noqa: ANN401  (any protobuf message)
@@ -90,7 +90,7 @@ class _Messages:
         name = message.DESCRIPTOR.full_name
         if topic not in self._schemas:
             self._schemas[topic] = (name, "protobuf", _with_dependencies(message.DESCRIPTOR.file))
-        self._found.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
+        self._messages.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
 
     def add_json(self, topic: str, time_ns: int, **values: str | float) -> None:
         """A message with named texts and numbers."""
@@ -99,7 +99,7 @@ class _Messages:
         }
         schema = {"title": topic.strip("/"), "type": "object", "properties": properties}
         self._schemas[topic] = (f"mobilecal.{topic.strip('/')}", "jsonschema", json.dumps(schema).encode())
-        self._found.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
+        self._messages.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
 
     def written(self, metadata: dict[str, str]) -> bytes:
         """The file, with one metadata record of the name "mobilecal"."""
@@ -108,11 +108,11 @@ class _Messages:
         writer.start(profile="", library=f"mobilecal {__version__}")
         writer.add_metadata("mobilecal", metadata)
         channels = {}
-        encodings = {topic: encoding for _, topic, encoding, _ in self._found}
+        encodings = {topic: encoding for _, topic, encoding, _ in self._messages}
         for topic, schema in self._schemas.items():
             number = writer.register_schema(*schema)
             channels[topic] = writer.register_channel(topic, encodings[topic], number)
-        for time_ns, topic, _, data in sorted(self._found, key=lambda found: found[0]):
+        for time_ns, topic, _, data in sorted(self._messages, key=lambda message: message[0]):
             writer.add_message(channels[topic], log_time=time_ns, publish_time=time_ns, data=data)
         writer.finish()  # type: ignore[no-untyped-call]
         return stream.getvalue()
@@ -177,8 +177,8 @@ def _add_surroundings(
 def _board_triangles(scene: Scene) -> TriangleListPrimitive:
     """Both sides of the dark squares."""
     squares = dark_squares(scene.board)
-    one = np.array([0, 1, 2, 0, 2, 3])
-    order = np.concatenate([one, one[::-1]])
+    front = np.array([0, 1, 2, 0, 2, 3])
+    order = np.concatenate([front, front[::-1]])
     indices = (4 * np.arange(len(squares))[:, None] + order).ravel()
     points = _points3(squares.reshape(-1, 3))
     return TriangleListPrimitive(
@@ -276,13 +276,13 @@ def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
         )
 
     detected = view.detected[view.seen]
-    found = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
+    marked = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
     if view.predicted is not None:
         predicted = view.predicted[view.seen]
         pairs = np.stack([detected, predicted], axis=1).reshape(-1, 2)
-        found.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
-        found.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
-    return ImageAnnotations(points=found)
+        marked.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
+        marked.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
+    return ImageAnnotations(points=marked)
 
 
 def _add_unused(messages: _Messages, scene: Scene) -> None:

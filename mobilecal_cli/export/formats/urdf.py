@@ -396,9 +396,9 @@ def _height(
 
 
 def _radius(content: bytes, tag: _Tag) -> float | None:
-    found = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)])
+    radius = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)])
     try:
-        return float(found.group(1)) if found else None
+        return float(radius.group(1)) if radius else None
     except ValueError:
         return None
 
@@ -452,10 +452,10 @@ def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> _Edit:
     text = content[slice(*tag)]
     for name, value in values.items():
         pattern = re.compile(rb"(\s" + name.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
-        found = pattern.search(text)
-        if found is not None:
-            quote = found.group(2)[:1]
-            text = text[: found.start(2)] + quote + value.encode() + quote + text[found.end(2) :]
+        current = pattern.search(text)
+        if current is not None:
+            quote = current.group(2)[:1]
+            text = text[: current.start(2)] + quote + value.encode() + quote + text[current.end(2) :]
         else:
             end = len(text) - (2 if text.endswith(b"/>") else 1)
             text = text[:end].rstrip() + f' {name}="{value}"'.encode() + text[end:]

@@ -271,7 +271,7 @@ def undo_steps(files: Sequence[Storage]) -> None:
         if before.start_ns is None or before.end_ns is None or file.start_ns is None or file.end_ns is None:
             continue
         start_ns, end_ns = before.start_ns - before.shift_ns, before.end_ns - before.shift_ns
-        topics = [{channel.topic for channel in one.channels.values()} for one in (before, file)]
+        topics = [{channel.topic for channel in part.channels.values()} for part in (before, file)]
         if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
             continue
         shift_ns = before.shift_ns

@@ -172,38 +172,38 @@ class BlockStorage(Storage):
         blocks = self._blocks_of(topics, extent)
         waiting: list[_Waiting] = []
         order = count()
-        seen: Counter[int] = Counter()
+        read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
-            found = self._wanted(block, topics, order, seen)
-            if len(waiting) <= len(found):
+            messages = self._wanted(block, topics, order, read)
+            if len(waiting) <= len(messages):
                 # Both lists are almost sorted, so sorting is fast; a sorted list is also a heap.
-                waiting = sorted(waiting + found)
-                found.clear()  # otherwise the block stays in memory while the next one is read
+                waiting = sorted(waiting + messages)
+                messages.clear()  # otherwise the block stays in memory while the next one is read
                 ready = bisect_left(waiting, following_ns, key=lambda message: message[0])
                 for time_ns, _, channel, payload in waiting[:ready]:
                     yield channel, time_ns, payload
                 del waiting[:ready]
                 continue
-            while found:
-                heapq.heappush(waiting, found.pop())
+            while messages:
+                heapq.heappush(waiting, messages.pop())
             while waiting and waiting[0][0] < following_ns:
                 time_ns, _, channel, payload = heapq.heappop(waiting)
                 yield channel, time_ns, payload
         if len(blocks) == len(self._blocks_with(topics)):
-            self.compare_counts(topics, seen)
+            self.compare_counts(topics, read)
 
     def _wanted(
-        self, block: Block, topics: Collection[str], order: Iterator[int], seen: Counter[int]
+        self, block: Block, topics: Collection[str], order: Iterator[int], read: Counter[int]
     ) -> list[_Waiting]:
         """Messages of the topics in a block, counted, in file order."""
-        found: list[_Waiting] = []
+        messages: list[_Waiting] = []
         for number, time_ns, payload in self._messages_of(block):
             channel = self.channels.get(number)
             if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
-                found.append((time_ns, next(order), channel, payload))
-        seen.update(channel.id for _, _, channel, _ in found)
-        return found
+                messages.append((time_ns, next(order), channel, payload))
+        read.update(channel.id for _, _, channel, _ in messages)
+        return messages
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """First message of each topic at or after each time; only the few blocks that contain them are read."""
@@ -248,10 +248,10 @@ class BlockStorage(Storage):
             unindexed += block.size
             if unindexed > UNINDEXED_BYTES:
                 raise _UnindexedError
-            found = [
+            times = [
                 (number, time_ns) for number, time_ns, _ in self._messages_of(block) if time_ns < LATEST_NS
             ]
-            yield block, np.array(found, dtype=np.int64).reshape(-1, 2).T
+            yield block, np.array(times, dtype=np.int64).reshape(-1, 2).T
 
     def _undo_steps(self) -> None:
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
@@ -305,15 +305,15 @@ class BlockStorage(Storage):
 
     def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block up to the first damage, which is noted."""
-        found = 0
+        returned = 0
         try:
             for item in self._counted(block):
-                found += 1
+                returned += 1
                 yield item
         except MemoryError:
             raise
         except Exception as error:  # damaged bytes may raise anything
-            self._note_block(block, found, error)
+            self._note_block(block, returned, error)
 
     def _counted(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block.

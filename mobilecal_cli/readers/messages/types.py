@@ -64,12 +64,12 @@ def _camera_info(message: Any) -> dict[str, Any]:  # noqa: ANN401
 
 def _interfaces(message: Any) -> dict[str, Any]:  # noqa: ANN401
     """Positions and velocities of a DynamicJointState; NaN if a joint has none."""
-    found: dict[str, list[float]] = {"position": [], "velocity": []}
+    values_of: dict[str, list[float]] = {"position": [], "velocity": []}
     for joint in message.interface_values:
         values = dict(zip(joint.interface_names, joint.values, strict=False))
-        for kind, numbers in found.items():
+        for kind, numbers in values_of.items():
             numbers.append(float(values.get(kind, math.nan)))
-    known = {kind: numbers for kind, numbers in found.items() if not all(map(math.isnan, numbers))}
+    known = {kind: numbers for kind, numbers in values_of.items() if not all(map(math.isnan, numbers))}
     return {"name": list(message.joint_names), **known}
 
 
