@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate import imperfect
 from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
-    checked_constants,
+    constant_kinds,
     floor_poses,
     nanoseconds,
     rolled_as_read,
@@ -309,7 +309,9 @@ def imperfect_extraction(
     Raises:
         ConfigError: the cameras' images are too inconsistent to be triangulated.
     """
-    actual = OutsideRobot(robot, checked_constants(robot, imperfection.constants), imperfection.outside)
+    if unknown := set(imperfection.constants) - set(constant_kinds(robot)):
+        raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
+    actual = OutsideRobot(robot, imperfection.constants, imperfection.outside)
     return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
 
 

@@ -69,7 +69,7 @@ def scene_of(
     return Scene(
         robot=robot,
         chain=rig.chain,
-        cameras=improved_cameras(rig, constants).cameras,
+        cameras=improved_cameras(rig, constants)[0],
         board=replace(extraction.board, square_m=square_m),
         motions=tuple(
             _motion(extraction, log, robot, constants, residuals, pairs.T_v_h) for log in logs_seen

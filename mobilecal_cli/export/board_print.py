@@ -150,13 +150,19 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
     board_mm = (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
     page, (width, height) = _page(board, paper, board_mm)
     config = board_setting(board)
-    bar_mm = _bar(width)
+    # The longest scale bar that leaves place for its label.
+    bar_mm = next(bar for bar in _BARS_MM if bar <= width - 2 * _MARGIN_MM - 20)
     words = _words(board, square_mm, board_mm, page, bar_mm)
     left, spare = (width - board_mm[0]) / 2, height - _needed(board, board_mm, width)[1]
     top = _MARGIN_MM + spare / 2
     rectangles = _dark(board) * square_mm + np.array([left, top, 0.0, 0.0])
     baseline = top + board_mm[1] + _GAP_MM + spare / 2
-    bar = _scale_bar(_MARGIN_MM, baseline, bar_mm)
+    # The scale bar is a line with a tick inside each end, so that the outer edges are its length apart.
+    bar = [
+        [_MARGIN_MM, baseline + _TICK_MM - _BAR_MM, bar_mm, _BAR_MM],
+        [_MARGIN_MM, baseline, 0.3, _TICK_MM],
+        [_MARGIN_MM + bar_mm - 0.3, baseline, 0.3, _TICK_MM],
+    ]
     lines = [Line(f"{bar_mm:g} mm", _MARGIN_MM + bar_mm + 2, baseline + _TICK_MM, _TEXT_MM)]
     lines += [
         Line(text, _MARGIN_MM, baseline + _TICK_MM + (number + 1.2) * _PITCH_MM, _TEXT_MM)
@@ -202,22 +208,6 @@ def _wrapped(texts: list[str], page_width_mm: float) -> list[str]:
     return [line for text in texts for line in textwrap.wrap(text, width)]
 
 
-def _bar(page_width_mm: float) -> float:
-    """Length of the scale bar, mm: the longest that leaves place for its label."""
-    return next(bar for bar in _BARS_MM if bar <= page_width_mm - 2 * _MARGIN_MM - 20)
-
-
-def _scale_bar(x_mm: float, y_mm: float, length_mm: float) -> FloatArray:
-    """(3, 4) rectangles: a line with a tick inside each end, so that the outer edges are the length apart."""
-    return np.array(
-        [
-            [x_mm, y_mm + _TICK_MM - _BAR_MM, length_mm, _BAR_MM],
-            [x_mm, y_mm, 0.3, _TICK_MM],
-            [x_mm + length_mm - 0.3, y_mm, 0.3, _TICK_MM],
-        ]
-    )
-
-
 def _needed(board: Board, board_mm: tuple[float, float], page_width_mm: float) -> tuple[float, float]:
     """Width and height that a page of some width needs, mm."""
     square_mm, width = (board.square_m or 0.0) * 1e3, max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
@@ -243,7 +233,14 @@ def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[st
         if fitting is not None:
             shown = name.value.upper() if name in _AUTOMATIC else name.value
             return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
-    raise _too_large(board, paper, board_mm)
+    largest = _AUTOMATIC[-1] if paper == Paper.auto else paper
+    width, height = _PAGES_MM[largest]
+    larger = next((other for other in _PAGES_MM if _placed(board, other, board_mm)), Paper.exact)
+    raise ConfigError(
+        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest.value} "
+        f"({width:g} x {height:g} mm) with {_MARGIN_MM:g} mm around it and the text below",
+        f"use --paper {larger.value}, or smaller squares",
+    )
 
 
 def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[float, float] | None:
@@ -254,17 +251,6 @@ def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[
         if needed[0] <= size[0] and needed[1] <= size[1]:
             return size
     return None
-
-
-def _too_large(board: Board, paper: Paper, board_mm: tuple[float, float]) -> ConfigError:
-    name = _AUTOMATIC[-1] if paper == Paper.auto else paper
-    width, height = _PAGES_MM[name]
-    larger = next((other for other in _PAGES_MM if _placed(board, other, board_mm)), Paper.exact)
-    return ConfigError(
-        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {name.value} ({width:g} x {height:g} mm) "
-        f"with {_MARGIN_MM:g} mm around it and the text below",
-        f"use --paper {larger.value}, or smaller squares",
-    )
 
 
 def _dark(board: Board) -> FloatArray:
@@ -291,7 +277,7 @@ def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
     drawn = cv2.aruco.CharucoBoard((columns, rows), 1.0, markers.share, family, ids)
     corners = np.array([np.asarray(points)[0, :2] for points in drawn.getObjPoints()], dtype=np.float64)
     light = {(int(x), int(y)) for x, y in np.floor(corners)}
-    found = [
+    rectangles = [
         (float(x), float(y), 1.0, 1.0) for y in range(rows) for x in range(columns) if (x, y) not in light
     ]
     cells = family.markerSize + 2 * markers.border_bits
@@ -301,5 +287,5 @@ def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
         for y, line in enumerate(np.asarray(code) == 0):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], line, [False]])))
             for start, end in edges.reshape(-1, 2):
-                found.append((left + start * side, top + y * side, (end - start) * side, side))
-    return np.array(found)
+                rectangles.append((left + start * side, top + y * side, (end - start) * side, side))
+    return np.array(rectangles)

@@ -33,20 +33,14 @@ _OLDEST_READ = 5  # both wheels at the same times; 6: no priors of constants; 7:
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
 _FORMAT = "mobilecal extraction"
+_MEASURED = ("points_c", "points_cov", "T_c_k", "T_c_k_cov", "square_m", "reprojection_px")
 _OBSERVATION_ARRAYS: dict[str, type] = {
-    "log": np.int64,
-    "station": np.int64,
-    "time_ns": np.int64,
+    **dict.fromkeys(("log", "station", "time_ns"), np.int64),
     "at_rest": np.bool_,
-    "joints": np.float64,
-    "joints_std": np.float64,
-    "points_c": np.float64,
-    "points_cov": np.float64,
-    "T_c_k": np.float64,
-    "T_c_k_cov": np.float64,
-    "square_m": np.float64,
-    "reprojection_px": np.float64,
+    **dict.fromkeys(("joints", "joints_std", *_MEASURED), np.float64),
 }
+#: What the header holds as JSON.
+_HEADER = ("rig", "board", "rejections", "notes", "logs", "counts")
 _CORNER_ARRAYS: dict[str, type] = {
     "pixels": np.float64,
     "sigma_px": np.float64,
@@ -59,19 +53,10 @@ _DTYPES: dict[str, type] = {
     **_OBSERVATION_ARRAYS,
     **_CORNER_ARRAYS,
     "header": np.uint8,
-    "rad": np.float64,
-    "right_rad": np.float64,
-    "left_rad": np.float64,
-    "value": np.float64,
+    **dict.fromkeys(("rad", "right_rad", "left_rad", "value"), np.float64),
 }
-_EPOCH = (
-    1980,
-    1,
-    1,
-    0,
-    0,
-    0,
-)  # the earliest time in a zip file; the current time would change the bytes
+#: The earliest time in a zip file; the current time would change the bytes.
+_EPOCH = (1980, 1, 1, 0, 0, 0)
 _HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
@@ -84,30 +69,27 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
     Raises:
         ValueError: the observations have different numbers of corners or joints.
     """
-    seen = extraction.observations
+    observations = extraction.observations
     header = {
         "format": _FORMAT,
         "schema_version": SCHEMA_VERSION,
         "made_by": __version__,
-        "rig": to_plain(extraction.rig),
-        "board": to_plain(extraction.board),
-        "rejections": to_plain(extraction.rejections),
-        "notes": to_plain(extraction.notes),
-        "logs": to_plain(extraction.logs),
-        "counts": to_plain(extraction.counts),
-        "observations": len(seen),
+        **{name: to_plain(getattr(extraction, name)) for name in _HEADER},
+        "observations": len(observations),
         "wheels": len(extraction.wheels),
         "joint_tracks": [len(tracks) for tracks in extraction.joint_tracks],
     }
     text = json.dumps(header, allow_nan=False, separators=(",", ":"))
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
-    if seen:
+    if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
-            arrays[f"observations.{name}"] = np.stack([np.asarray(getattr(o, name), dtype) for o in seen])
+            arrays[f"observations.{name}"] = np.stack(
+                [np.asarray(getattr(o, name), dtype) for o in observations]
+            )
         for side in ("left", "right"):
             for name, dtype in _CORNER_ARRAYS.items():
                 arrays[f"observations.{side}.{name}"] = np.stack(
-                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in seen]
+                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in observations]
                 )
     for i, track in enumerate(extraction.wheels):
         for side, wheel in (("right", track.right), ("left", track.left)):
@@ -152,15 +134,15 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
         raise RecordingError(f"{name}: not an extraction ({len(data)} bytes, no .npz)", _HINT)
     try:
         arrays = _arrays(data)
-        header = _header(arrays)
+        header = json.loads(arrays["header"].tobytes()) if "header" in arrays else None
     except Exception as error:  # a damaged zip or array may raise any exception
         raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
-    if header.get("format") != _FORMAT:
+    if not isinstance(header, dict) or header.get("format") != _FORMAT:
         raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
-    found = header.get("schema_version")
-    if found not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
+    version = header.get("schema_version")
+    if version not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
         raise RecordingError(
-            f"{name}: schema version {found!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
+            f"{name}: schema version {version!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
             _HINT,
         )
     try:
@@ -201,16 +183,12 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
     return array
 
 
-def _header(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    if "header" not in arrays:
-        return {}
-    header = json.loads(arrays["header"].tobytes())
-    return header if isinstance(header, dict) else {}
-
-
 def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extraction:
+    rig = header["rig"]
+    if "settled_by" in rig:  # the name in schema versions 5 to 7
+        rig["setting_sources"] = rig.pop("settled_by")
     return Extraction(
-        rig=_rig(header["rig"]),
+        rig=from_plain(Rig, rig),
         board=from_plain(Board, header["board"]),
         observations=tuple(_observation(arrays, i) for i in range(header["observations"])),
         wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
@@ -226,13 +204,6 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
             for i, count in enumerate(header["joint_tracks"])
         ),
     )
-
-
-def _rig(plain: dict[str, Any]) -> Rig:
-    if "settled_by" in plain:  # the name in schema versions 5 to 7
-        plain = {**plain, "setting_sources": plain["settled_by"]}
-        del plain["settled_by"]
-    return from_plain(Rig, plain)
 
 
 def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -21,28 +21,13 @@ from mobilecal_cli.likelihood.effects import (
     JointScale,
     JointZero,
 )
-from mobilecal_cli.likelihood.nuisance import Constant, camera_change, table
+from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, FixedLink, FloatArray, HeadChain, JointLink, Rig, Side, StereoRig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1
 #: Distance of the points of the image at which distortion models are compared, in shares of its width.
 _STEP = 1 / 40
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Improved:
-    """A stereo pair whose lens corrections are part of its distortion models.
-
-    Attributes:
-        cameras: without corrections.
-        residual_px, residual_rms_px: largest distance between the pixels with the corrections and with the distortion
-            models, over both images; and its root mean square in the worse of them.
-    """
-
-    cameras: StereoRig
-    residual_px: float
-    residual_rms_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,37 +53,42 @@ def camera_constants(rig: Rig, constants: Mapping[str, float]) -> dict[str, floa
     return {name: value for name, value in constants.items() if name in names and value}
 
 
-def improved_cameras(rig: Rig, constants: Mapping[str, float], kalibr: bool = False) -> Improved:
-    """The stereo pair with the estimated constants.
+def improved_cameras(
+    rig: Rig, constants: Mapping[str, float], kalibr: bool = False
+) -> tuple[StereoRig, float, float]:
+    """The stereo pair with the estimated constants; its lens corrections are part of the distortion models.
 
     Args:
         rig: the robot as stated.
         constants: name → difference from the stated value.
         kalibr: without the third radial coefficient of plumb_bob, which Kalibr does not have.
+
+    Returns:
+        The pair; largest distance between the pixels with the corrections and with the distortion models, over both
+        images, px; and its root mean square in the worse of them, px.
     """
     cameras = camera_change(table(rig.cameras, rig.chain), constants).apply(rig.cameras)
     left, off_left = without_correction(cameras.left, kalibr)
     right, off_right = without_correction(cameras.right, kalibr)
     largest = max(float(off.max(initial=0.0)) for off in (off_left, off_right))
     usual = max(float(np.sqrt(np.mean(off**2))) for off in (off_left, off_right))
-    return Improved(replace(cameras, left=left, right=right), largest, usual)
+    return replace(cameras, left=left, right=right), largest, usual
 
 
 def cameras_with_notes(
     rig: Rig, changed: Mapping[str, float], kalibr: bool = False
 ) -> tuple[StereoRig, tuple[str, ...]]:
     """The stereo pair for other programs, and sentences on it; `changed` is of `camera_constants`."""
-    improved = improved_cameras(rig, changed, kalibr)
+    cameras, largest, usual = improved_cameras(rig, changed, kalibr)
     if not changed:
-        return improved.cameras, ("The stereo pair is as stated in the recording.",)
+        return cameras, ("The stereo pair is as stated in the recording.",)
     notes: tuple[str, ...] = ("The stereo pair is as estimated by the calibration.",)
-    largest, usual = improved.residual_px, improved.residual_rms_px
     if largest:
         note = f"The distortion model differs from the estimated lens by {usual:.2g} px rms and at most"
         note += f" {largest:.2g} px"
         limit = f" (limit {_LENS_PX:g} px). To describe the lens better, calibrate the camera with a richer model."
         notes += (f"{note}." if largest <= _LENS_PX else f"{note}{limit}",)
-    return improved.cameras, notes
+    return cameras, notes
 
 
 def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, FloatArray]:
@@ -116,7 +106,11 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, Fl
     plain = replace(camera, correction=None)
     if camera.distortion == "none":
         plain = replace(plain, distortion="plumb_bob", D=np.zeros(5))
-    rays, pixels = _image_points(camera)
+    count = int(np.ceil(1 / _STEP)) + 1
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, count), np.linspace(0, camera.height - 1, count))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
+    flat, good = undistorted(camera, pixels)  # only the part of the image that the camera model produces
+    rays, pixels = np.column_stack([flat[good], np.ones(int(good.sum()))]), pixels[good]
     # Numerator and denominator of the rational model can compensate each other, far beyond the image: one is enough.
     free = 4 if kalibr else min(5, len(plain.D))
 
@@ -126,17 +120,8 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, Fl
     def residual(D: FloatArray) -> FloatArray:
         return np.asarray((project(distorted_by(D), rays) - pixels).ravel())
 
-    found = least_squares(residual, plain.D[:free], x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    return distorted_by(found.x), np.linalg.norm(residual(found.x).reshape(-1, 2), axis=1)
-
-
-def _image_points(camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Rays (n, 3) and their pixels (n, 2), regularly over the part of the image that the camera model produces."""
-    count = int(np.ceil(1 / _STEP)) + 1
-    x, y = np.meshgrid(np.linspace(0, camera.width - 1, count), np.linspace(0, camera.height - 1, count))
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    flat, good = undistorted(camera, pixels)
-    return np.column_stack([flat[good], np.ones(int(good.sum()))]), pixels[good]
+    fitted = least_squares(residual, plain.D[:free], x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    return distorted_by(fitted.x), np.linalg.norm(residual(fitted.x).reshape(-1, 2), axis=1)
 
 
 def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
@@ -156,57 +141,37 @@ def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
         elif isinstance(effect, JointZero):
             zeros[rig.chain.joints[effect.joint]] = value
         elif isinstance(effect, JointScale | JointPlay):
-            others.append(_shown(row, value))
+            kind = row.of_kind
+            others.append(f"{row.name} {value * kind.shown:+.3g} {kind.shown_unit}")
     return ImprovedChain(rig.chain, change.apply(rig.chain), zeros, tuple(others))
-
-
-def _shown(row: Constant, value: float) -> str:
-    kind = row.of_kind
-    return f"{row.name} {value * kind.shown:+.3g} {kind.shown_unit}"
 
 
 _SAME = 1e-6  # m, and the elements of rotation matrices
 _HINT = "give the URDF that the calibration read"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointOrigin:
-    """What a joint of the URDF becomes.
-
-    Attributes:
-        name: of the joint in the URDF.
-        T_parent_child: (4, 4) at the joint's zero, m.
-        axis: (3,) unit vector in the joint's frame.
-    """
-
-    name: str
-    T_parent_child: FloatArray
-    axis: FloatArray
-
-
-def joint_origins(urdf: Urdf, chain: ImprovedChain) -> tuple[JointOrigin, ...]:
+def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """New origins and axes of the moving joints between base and head.
 
     A zero offset turns (or shifts) the origin about the axis, so the joint's readings keep their meaning.
 
+    Yields:
+        Name of the joint in the URDF, T_parent_child at its zero (4, 4), m, and axis in its frame, (3,) unit vector.
+
     Raises:
         ConfigError: the chain of the URDF is not the one that the calibration read.
     """
-    stated = chain.stated
-    path = urdf.path(stated.base_frame, stated.head_frame)
+    path = urdf.path(chain.stated.base_frame, chain.stated.head_frame)
+    _check(path, chain.stated)
     moving = [joint for joint in path if joint.kind != "fixed"]
-    _check(path, stated)
     links = [link for link in chain.improved.links if isinstance(link, JointLink)]
-    return tuple(_origin(joint, link, chain) for joint, link in zip(moving, links, strict=True))
-
-
-def _origin(joint: UrdfJoint, link: JointLink, chain: ImprovedChain) -> JointOrigin:
-    offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
-    if link.kind == "revolute":
-        change = se3.transform(se3.exp_so3(offset), link.shift_m)
-    else:
-        change = se3.transform(np.eye(3), link.shift_m + offset)
-    return JointOrigin(joint.name, joint.T_parent_child @ change, link.axis)
+    for joint, link in zip(moving, links, strict=True):
+        offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
+        if link.kind == "revolute":
+            change = se3.transform(se3.exp_so3(offset), link.shift_m)
+        else:
+            change = se3.transform(np.eye(3), link.shift_m + offset)
+        yield joint.name, joint.T_parent_child @ change, link.axis
 
 
 def _check(path: tuple[UrdfJoint, ...], chain: HeadChain) -> None:
@@ -250,21 +215,12 @@ def _parts(
     return parts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RectifiedPair:
-    """Rectification of a stereo pair.
+def rectified_pair(cameras: StereoRig) -> dict[Side, tuple[FloatArray, FloatArray]]:
+    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels).
 
-    Attributes:
-        R: side → (3, 3) raw to rectified coordinates.
-        P: side → (3, 4) projection of rectified coordinates, px.
+    Returns:
+        Side → R, (3, 3) raw to rectified coordinates, and P, (3, 4) projection of rectified coordinates, px.
     """
-
-    R: Mapping[Side, FloatArray]
-    P: Mapping[Side, FloatArray]
-
-
-def rectified_pair(cameras: StereoRig) -> RectifiedPair:
-    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels)."""
     T_r_c = se3.inverse(cameras.T_c_r)
     R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
     left, right = cameras.left, cameras.right
@@ -276,6 +232,4 @@ def rectified_pair(cameras: StereoRig) -> RectifiedPair:
     else:
         R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
     as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
-    return RectifiedPair(
-        {"left": as_float[0], "right": as_float[1]}, {"left": as_float[2], "right": as_float[3]}
-    )
+    return {"left": (as_float[0], as_float[2]), "right": (as_float[1], as_float[3])}

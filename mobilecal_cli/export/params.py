@@ -25,9 +25,10 @@ from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
 from mobilecal_cli.files.reading import load_yaml
-from mobilecal_cli.likelihood.nuisance import kind
+from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
     NINE,
+    SIDES,
     CalibratedRobot,
     EstimatedConstant,
     Extraction,
@@ -81,12 +82,14 @@ def params_yaml(
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
     frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
     wheels = solution.parameters.wheels
+    kind = "rectified" if cameras.rectified else "raw"
     blocks = [
         f"{FIRST_LINE} Lengths in m, angles in rad unless the key says deg.",
         f"schema_version: {SCHEMA_VERSION}",
         "",
         *(_verdict_lines(verdict, reasons) if verdict else []),
-        *_head_eye_comment(cameras),
+        "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
+        f"# Child: the optical frame of the {cameras.reference} camera ({kind} images): x right, y down, z forward.",
         "head_eye:",
         *_transform_lines(chain.head_frame, frame, T_h_reference),
         "",
@@ -124,12 +127,12 @@ def _verdict_lines(verdict: str, reasons: Sequence[str]) -> list[str]:
 
 def _uncertainty_lines(solution: Solution) -> list[str]:
     """The block `uncertainty`; empty for methods that give none."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return []
-    covariance = (found.reference_covariance + found.reference_covariance.T) / 2
+    covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
     std = np.sqrt(np.diag(covariance))
-    seen = found.observable
+    observable = zip(NINE, uncertainty.observable, strict=True)
     shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(NINE, std, strict=True))
     return [
         "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
@@ -140,8 +143,8 @@ def _uncertainty_lines(solution: Solution) -> list[str]:
         f"  std: {{{shown}}}",
         "  covariance:",
         *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
-        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in zip(NINE, seen, strict=True))}}}",
-        f"  noise: {{{_noise(found.noise)}}}",
+        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in observable)}}}",
+        f"  noise: {{{_noise(uncertainty.noise)}}}",
         "",
     ]
 
@@ -158,21 +161,13 @@ def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
     if solution.uncertainty is None:
         return []
     sliding = extraction.rig.chain.prismatic
-    changed = [found for found in solution.constants.values() if found.prior > 0 or found.value]
+    changed = [constant for constant in solution.constants.values() if constant.prior > 0 or constant.value]
     return [
         "# Constants of the robot description: value is the difference from the stated value, sigma its standard",
         "# deviation, prior that of the stated value. Units: rad, m, s; share: relative, or of the image width.",
         "constants:" if changed else "constants: {}",
-        *(_constant_line(found, sliding) for found in changed),
+        *(_constant_line(constant, sliding) for constant in changed),
         "",
-    ]
-
-
-def _head_eye_comment(cameras: StereoRig) -> list[str]:
-    kind = "rectified" if cameras.rectified else "raw"
-    return [
-        "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
-        f"# Child: the optical frame of the {cameras.reference} camera ({kind} images): x right, y down, z forward.",
     ]
 
 
@@ -227,15 +222,15 @@ def _provenance_lines(provenance: Provenance) -> list[str]:
 
 def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
     """Unit of a constant: rad, m, s or share; joints that slide are in m."""
-    unit = {"1": "share"}.get(kind(found.kind).unit, kind(found.kind).unit)
+    unit = {"1": "share"}.get(kind_of(found.kind).unit, kind_of(found.kind).unit)
     return "m" if found.kind in _JOINT_POSITIONS and found.part in sliding else unit
 
 
-def _constant_line(found: EstimatedConstant, sliding: frozenset[str]) -> str:
-    name = found.name if _PLAIN_NAME.fullmatch(found.name) else quoted(found.name)
-    numbers = (("value", found.value), ("sigma", found.std), ("prior", found.prior))
+def _constant_line(constant: EstimatedConstant, sliding: frozenset[str]) -> str:
+    name = constant.name if _PLAIN_NAME.fullmatch(constant.name) else quoted(constant.name)
+    numbers = (("value", constant.value), ("sigma", constant.std), ("prior", constant.prior))
     shown = ", ".join(f"{key}: {exponential(value)}" for key, value in numbers)
-    return f"  {name}: {{{shown}, unit: {_unit(found, sliding)}}}  # {visible(found.part)}: {found.meaning}"
+    return f"  {name}: {{{shown}, unit: {_unit(constant, sliding)}}}  # {visible(constant.part)}: {constant.meaning}"
 
 
 class _Section(BaseModel):
@@ -382,12 +377,9 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         checked = _File.model_validate(data)
     except ValidationError as error:
         raise ConfigError(f"{name}: {_problems(error)}", _HINT) from error
-    head_eye, wheels, constants, verdict = (
-        checked.head_eye,
-        checked.wheels,
-        checked.constants,
-        checked.verdict,
-    )
+    head_eye, verdict, constants = checked.head_eye, checked.verdict, None
+    if checked.constants is not None:
+        constants = {name: entry.value for name, entry in checked.constants.items()}
     rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
     known = checked.uncertainty
     knowledge = None
@@ -398,15 +390,12 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
-    joints: dict[Side, str | None] = {
-        "left": settings.wheels.left.joint,
-        "right": settings.wheels.right.joint,
-    }
+    joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
-        wheels=_geometry(wheels),
+        wheels=_geometry(checked.wheels),
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
@@ -418,7 +407,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
             if link.joint is not None and link.joint not in elsewhere
         ),
         rectified=checked.head_eye_raw is not None,
-        constants=None if constants is None else {name: entry.value for name, entry in constants.items()},
+        constants=constants,
         verdict="" if verdict is None else verdict.level,
         reasons=() if verdict is None else verdict.reasons,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Sequence
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -60,29 +60,37 @@ def read_description(recording: Recording) -> RobotDescription:
     texts = _first(recording, described, lambda message: str(message.data))
     urdfs = {topic: text for topic, text in texts.items() if text.strip()}
     infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
+    image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
+    joints = _read(
+        recording,
+        names.get(JOINT_STATE, []),
+        JOINT_MESSAGES,
+        JOINT_MESSAGES,
+        lambda message: [str(name) for name in message.name],
+    )
+    transforms: dict[tuple[str, str], FloatArray] = {}
+    if not urdfs:
+        try:
+            transforms = transforms_of(recording, names.get(TRANSFORMS, []))
+        except RecordingError as error:  # the configuration may not need them
+            recording.note(error.message)
     return RobotDescription(
         topics=recording.topics,
         infos=infos,
         unusable=unusable,
-        image_frames=_first(recording, images, lambda message: str(message.header.frame_id)),
-        joint_names=_joint_names(recording, names.get(JOINT_STATE, [])),
+        image_frames=image_frames,
+        joint_names={
+            topic: tuple(islice(dict.fromkeys(chain(*lists)), MOST_JOINTS)) for topic, lists in joints.items()
+        },
         urdfs=urdfs,
-        transforms={} if urdfs else _transforms(recording, names.get(TRANSFORMS, [])),
+        transforms=transforms,
     )
-
-
-def _transforms(recording: Recording, topics: list[str]) -> dict[tuple[str, str], FloatArray]:
-    try:
-        return transforms_of(recording, topics)
-    except RecordingError as error:  # the configuration may not need them
-        recording.note(error.message)
-        return {}
 
 
 def _first(recording: Recording, topics: Sequence[str], read: Callable[[Any], T]) -> dict[str, T]:
     """Value read from the first message of each topic that has it, among the first few."""
-    found = _read(recording, topics, TRIES, 1, read)
-    return {topic: values[0] for topic, values in found.items() if values}
+    several = _read(recording, topics, TRIES, 1, read)
+    return {topic: values[0] for topic, values in several.items() if values}
 
 
 def _read(
@@ -92,7 +100,7 @@ def _read(
 
     The reason is noted, not raised, because the calibration may not use the topic.
     """
-    found: dict[str, list[T]] = {topic: [] for topic in topics}
+    values: dict[str, list[T]] = {topic: [] for topic in topics}
     reasons = {topic: error.message for topic, error in recording.unsupported(topics).items()}
     readable = [topic for topic in topics if topic not in reasons]
     together = [readable] if len(readable) > SEPARATE else [[topic] for topic in readable]
@@ -105,35 +113,21 @@ def _read(
                     continue
                 left[topic] -= 1
                 try:
-                    found[topic].append(read(message.decode()))
+                    values[topic].append(read(message.decode()))
                 except RecordingError as error:
                     reasons[topic] = error.message
                 except NOT_ITS_TYPE as error:
                     reasons[topic] = f"{topic}: not a valid {message.type}: {error}"
-                if not left[topic] or len(found[topic]) == enough:
+                if not left[topic] or len(values[topic]) == enough:
                     del left[topic]
                     if not left:
                         break
         except RecordingError as error:
             reasons.update(dict.fromkeys(left, error.message))
     for topic, reason in reasons.items():
-        if not found[topic]:
+        if not values[topic]:
             recording.note(reason)
-    return found
-
-
-def _joint_names(recording: Recording, topics: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    found = _read(
-        recording,
-        topics,
-        JOINT_MESSAGES,
-        JOINT_MESSAGES,
-        lambda message: [str(name) for name in message.name],
-    )
-    return {
-        topic: tuple(islice(dict.fromkeys(name for names in messages for name in names), MOST_JOINTS))
-        for topic, messages in found.items()
-    }
+    return values
 
 
 def _infos(
@@ -142,12 +136,12 @@ def _infos(
     """Usable calibrations by topic, and why the others are not: unreadable, zero, not finite, of an unknown model."""
     infos: dict[str, CameraInfo] = {}
     unusable: dict[str, RecordingError] = {}
-    found = _first(recording, topics, lambda message: message)
+    messages = _first(recording, topics, lambda message: message)
     for topic in topics:
         count = recording.topic(topic).count
         try:
-            if topic in found:
-                infos[topic] = camera_info(found[topic], topic)
+            if topic in messages:
+                infos[topic] = camera_info(messages[topic], topic)
             elif count:
                 reason = next((note for note in recording.damage if topic in note), "log times are invalid")
                 raise RecordingError(
@@ -182,13 +176,13 @@ def number_fields(
     Returns:
         The numbers, by topic and path; a topic that cannot be read has none.
     """
-    found: list[NumberField] = []
+    fields: list[NumberField] = []
     for topic in sorted(topics):
         try:
-            found += _of_topic(recording, topic, wanted)
+            fields += _of_topic(recording, topic, wanted)
         except RecordingError as error:  # the calibration may not use the topic
             recording.note(error.message)
-    return tuple(found)
+    return tuple(fields)
 
 
 def _of_topic(
@@ -219,15 +213,15 @@ def _of_topic(
 
 def _paths(value: Any, prefix: str = "") -> list[str]:  # noqa: ANN401 - the type is the recording's
     """Paths to the single numbers in a message."""
-    found: list[str] = []
+    paths: list[str] = []
     for name, inner in fields_of(value).items():
         if name in _NOT_READINGS:
             continue
         if fields_of(inner):
-            found += _paths(inner, f"{prefix}{name}.")
+            paths += _paths(inner, f"{prefix}{name}.")
         elif isinstance(inner, (int, float, np.integer, np.floating)) and not isinstance(inner, bool):
-            found.append(f"{prefix}{name}")
-    return found
+            paths.append(f"{prefix}{name}")
+    return paths
 
 
 def _wraps(values: list[int | float]) -> tuple[int | None, int | None]:

@@ -114,7 +114,7 @@ def read_stamps(
         and images are not where it says, or if a selected image is identical to the one selected before it.
     """
     wanted = {topic: set(times.tolist()) for topic, times in logged_ns.items()}
-    found: dict[str, dict[int, int]] = {topic: {} for topic in logged_ns}
+    stamps_ns: dict[str, dict[int, int]] = {topic: {} for topic in logged_ns}
     broken = dict.fromkeys(logged_ns, 0)
     before = dict.fromkeys(logged_ns, b"")
     extent = Extent(at_ns=np.unique(np.concatenate(list(logged_ns.values()))))
@@ -132,7 +132,7 @@ def read_stamps(
             continue
         if before[topic] == last != b"":
             return None
-        found[topic][log_ns] = stamp_ns
+        stamps_ns[topic][log_ns] = stamp_ns
         if not any(wanted.values()):
             break
     if any(wanted.values()):
@@ -142,7 +142,7 @@ def read_stamps(
         for topic, count in broken.items()
         if count
     )
-    return found, notes
+    return stamps_ns, notes
 
 
 #: Bytes of a video that are read to find a few key frames.

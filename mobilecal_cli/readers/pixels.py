@@ -110,7 +110,7 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
     try:
         pixels, to_gray = _decompressed(message) if hasattr(message, "format") else _raw(message)
         if pixels.dtype != np.uint8:
-            pixels = _to_8_bit(pixels)
+            pixels = pixels >> (max(int(pixels.max()).bit_length(), 8) - 8)
         return np.asarray(pixels if to_gray is None else to_gray(pixels), dtype=np.uint8)
     except (AttributeError, TypeError, ValueError) as error:
         raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
@@ -118,11 +118,6 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
         if error.code == _NO_MEMORY:
             raise MemoryError(error.err) from error
         raise RecordingError(f"image damaged: {error.err}", "") from error
-
-
-def _to_8_bit(pixels: Pixels) -> Pixels:
-    bits = max(int(pixels.max()).bit_length(), 8)
-    return np.asarray(pixels >> (bits - 8), dtype=np.uint8)
 
 
 def _decompressed(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | None]:  # noqa: ANN401

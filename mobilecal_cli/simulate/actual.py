@@ -23,13 +23,13 @@ _DIRECTION_STEP_S = 0.02
 def crosswise(axis: Vector | FloatArray) -> dict[str, FloatArray]:
     """The two coordinate axes least aligned with an axis, made orthonormal to it: letter → (3,) unit vector."""
     unit = np.array(axis) / np.linalg.norm(axis)
-    found: dict[str, FloatArray] = {}
+    axes: dict[str, FloatArray] = {}
     for k in sorted(np.argsort(np.abs(unit), kind="stable")[:2]):
         e = np.eye(3)[k]
-        for other in (unit, *found.values()):
+        for other in (unit, *axes.values()):
             e = e - (e @ other) * other
-        found["xyz"[k]] = e / np.linalg.norm(e)
-    return found
+        axes["xyz"[k]] = e / np.linalg.norm(e)
+    return axes
 
 
 def joint_key(robot: SimulatedRobot, joint: str) -> str:

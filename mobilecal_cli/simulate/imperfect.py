@@ -6,7 +6,7 @@ A constant is the true minus the stated value; the description, the head-eye tra
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,17 +126,6 @@ def draw(
         for name, kind in of.items()
         if name in chosen or kind in chosen
     }
-
-
-def checked_constants(robot: SimulatedRobot, constants: Mapping[str, float]) -> Mapping[str, float]:
-    """Constants of a robot as they are given.
-
-    Raises:
-        ValueError: a constant that the robot does not have.
-    """
-    if unknown := set(constants) - set(constant_kinds(robot)):
-        raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
-    return constants
 
 
 def station_times_s(route: Route, stations: int = 40) -> FloatArray:

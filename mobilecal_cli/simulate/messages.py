@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import CameraInfo, FloatArray, Side
+from mobilecal_cli.model import SIDES, CameraInfo, FloatArray
 from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
     START_NS,
@@ -54,17 +54,16 @@ class Publisher:
     def __init__(self, ros: Ros) -> None:
         self.ros = ros
         self.store: Typestore = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
-        self._types = self.store.types
 
     def header(self, time_ns: int, frame_id: str = "") -> Any:  # noqa: ANN401  (a generated class)
         """std_msgs/Header."""
-        stamp = self._types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=time_ns // 10**9, nanosec=time_ns % 10**9)
         sequence: dict[str, Any] = {"seq": 0} if self.ros == 1 else {}
-        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **sequence)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **sequence)
 
     def make(self, kind: str, **fields: Any) -> Any:  # noqa: ANN401
         """Create a message of a given type."""
-        return self._types[kind](**fields)
+        return self.store.types[kind](**fields)
 
     def camera_info(self, info: CameraInfo, time_ns: int) -> Any:  # noqa: ANN401
         """sensor_msgs/CameraInfo; ROS 1 has matrix names in upper case."""
@@ -117,12 +116,6 @@ class World:
     actual: ActualRobot
     noise: Noise
 
-    @classmethod
-    def of(cls, scenario: Scenario, robot: SimulatedRobot, route: Route) -> World:
-        """The world of a planned scenario."""
-        constants, noise = scenario.imperfections(robot)
-        return cls(scenario, route, ActualRobot(robot, constants), noise)
-
 
 def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
     """(n, 2) readings of the right and left encoder, rad."""
@@ -154,19 +147,16 @@ def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
     counters = robot.wheel_signal == "ticks"
     for time_ns, head, wheel in zip(nanoseconds(times_s), joints, wheels, strict=True):
         stamp = int(time_ns)
-        yield Published(
-            stamp,
-            "/joint_states",
-            "sensor_msgs/msg/JointState",
-            publisher.make(
-                "sensor_msgs/msg/JointState",
-                header=publisher.header(stamp),
-                name=names if counters else [*names, "wheel_right_joint", "wheel_left_joint"],
-                position=head if counters else np.concatenate([head, wheel]),
-                velocity=np.zeros(0),
-                effort=np.zeros(0),
-            ),
+        kind, nothing = "sensor_msgs/msg/JointState", np.zeros(0)
+        state = publisher.make(
+            kind,
+            header=publisher.header(stamp),
+            name=names if counters else [*names, "wheel_right_joint", "wheel_left_joint"],
+            position=head if counters else np.concatenate([head, wheel]),
+            velocity=nothing,
+            effort=nothing,
         )
+        yield Published(stamp, "/joint_states", kind, state)
         if counters:
             kind = f"std_msgs/msg/{_COUNTER_TYPES[robot.tick_bits]}"
             for side, angle in (("right", wheel[0]), ("left", wheel[1])):
@@ -197,12 +187,11 @@ def _picture_messages(
     times_s = np.array(scenario.picture_times_s(route))
     floor, jitter_s = _floor_and_jitter(world, times_s)
     stamps = nanoseconds(times_s + scenario.camera_late_s + jitter_s)
-    sides: tuple[Side, Side] = ("left", "right")
     topics = robot.topics(compressed=scenario.pictures != "mono8")
     for i, T_w_c in enumerate(camera_in_world(world.actual, route, times_s, floor)):
         stamp = int(stamps[i])
         for side, info, renderer, T_c_x in zip(
-            sides, robot.infos, renderers, (np.eye(4), rig.T_c_r), strict=True
+            SIDES, robot.infos, renderers, (np.eye(4), rig.T_c_r), strict=True
         ):
             grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k)
             if not scenario.exact:
@@ -228,7 +217,8 @@ def published(
         publisher: for ROS 1 or 2.
         drawn: called with the number of rendered stereo pairs and their total.
     """
-    world = World.of(scenario, robot, route)
+    constants, noise = scenario.imperfections(robot)
+    world = World(scenario, route, ActualRobot(robot, constants), noise)
     description = publisher.make("std_msgs/msg/String", data=urdf_text(robot))
     return heapq.merge(
         [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)],

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import (
+    SIDES,
     Camera,
     CameraInfo,
     FixedLink,
@@ -32,9 +33,8 @@ from mobilecal_cli.model import (
 
 WIDTH, HEIGHT = 640, 480
 BASELINE_M = 0.12
-_DISPLACEMENT_ROUNDS = (
-    5  # displaced by 0.4 % of the width: to 1e-8 px, because each shrinks the error 50 times
-)
+#: Displaced by 0.4 % of the width: to 1e-8 px, because each round shrinks the error 50 times.
+_DISPLACEMENT_ROUNDS = 5
 
 
 def stereo_infos(
@@ -270,19 +270,14 @@ class SimulatedRobot:
         suffix = "/compressed" if compressed else ""
         ticks, per_turn = self.wheel_signal == "ticks", float(self.ticks_per_revolution)
         return Sources(
-            image={
-                "left": f"/stereo/left/image_raw{suffix}",
-                "right": f"/stereo/right/image_raw{suffix}",
-            },
-            info={"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"},
+            image={side: f"/stereo/{side}/image_raw{suffix}" for side in SIDES},
+            info={side: f"/stereo/{side}/camera_info" for side in SIDES},
             joints=("/joint_states",),
             wheels={
-                "left": WheelSource("/wheel_ticks/left", None, "data", per_turn, self.tick_bits)
+                side: WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
                 if ticks
-                else WheelSource("/joint_states", "wheel_left_joint"),
-                "right": WheelSource("/wheel_ticks/right", None, "data", per_turn, self.tick_bits)
-                if ticks
-                else WheelSource("/joint_states", "wheel_right_joint"),
+                else WheelSource("/joint_states", f"wheel_{side}_joint")
+                for side in SIDES
             },
         )
 
@@ -297,24 +292,17 @@ class SimulatedRobot:
         return Rig(self.rig_cameras, self.chain, prior, self.topics(), resolved)
 
 
-def _head_eye(euler_zyx_deg: Vector, translation_mm: Vector) -> FloatArray:
-    """T_h_c from the angles (ax, ay, az) of Table 1, with R = Rz(az) Ry(ay) Rx(ax), and mm."""
-    # The lower-case sequence in scipy rotates about fixed axes: first x, then y, then z.
-    rotation = Rotation.from_euler("xyz", euler_zyx_deg, degrees=True)
-    return pose(np.array(translation_mm) / 1000, rotation)
-
-
-def _nominal_head_eye(T_h_c: FloatArray) -> FloatArray:
-    """Nominal head-eye transform, a few degrees and centimeters from the true one."""
-    beside = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
-    result: FloatArray = T_h_c @ beside
-    return result
+#: From the true head-eye transform to the nominal one: a few degrees and centimeters.
+_NOMINAL = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
 
 
 @cache
 def paper_robot() -> SimulatedRobot:
     """Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head."""
-    T_h_c = _head_eye((-164.22, 89.38, -166.40), (13.60, -64.34, -70.77))
+    # Angles (ax, ay, az) with R = Rz(az) Ry(ay) Rx(ax). The lower-case sequence in scipy rotates about fixed axes:
+    # first x, then y, then z.
+    rotation = Rotation.from_euler("xyz", (-164.22, 89.38, -166.40), degrees=True)
+    T_h_c = pose(np.array((13.60, -64.34, -70.77)) / 1000, rotation)
     quarter = np.pi / 2
     return SimulatedRobot(
         name="paper",
@@ -336,7 +324,7 @@ def paper_robot() -> SimulatedRobot:
         T_h_c=T_h_c,
         wheels=WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870),
         nominal_wheels=WheelGeometry(radius_right_m=0.225, radius_left_m=0.225, separation_m=0.500),
-        T_h_c_nominal=_nominal_head_eye(T_h_c),
+        T_h_c_nominal=T_h_c @ _NOMINAL,
         encoder_step_rad=np.radians(1.2),
     )
 
@@ -361,7 +349,7 @@ def tick_robot() -> SimulatedRobot:
         T_h_c=T_h_c,
         wheels=WheelGeometry(radius_right_m=0.0824, radius_left_m=0.0817, separation_m=0.3372),
         nominal_wheels=WheelGeometry(radius_right_m=0.082, radius_left_m=0.082, separation_m=0.340),
-        T_h_c_nominal=_nominal_head_eye(T_h_c),
+        T_h_c_nominal=T_h_c @ _NOMINAL,
         encoder_step_rad=2 * np.pi / 4096,
         wheel_signal="ticks",
         ticks_per_revolution=4096,

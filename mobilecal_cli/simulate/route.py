@@ -6,10 +6,9 @@ The base moves in segments of constant speed, integrated as exact arcs, independ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -196,19 +195,13 @@ class Planner:
         names = robot.joint_names
         self._pan, self._tilt = names.index(robot.pan), names.index(robot.tilt)
 
-    def board_in_cameras(self, base: Pose, joints_rad: FloatArray) -> Iterator[FloatArray]:
-        """(M, 3) corners in the left and in the right camera frame, m."""
-        T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
-        for T_c_x in (np.eye(4), self._robot.rig_cameras.T_c_r):
-            T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
-            yield self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
-
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
         """Whether both images show the whole board, with squares large enough for detection."""
         rig = self._robot.rig_cameras
-        for camera, points in zip(
-            (rig.left, rig.right), self.board_in_cameras(base, joints_rad), strict=True
-        ):
+        T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
+        for camera, T_c_x in ((rig.left, np.eye(4)), (rig.right, rig.T_c_r)):
+            T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
+            points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
             if points[:, 2].min() < 0.3:
                 return False
             at = pixels(camera, points)
@@ -238,35 +231,27 @@ class Planner:
         joints[self._pan], joints[self._tilt] = aim
         return joints
 
-    def _body(self) -> FloatArray:
-        """Small random angles for the joints other than pan and tilt."""
-        return self._random.uniform(-0.08, 0.08, len(self._robot.joint_names))
-
-    def _within_limits(self, joints_rad: FloatArray) -> bool:
-        limits = np.array([joint.limit_rad for joint in self._robot.joints if joint.name])
-        return bool(np.all(np.abs(joints_rad) <= limits))
-
     def gaze(self, base: Pose) -> FloatArray | None:
         """Joint angles with the whole board in view, aimed near its center; None if there are none."""
+        limits_rad = np.array([joint.limit_rad for joint in self._robot.joints if joint.name])
         for reach in (0.30, 0.22, 0.15, 0.08):
             point = self._centre_w + self._random.uniform(-reach, reach, 3)
-            joints = self.look_at(base, point, self._body())
-            if self._within_limits(joints) and self.sees_board(base, joints):
+            body = self._random.uniform(-0.08, 0.08, len(limits_rad))  # joints other than pan and tilt
+            joints = self.look_at(base, point, body)
+            if np.all(np.abs(joints) <= limits_rad) and self.sees_board(base, joints):
                 return joints
         return None
-
-    def panned(self, base: Pose) -> FloatArray:
-        """Joint angles that point near the board by pan alone; all others are zero."""
-        point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
-        level = np.zeros(len(self._robot.joint_names))
-        level[self._pan] = self.look_at(base, point, level)[self._pan]
-        return level
 
     def looking(self, base: Pose, motion: Motion, first: FloatArray) -> FloatArray | None:
         """Joint angles for a stop, None if the board is not in view; `first` is for a fixed head."""
         if motion == "head_fixed":
             return first
-        return self.panned(base) if motion == "pan_only" else self.gaze(base)
+        if motion != "pan_only":
+            return self.gaze(base)
+        point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
+        level = np.zeros(len(self._robot.joint_names))
+        level[self._pan] = self.look_at(base, point, level)[self._pan]
+        return level
 
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
         """Random motion from a pose: turn, drive (on an arc), turn."""
@@ -287,16 +272,26 @@ class Planner:
         facing = math.atan2(self._centre_w[1] - there[1], self._centre_w[0] - there[0])
         spread = {"head_fixed": 0.12, "large_turns": 1.1}.get(motion, 0.6)
         last_turn = math.remainder(facing - there[2], 2 * math.pi) + random.uniform(-spread, spread)
-        if motion == "large_turns":
-            last_turn = self._long_way(base[2], there[2], last_turn)
+        if (
+            motion == "large_turns"
+        ):  # turn in the opposite direction, if the leg's turn is then at most 300 degrees
+            total = there[2] - base[2] + last_turn
+            other = total - math.copysign(2 * math.pi, total)
+            last_turn = last_turn + other - total if abs(other) <= math.radians(300) else last_turn
         last = Stretch(abs(last_turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, last_turn))
         return [s for s in (first, arc, last) if s.duration_s > 0]
 
-    def _long_way(self, before_rad: float, there_rad: float, last_turn: float) -> float:
-        """Turn in the opposite direction, if the leg's turn is then at most 300 degrees."""
-        total = there_rad - before_rad + last_turn
-        other = total - math.copysign(2 * math.pi, total)
-        return last_turn + other - total if abs(other) <= math.radians(300) else last_turn
+    def route(
+        self,
+        motion: Motion,
+        stretches: list[Stretch],
+        knots_s: list[float],
+        knots: list[Any],
+        rests_s: FloatArray,
+    ) -> Route:
+        """The planned route."""
+        drive = Drive(tuple(stretches))
+        return Route(motion, drive, np.array(knots_s), np.array(knots), rests_s, self.T_w_k, self.board)
 
     def allowed(self, base: Pose) -> bool:
         """Whether a pose is suitable for a stop."""
@@ -348,15 +343,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
         knots += [joints, joints]
         clock += duration + REST_S
         base = there
-    return Route(
-        motion,
-        Drive(tuple(stretches)),
-        np.array(knots_s),
-        np.array(knots),
-        np.array(rests),
-        planner.T_w_k,
-        planner.board,
-    )
+    return planner.route(motion, stretches, knots_s, knots, np.array(rests))
 
 
 def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator) -> Route:
@@ -382,15 +369,7 @@ def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator
         clock, base = clock + _KNOT_S, there
     knots_s.append(clock)
     joints.append(joints[-1])
-    return Route(
-        "moving",
-        Drive(tuple(stretches)),
-        np.array(knots_s),
-        np.array(joints),
-        np.zeros((0, 2)),
-        planner.T_w_k,
-        planner.board,
-    )
+    return planner.route("moving", stretches, knots_s, joints, np.zeros((0, 2)))
 
 
 @lru_cache(maxsize=64)
@@ -419,15 +398,10 @@ def plan_route(
         return plan_moving(planner, 3.0 * stations, random)
     for _ in range(_LARGE_TURN_PLANS):
         route = plan_stops(planner, motion, stations, robot)
-        if motion != "large_turns" or largest_turn_rad(route) > math.pi:
+        headings_rad = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
+        if motion != "large_turns" or np.abs(np.diff(headings_rad)).max(initial=0.0) > math.pi:
             return route
     raise ConfigError(
         f"no route of {stations} stations contains a turn of more than 180 degrees between two of them",
         "use more stations",
     )
-
-
-def largest_turn_rad(route: Route) -> float:
-    """Largest turn of the base between two consecutive rests, rad."""
-    headings = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
-    return float(np.abs(np.diff(headings)).max(initial=0.0))

@@ -115,20 +115,6 @@ def _row(values: object) -> str:
     return "[" + ", ".join(_plain(float(value)) for value in np.asarray(values).ravel()) + "]"
 
 
-def _imperfect_lines(scenario: Scenario, robot: SimulatedRobot) -> list[str]:
-    """Levels of the additional noise, continuing "scenario", and the constants."""
-    constants, noise = scenario.imperfections(robot)
-    if not scenario.imperfect:
-        return []
-    levels = {name: getattr(noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
-    levels["stamp_s"] = noise.stamp_s if scenario.motion == "moving" else 0.0
-    return [
-        *(f"  {name}: {_plain(level)}" for name, level in levels.items()),
-        "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)",
-        *(f"  {name}: {_plain(value)}" for name, value in constants.items()),
-    ]
-
-
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
     quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
@@ -159,9 +145,17 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  encoder_step_rad: {_plain(0.0 if scenario.exact else robot.encoder_step_rad)}",
         f"  joint_noise_rad: {_plain(0.0 if scenario.exact else robot.joint_noise_rad)}",
         f"  camera_late_s: {_plain(scenario.camera_late_s)}",
-        *_imperfect_lines(scenario, robot),
-        f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k",
     ]
+    if scenario.imperfect:
+        constants, noise = scenario.imperfections(robot)
+        levels = {name: getattr(noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
+        levels["stamp_s"] = noise.stamp_s if scenario.motion == "moving" else 0.0
+        lines += [f"  {name}: {_plain(level)}" for name, level in levels.items()]
+        lines.append(
+            "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)"
+        )
+        lines += [f"  {name}: {_plain(value)}" for name, value in constants.items()]
+    lines.append(f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k")
     if len(route.rests_s):
         times = route.rests_s.mean(axis=1)
         lines.append(f"joints: [{', '.join(robot.joint_names)}]")

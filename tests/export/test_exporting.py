@@ -376,7 +376,7 @@ def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, r
         replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.left, cameras.right)
     )
     pair = rectified_pair(replace(cameras, left=left, right=right))
-    data = yaml.safe_load(camera_info_yaml(left, pair.R["left"], pair.P["left"]))
+    data = yaml.safe_load(camera_info_yaml(left, *pair["left"]))
     sizes = {
         "camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4),
         "distortion_coefficients": (1, read),

@@ -70,7 +70,7 @@ def test_camera_formats_state_the_images():
     assert "those of the raw images" in camchain_yaml(CAMERAS, topics)
     assert "those of the rectified images" in camchain_yaml(replace(CAMERAS, rectified=True), topics)
     pair = rectified_pair(CAMERAS)
-    text = camera_info_yaml(CAMERAS.left, pair.R["left"], pair.P["left"])
+    text = camera_info_yaml(CAMERAS.left, *pair["left"])
     assert "the optical frame of the raw images" in text
 
 
@@ -174,7 +174,7 @@ def test_camera_info_makes_rows_of_one_height(distortion):
     points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
     rows, P = {}, {}
     for side, camera, T_c in (("left", cameras.left, np.eye(4)), ("right", cameras.right, cameras.T_c_r)):
-        data = yaml.safe_load(camera_info_yaml(camera, pair.R[side], pair.P[side]))
+        data = yaml.safe_load(camera_info_yaml(camera, *pair[side]))
         read = {
             name: np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])
             for name in (
@@ -193,7 +193,7 @@ def test_camera_info_makes_rows_of_one_height(distortion):
         )  # fmt: skip
         rows[side], P[side] = rectified[:, 0], read["projection_matrix"]
     assert rows["left"][:, 1] == pytest.approx(rows["right"][:, 1], abs=1e-3)
-    depth = points @ pair.R["left"][2]
+    depth = points @ pair["left"][0][2]
     assert rows["left"][:, 0] - rows["right"][:, 0] == pytest.approx(-P["right"][0, 3] / depth, abs=1e-2)
     assert -P["right"][0, 3] / P["right"][0, 0] == pytest.approx(CAMERAS.baseline_m, rel=1e-6)
 

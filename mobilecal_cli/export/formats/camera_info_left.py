@@ -32,9 +32,8 @@ class CameraInfoLeft(Format):
                 "the calibration was made from rectified images, so it gives no camera_info of the raw images",
                 "calibrate from the raw images",
             )
-        pair = rectified_pair(cameras)
         camera = cameras.left if self.side == "left" else cameras.right
-        return Exported(camera_info_yaml(camera, pair.R[self.side], pair.P[self.side]).encode(), notes)
+        return Exported(camera_info_yaml(camera, *rectified_pair(cameras)[self.side]).encode(), notes)
 
 
 def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:

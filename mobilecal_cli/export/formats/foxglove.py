@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -41,8 +41,6 @@ _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15
 _GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85, 0.2, 1.0)
 _DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
-_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-_RESIDUALS = {"station": _TEXT, "to_station": _TEXT, "reprojection_px": _NUMBER, "point_mm": _NUMBER}
 _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
 
 
@@ -84,7 +82,7 @@ class _Messages:
     """Messages of all topics, written in order of time."""
 
     def __init__(self) -> None:
-        self._found: list[tuple[int, str, str, bytes]] = []
+        self._messages: list[tuple[int, str, str, bytes]] = []
         self._schemas: dict[str, tuple[str, str, bytes]] = {}
 
     def add(self, topic: str, time_ns: int, message: Any) -> None:  # noqa: ANN401  (any protobuf message)
@@ -92,13 +90,16 @@ class _Messages:
         name = message.DESCRIPTOR.full_name
         if topic not in self._schemas:
             self._schemas[topic] = (name, "protobuf", _with_dependencies(message.DESCRIPTOR.file))
-        self._found.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
+        self._messages.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
 
-    def add_json(self, topic: str, time_ns: int, properties: Mapping[str, Any], values: object) -> None:
+    def add_json(self, topic: str, time_ns: int, **values: str | float) -> None:
         """A message with named texts and numbers."""
+        properties = {
+            name: {"type": "string" if isinstance(value, str) else "number"} for name, value in values.items()
+        }
         schema = {"title": topic.strip("/"), "type": "object", "properties": properties}
         self._schemas[topic] = (f"mobilecal.{topic.strip('/')}", "jsonschema", json.dumps(schema).encode())
-        self._found.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
+        self._messages.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
 
     def written(self, metadata: dict[str, str]) -> bytes:
         """The file, with one metadata record of the name "mobilecal"."""
@@ -107,11 +108,11 @@ class _Messages:
         writer.start(profile="", library=f"mobilecal {__version__}")
         writer.add_metadata("mobilecal", metadata)
         channels = {}
-        encodings = {topic: encoding for _, topic, encoding, _ in self._found}
+        encodings = {topic: encoding for _, topic, encoding, _ in self._messages}
         for topic, schema in self._schemas.items():
             number = writer.register_schema(*schema)
             channels[topic] = writer.register_channel(topic, encodings[topic], number)
-        for time_ns, topic, _, data in sorted(self._found, key=lambda found: found[0]):
+        for time_ns, topic, _, data in sorted(self._messages, key=lambda message: message[0]):
             writer.add_message(channels[topic], log_time=time_ns, publish_time=time_ns, data=data)
         writer.finish()  # type: ignore[no-untyped-call]
         return stream.getvalue()
@@ -119,17 +120,17 @@ class _Messages:
 
 def _with_dependencies(file: Any) -> bytes:  # noqa: ANN401  (a protobuf FileDescriptor)
     """A FileDescriptorSet with a definition and all that it imports, each after what it needs."""
-    found, done = FileDescriptorSet(), set()
+    definitions, done = FileDescriptorSet(), set()
 
-    def add(one: Any) -> None:  # noqa: ANN401
-        if one.name not in done:
-            done.add(one.name)
-            for needed in one.dependencies:
+    def add(file: Any) -> None:  # noqa: ANN401
+        if file.name not in done:
+            done.add(file.name)
+            for needed in file.dependencies:
                 add(needed)
-            one.CopyToProto(found.file.add())
+            file.CopyToProto(definitions.file.add())
 
     add(file)
-    return bytes(found.SerializeToString(deterministic=True))
+    return bytes(definitions.SerializeToString(deterministic=True))
 
 
 # -- frames and surroundings ----------------------------------------------------------------------
@@ -176,8 +177,8 @@ def _add_surroundings(
 def _board_triangles(scene: Scene) -> TriangleListPrimitive:
     """Both sides of the dark squares."""
     squares = dark_squares(scene.board)
-    one = np.array([0, 1, 2, 0, 2, 3])
-    order = np.concatenate([one, one[::-1]])
+    front = np.array([0, 1, 2, 0, 2, 3])
+    order = np.concatenate([front, front[::-1]])
     indices = (4 * np.arange(len(squares))[:, None] + order).ravel()
     points = _points3(squares.reshape(-1, 3))
     return TriangleListPrimitive(
@@ -187,10 +188,8 @@ def _board_triangles(scene: Scene) -> TriangleListPrimitive:
 
 def _camera_entity(scene: Scene, station: StationView, time_ns: int) -> SceneEntity:
     """The left camera at one station as a small pyramid, in the world."""
-    camera = scene.cameras.left
-    half = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
-    x, y = half
-    tip = np.zeros(3)
+    camera, tip = scene.cameras.left, np.zeros(3)
+    x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
     lines = LinePrimitive(
@@ -251,14 +250,15 @@ def _add_station(messages: _Messages, scene: Scene, station: StationView) -> Non
             )
             messages.add(f"/camera/{side}/image", time_ns, image)
     if station.to_station:
-        values = {
-            "station": station.name,
-            "to_station": station.to_station,
-            "reprojection_px": station.reprojection_px,
-            "point_mm": 1e3 * station.point_m,
-        }
-        messages.add_json("/residuals", time_ns, _RESIDUALS, values)
-    messages.add_json("/station", time_ns, {"state": _TEXT}, {"state": f"station {station.name}: used"})
+        messages.add_json(
+            "/residuals",
+            time_ns,
+            station=station.name,
+            to_station=station.to_station,
+            reprojection_px=station.reprojection_px,
+            point_mm=1e3 * station.point_m,
+        )
+    messages.add_json("/station", time_ns, state=f"station {station.name}: used")
 
 
 def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
@@ -276,13 +276,13 @@ def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
         )
 
     detected = view.detected[view.seen]
-    found = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
+    marked = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
     if view.predicted is not None:
         predicted = view.predicted[view.seen]
         pairs = np.stack([detected, predicted], axis=1).reshape(-1, 2)
-        found.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
-        found.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
-    return ImageAnnotations(points=found)
+        marked.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
+        marked.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
+    return ImageAnnotations(points=marked)
 
 
 def _add_unused(messages: _Messages, scene: Scene) -> None:
@@ -296,11 +296,9 @@ def _add_unused(messages: _Messages, scene: Scene) -> None:
             message=f"{item.what}{end}: {item.text}",
         )
         messages.add("/rejected", item.start_ns, log)
-        messages.add_json("/station", item.start_ns, {"state": _TEXT}, {"state": f"rejected: {item.what}"})
+        messages.add_json("/station", item.start_ns, state=f"rejected: {item.what}")
         if item.end_ns > item.start_ns:
-            messages.add_json(
-                "/station", item.end_ns, {"state": _TEXT}, {"state": "end of the rejected interval"}
-            )
+            messages.add_json("/station", item.end_ns, state="end of the rejected interval")
 
 
 # -- values ---------------------------------------------------------------------------------------

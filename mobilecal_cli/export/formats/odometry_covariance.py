@@ -44,14 +44,14 @@ class OdometryFormat(Format):
         rate_hz = ODOMETRY_RATE.check("--rate", 50.0 if asked.rate_hz is None else asked.rate_hz)
         if asked.distance_m is not None:
             DISTANCE.check("--distance", asked.distance_m)
-        found = odometry_covariance(asked.robot, asked.measurements(), rate_hz, asked.distance_m)
+        covariance = odometry_covariance(asked.robot, asked.measurements(), rate_hz, asked.distance_m)
         notes: tuple[str, ...] = ()
-        if asked.distance_m is None and found.path_m < _LEAST_LEG_M:
+        if asked.distance_m is None and covariance.path_m < _LEAST_LEG_M:
             notes = (
-                f"The legs of the recording are {found.path_m:.2f} m long on average, and the covariance applies to "
-                "such drives. Give the length of your drives with --distance.",
+                f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies "
+                "to such drives. Give the length of your drives with --distance.",
             )
-        return Exported(odometry_yaml(found).encode(), notes)
+        return Exported(odometry_yaml(covariance).encode(), notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,27 +241,29 @@ def _of_length_and_heading(
     return random, proportional + calibration
 
 
-def odometry_yaml(found: OdometryCovariance) -> str:
+def odometry_yaml(covariance: OdometryCovariance) -> str:
     """Parameters of diff_drive_controller, and of robot_localization's ekf_node, which fuses the velocities."""
-    along_heading, across_heading, along_across = (found.correlation[k] for k in ((0, 2), (1, 2), (0, 1)))
-    length, heading = (f"{100 * share:.0f} %" for share in found.systematic)
+    along_heading, across_heading, along_across = (
+        covariance.correlation[k] for k in ((0, 2), (1, 2), (0, 1))
+    )
+    length, heading = (f"{100 * share:.0f} %" for share in covariance.systematic)
     return "\n".join(
         [
             "# Covariance of wheel odometry with the calibrated wheels. Order: x, y, z, roll, pitch, yaw.",
-            f"# Motion: {found.motion}; {found.moving_s:.1f} s in motion. Longer drives have larger errors:",
+            f"# Motion: {covariance.motion}; {covariance.moving_s:.1f} s in motion. Longer drives have larger errors:",
             f"# {length} of the variance of the length and {heading} of that of the heading are systematic, and",
             "# grow with the square of the distance. --distance exports for longer drives.",
             "# x is along the line from the start of the drive to its end, y is across it. Correlations, which the",
             f"# diagonals cannot state: along and across {along_across:+.2f}, along and heading {along_heading:+.2f}, "
             f"across and heading {across_heading:+.2f}.",
-            f"# Variances times {found.widening:.3f}, because the noise is estimated from {found.legs} legs.",
-            f"# Twist: (m/s)^2, (rad/s)^2, for {found.rate_hz:g} messages per second. Change both together.",
+            f"# Variances times {covariance.widening:.3f}, because the noise is estimated from {covariance.legs} legs.",
+            f"# Twist: (m/s)^2, (rad/s)^2, for {covariance.rate_hz:g} messages per second. Change both together.",
             "# Pose: m^2, rad^2, after one such drive. The error grows with the distance: let filters use the twist.",
             "diff_drive_controller:",
             "  ros__parameters:",
-            f"    publish_rate: {decimal(found.rate_hz)}",
-            f"    pose_covariance_diagonal: {decimals(found.pose)}",
-            f"    twist_covariance_diagonal: {decimals(found.twist)}",
+            f"    publish_rate: {decimal(covariance.rate_hz)}",
+            f"    pose_covariance_diagonal: {decimals(covariance.pose)}",
+            f"    twist_covariance_diagonal: {decimals(covariance.twist)}",
             "ekf_filter_node:",
             "  ros__parameters:",
             '    odom0: "/diff_drive_controller/odom"',

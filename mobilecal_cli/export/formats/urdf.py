@@ -74,12 +74,11 @@ class UrdfFormat(Format):
         return Exported(patched.content, notes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Tag:
-    """Byte range of a start tag, whose attributes may change or which gets a child element."""
-
-    start: int
-    end: int
+#: First byte of a start tag, whose attributes may change or which gets a child element, and the byte after it.
+_Tag = tuple[int, int]
+#: Bytes to replace: the first, the one after the last, and the new ones.
+_Edit = tuple[int, int, bytes]
+_START_TAG = re.compile(rb"""<(?:[^>"']++|"[^"]*"|'[^']*')*+>""")
 
 
 @dataclass(slots=True)
@@ -135,7 +134,7 @@ def patched_urdf(
         raise ConfigError(f"the URDF is not UTF-8: {error}", "save it as UTF-8") from error
     places = _places(content)
     _check_robot(urdf, robot, wheel_joints)
-    edits: list[tuple[int, int, bytes]] = []
+    edits: list[_Edit] = []
     changes: list[str] = []
     hidden = ", ".join(name for name, hides in zip(NINE[:6], robot.unobservable, strict=False) if hides)
     if robot.child_frame in urdf.links:
@@ -174,7 +173,7 @@ def patched_urdf(
             continue
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
         tags = places.wheels.get(link, [])
-        edits += [(*_span(tag), _with(content, tag, {"radius": f"{radius_m:.12g}"})) for tag in tags]
+        edits += [_with(content, tag, {"radius": f"{radius_m:.12g}"}) for tag in tags]
         radii = (
             f"radius of {len(tags)} shapes: {radius_m:.6g} m"
             if tags
@@ -184,7 +183,7 @@ def patched_urdf(
     return Exported(_edited(content, edits), tuple(changes))
 
 
-def _edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
+def _edited(content: bytes, edits: Iterable[_Edit]) -> bytes:
     """The file with byte ranges replaced.
 
     Raises:
@@ -203,34 +202,28 @@ def _edited(content: bytes, edits: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 def _chain(
     content: bytes, places: _Places, urdf: Urdf, chain: ImprovedChain
-) -> tuple[list[tuple[int, int, bytes]], list[str]]:
+) -> tuple[list[_Edit], list[str]]:
     """The edits that give the head's joints their estimated origins and axes, and notes."""
     edits, notes = [], []
-    for joint in joint_origins(urdf, chain):
-        start, end, origin = _moved(content, places, joint.name, joint.T_parent_child)
-        axis = " ".join(f"{value + 0.0:.12g}" for value in np.round(joint.axis, 12))
-        (own, _), tag = places.joints[joint.name], places.axes.get(joint.name)
+    for name, T_parent_child, axis in joint_origins(urdf, chain):
+        start, end, origin = _moved(content, places, name, T_parent_child)
+        xyz = " ".join(f"{value + 0.0:.12g}" for value in np.round(axis, 12))
+        (own, _), tag = places.joints[name], places.axes.get(name)
         if tag is not None:
-            edits.append((*_span(tag), _with(content, tag, {"xyz": axis})))
-        elif (start, end) == (own.end, own.end):
-            origin += f"<axis xyz={attribute(axis)}/>".encode()
+            edits.append(_with(content, tag, {"xyz": xyz}))
+        elif start == end == own[1]:
+            origin += f"<axis xyz={attribute(xyz)}/>".encode()
         else:
-            edits.append((own.end, own.end, f"<axis xyz={attribute(axis)}/>".encode()))
+            edits.append((own[1], own[1], f"<axis xyz={attribute(xyz)}/>".encode()))
         edits.append((start, end, origin))
-        zero = chain.zeros.get(joint.name, 0.0)
-        notes.append(
-            f"joint {joint.name!r}: estimated origin and axis"
-            + (f", with the zero offset {zero:+.6g}" if zero else "")
-        )
+        zero = chain.zeros.get(name, 0.0)
+        with_zero = f", with the zero offset {zero:+.6g}" if zero else ""
+        notes.append(f"joint {name!r}: estimated origin and axis{with_zero}")
     if chain.others:
         notes.append(
             f"not in the URDF, which has no scale and no backlash of joints: {', '.join(chain.others)}"
         )
     return edits, notes
-
-
-def _span(tag: _Tag) -> tuple[int, int]:
-    return tag.start, tag.end
 
 
 def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
@@ -310,7 +303,7 @@ def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side,
             )
 
 
-def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> tuple[int, int, bytes]:
+def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> _Edit:
     """The edit that adds the camera's joint, and its link if there is none, before the end of the robot."""
     if robot.parent_frame not in urdf.links:
         raise ConfigError(
@@ -378,6 +371,13 @@ def _height(
     own = [float(joint.T_parent_child[2, 3]) for joint in joints]
     if max(abs(height - old_m) for height in own) <= _GROUND_M:
         return new_m, (f"joints {names}: height {new_m:.6g} m, the mean wheel radius",)
+
+    def placed_by(link: str) -> str:
+        """The fixed joint that places a link; for the root the one that hangs on it."""
+        above = [joint.name for joint in urdf.joints.values() if joint.child == link]
+        below = [j.name for j in urdf.joints.values() if j.parent == link and j.kind == "fixed"]
+        return (above or below or [link])[0]
+
     notes = []
     heights = _heights(urdf, joints[0])
     for link in (link for link in urdf.links if link in heights and link != joints[0].parent):
@@ -385,7 +385,7 @@ def _height(
         if abs(height - old_m) <= _GROUND_M and abs(old_m - new_m) > 1e-9:
             notes.append(
                 f"link {link!r}: the axle is {height:.6g} m above it, and the mean wheel radius is now {new_m:.6g} m; "
-                f"its joint {_joint_of(urdf, link)!r} is unchanged"
+                f"its joint {placed_by(link)!r} is unchanged"
             )
     if not notes and abs(old_m - new_m) > 1e-9:
         notes.append(
@@ -396,9 +396,9 @@ def _height(
 
 
 def _radius(content: bytes, tag: _Tag) -> float | None:
-    found = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[tag.start : tag.end])
+    radius = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)])
     try:
-        return float(found.group(1)) if found else None
+        return float(radius.group(1)) if radius else None
     except ValueError:
         return None
 
@@ -419,13 +419,6 @@ def _heights(urdf: Urdf, wheel: UrdfJoint) -> dict[str, float]:
     return {link: float(T[2, 3]) for link, T in T_link_wheel.items()}
 
 
-def _joint_of(urdf: Urdf, link: str) -> str:
-    """The fixed joint that places a link; for the root the one that hangs on it."""
-    above = [joint.name for joint in urdf.joints.values() if joint.child == link]
-    below = [joint.name for joint in urdf.joints.values() if joint.parent == link and joint.kind == "fixed"]
-    return (above or below or [link])[0]
-
-
 def _joint(urdf: Urdf, name: str) -> UrdfJoint:
     if name not in urdf.joints:
         raise ConfigError(f"URDF: no joint {name!r}", f"joints: {', '.join(urdf.joints)}")
@@ -434,16 +427,12 @@ def _joint(urdf: Urdf, name: str) -> UrdfJoint:
 
 def _moved(
     content: bytes, places: _Places, joint: str, T: FloatArray, names: Sequence[str] = ("xyz", "rpy")
-) -> tuple[int, int, bytes]:
+) -> _Edit:
     """The edit that gives a joint an origin, or changes some attributes of an existing one."""
     own, origin = places.joints[joint]
     if origin is not None:
-        return (
-            origin.start,
-            origin.end,
-            _with(content, origin, {name: _attributes(T)[name] for name in names}),
-        )
-    return own.end, own.end, _origin(T).encode()
+        return _with(content, origin, {name: _attributes(T)[name] for name in names})
+    return own[1], own[1], _origin(T).encode()
 
 
 def _attributes(T: FloatArray) -> dict[str, str]:
@@ -458,19 +447,19 @@ def _origin(T: FloatArray) -> str:
     return f"<origin {' '.join(f'{name}={attribute(value)}' for name, value in _attributes(T).items())}/>"
 
 
-def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> bytes:
-    """A tag with the values of some attributes replaced or added."""
-    text = content[tag.start : tag.end]
+def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> _Edit:
+    """The edit that replaces or adds the values of some attributes of a tag."""
+    text = content[slice(*tag)]
     for name, value in values.items():
         pattern = re.compile(rb"(\s" + name.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
-        found = pattern.search(text)
-        if found is not None:
-            quote = found.group(2)[:1]
-            text = text[: found.start(2)] + quote + value.encode() + quote + text[found.end(2) :]
+        current = pattern.search(text)
+        if current is not None:
+            quote = current.group(2)[:1]
+            text = text[: current.start(2)] + quote + value.encode() + quote + text[current.end(2) :]
         else:
             end = len(text) - (2 if text.endswith(b"/>") else 1)
             text = text[:end].rstrip() + f' {name}="{value}"'.encode() + text[end:]
-    return text
+    return *tag, text
 
 
 def _places(content: bytes) -> _Places:
@@ -480,8 +469,9 @@ def _places(content: bytes) -> _Places:
     parser = ParserCreate("utf-8")  # whatever the declaration says: the text was decoded so
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        tag = _Tag(at, _end_of_tag(content, at))
+        whole = _START_TAG.match(content, parser.CurrentByteIndex)
+        assert whole is not None  # the file is well-formed
+        tag = whole.span()
         inside = [element for element, _ in stack[:_DEEPEST]]
         own = attributes.get("name", "")
         if inside == ["robot"] and name == "joint":
@@ -505,17 +495,3 @@ def _places(content: bytes) -> _Places:
     parser.EndElementHandler = end
     parser.Parse(content, True)
     return places
-
-
-def _end_of_tag(content: bytes, at: int) -> int:
-    """Position after the ">" of a start tag, ignoring those in attribute values."""
-    quote = b""
-    while True:
-        at += 1
-        character = content[at : at + 1]
-        if quote:
-            quote = b"" if character == quote else quote
-        elif character in (b'"', b"'"):
-            quote = character
-        elif character == b">":
-            return at + 1

@@ -206,7 +206,7 @@ def recognised(path: Path) -> bool:
 def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """Group the user's paths into recordings.
 
-    See `splits.group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
+    See `group_splits` for the rule: times and topics decide, not names. A directory counts like a file.
 
     Returns:
         Groups of paths, in order of their first path; each in order of time.
@@ -216,11 +216,11 @@ def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
     """
     if len(paths) < 2:
         return [list(paths)] if paths else []
-    ranges = []
+    recordings = []
     for path in paths:
         with open_recording([path]) as recording:
-            ranges.append(recording)
-    return [[paths[i] for i in group] for group in group_splits(ranges)]
+            recordings.append(recording)
+    return [[paths[i] for i in group] for group in group_splits(recordings)]
 
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
@@ -271,7 +271,7 @@ def undo_steps(files: Sequence[Storage]) -> None:
         if before.start_ns is None or before.end_ns is None or file.start_ns is None or file.end_ns is None:
             continue
         start_ns, end_ns = before.start_ns - before.shift_ns, before.end_ns - before.shift_ns
-        topics = [{channel.topic for channel in one.channels.values()} for one in (before, file)]
+        topics = [{channel.topic for channel in part.channels.values()} for part in (before, file)]
         if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
             continue
         shift_ns = before.shift_ns

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, islice, pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,9 +88,35 @@ class BlockStorage(Storage):
         """Close the file."""
         self._stream.close()
 
+    #: Bytes of the shortest record, and of the longest head by which `likely_records` recognizes one.
+    SHORTEST_RECORD: ClassVar[int]
+    LONGEST_HEAD: ClassVar[int]
+    #: Where a file is truncated, with `{at}`, `{size}` and `{error}`.
+    TRUNCATED: ClassVar[str]
+
     @abstractmethod
     def find_blocks(self) -> None:
-        """Fill channels, blocks and counts."""
+        """Fill channels, blocks and counts: from the index, or by `Reindex`."""
+
+    @abstractmethod
+    def take_record(self, at: int, found: Reindex) -> int | None:
+        """Pass on the record at a byte; returns where the next one begins, None at the end of the data.
+
+        Raises:
+            Exception: no complete record begins there; damaged bytes may raise anything.
+        """
+
+    @abstractmethod
+    def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
+        """Places in some bytes where a chunk, or a record of any kind, may begin."""
+
+    @abstractmethod
+    def fits(self, at: int) -> bool:
+        """Whether a complete record begins at a byte."""
+
+    @abstractmethod
+    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
+        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
 
     @abstractmethod
     def load(self, block: Block) -> bytes:
@@ -107,13 +134,11 @@ class BlockStorage(Storage):
         """
         if not 0 <= size <= SIZE_LIMIT:
             raise ValueError(f"a record states {size} bytes (limit {SIZE_LIMIT})")
-        if offset + size > self.size:
-            raise EOFError(
-                f"the file ends at byte {self.size}, {size} bytes were expected from byte {offset}"
-            )
-        self._stream.seek(offset)
-        data = self._stream.read(size)
-        if len(data) != size:
+        data = None
+        if offset + size <= self.size:
+            self._stream.seek(offset)
+            data = self._stream.read(size)
+        if data is None or len(data) != size:
             raise EOFError(
                 f"the file ends at byte {self.size}, {size} bytes were expected from byte {offset}"
             )
@@ -147,38 +172,38 @@ class BlockStorage(Storage):
         blocks = self._blocks_of(topics, extent)
         waiting: list[_Waiting] = []
         order = count()
-        seen: Counter[int] = Counter()
+        read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
-            found = self._wanted(block, topics, order, seen)
-            if len(waiting) <= len(found):
+            messages = self._wanted(block, topics, order, read)
+            if len(waiting) <= len(messages):
                 # Both lists are almost sorted, so sorting is fast; a sorted list is also a heap.
-                waiting = sorted(waiting + found)
-                found.clear()  # otherwise the block stays in memory while the next one is read
-                ready = bisect_left(waiting, following_ns, key=_log_time)
+                waiting = sorted(waiting + messages)
+                messages.clear()  # otherwise the block stays in memory while the next one is read
+                ready = bisect_left(waiting, following_ns, key=lambda message: message[0])
                 for time_ns, _, channel, payload in waiting[:ready]:
                     yield channel, time_ns, payload
                 del waiting[:ready]
                 continue
-            while found:
-                heapq.heappush(waiting, found.pop())
+            while messages:
+                heapq.heappush(waiting, messages.pop())
             while waiting and waiting[0][0] < following_ns:
                 time_ns, _, channel, payload = heapq.heappop(waiting)
                 yield channel, time_ns, payload
         if len(blocks) == len(self._blocks_with(topics)):
-            self.compare_counts(topics, seen)
+            self.compare_counts(topics, read)
 
     def _wanted(
-        self, block: Block, topics: Collection[str], order: Iterator[int], seen: Counter[int]
+        self, block: Block, topics: Collection[str], order: Iterator[int], read: Counter[int]
     ) -> list[_Waiting]:
         """Messages of the topics in a block, counted, in file order."""
-        found: list[_Waiting] = []
+        messages: list[_Waiting] = []
         for number, time_ns, payload in self._messages_of(block):
             channel = self.channels.get(number)
             if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
-                found.append((time_ns, next(order), channel, payload))
-        seen.update(channel.id for _, _, channel, _ in found)
-        return found
+                messages.append((time_ns, next(order), channel, payload))
+        read.update(channel.id for _, _, channel, _ in messages)
+        return messages
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
         """First message of each topic at or after each time; only the few blocks that contain them are read."""
@@ -223,10 +248,10 @@ class BlockStorage(Storage):
             unindexed += block.size
             if unindexed > UNINDEXED_BYTES:
                 raise _UnindexedError
-            found = [
+            times = [
                 (number, time_ns) for number, time_ns, _ in self._messages_of(block) if time_ns < LATEST_NS
             ]
-            yield block, np.array(found, dtype=np.int64).reshape(-1, 2).T
+            yield block, np.array(times, dtype=np.int64).reshape(-1, 2).T
 
     def _undo_steps(self) -> None:
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
@@ -280,15 +305,15 @@ class BlockStorage(Storage):
 
     def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block up to the first damage, which is noted."""
-        found = 0
+        returned = 0
         try:
             for item in self._counted(block):
-                found += 1
+                returned += 1
                 yield item
         except MemoryError:
             raise
         except Exception as error:  # damaged bytes may raise anything
-            self._note_block(block, found, error)
+            self._note_block(block, returned, error)
 
     def _counted(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block.
@@ -309,13 +334,13 @@ class BlockStorage(Storage):
             f"damaged ({type(error).__name__}: {error}); {kept}"
         )
 
-    def scan(self, block: Block, *, cut: bool) -> tuple[dict[int, int], int, int, Exception | None]:
+    def scan(self, block: Block, *, cut: bool) -> tuple[Counter[int], int, int, Exception | None]:
         """Messages per channel in a block, its first and last log time, and the damage that ended it.
 
         The damage is noted, unless the block is known to be truncated by the end of the file.
         """
         counts: Counter[int] = Counter()
-        start_ns, end_ns = 2**63 - 1, 0
+        start_ns, end_ns, damage = 2**63 - 1, 0, None
         try:
             for number, time_ns, _ in self._counted(block):
                 counts[number] += 1
@@ -323,20 +348,16 @@ class BlockStorage(Storage):
         except MemoryError:
             raise
         except Exception as error:  # damaged bytes may raise anything
+            damage = error
             if not cut:
                 self._note_block(block, counts.total(), error)
-            return dict(counts), start_ns, end_ns, error
-        return dict(counts), start_ns, end_ns, None
+        return counts, start_ns, end_ns, damage
 
     def set_time_range(self) -> None:
         """Set start and end from the blocks, once all are known."""
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
-
-
-def _log_time(waiting: _Waiting) -> int:
-    return waiting[0]
 
 
 def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
@@ -356,21 +377,77 @@ def _holds(block: Block, at_ns: IntArray) -> bool:
 
 #: Messages outside chunks are grouped into blocks of about this many bytes.
 SPAN_BYTES = 4 * 2**20
+#: Bytes searched at once for the next record after damage.
+_WINDOW = 2**22
 
 
 class Reindex:
-    """Collects blocks and message counts during a scan of a file's records.
+    """Finds the blocks of a file without a usable index by reading record headers only.
 
     The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
     truncated, or refer to an unknown channel, whose definition is then in that chunk.
     """
 
     def __init__(self, storage: BlockStorage) -> None:
-        self._target = storage
-        self._counts: dict[int, int] = {}
+        self._storage = storage
+        self._counts: Counter[int] = Counter()
         self._chunk: Block | None = None
-        self._indexed: dict[int, int] = {}
+        self._indexed: Counter[int] = Counter()
         self._span: Block | None = None
+
+    def run(self, at: int, without_end: str) -> str:
+        """Fill the storage's blocks, channels and counts from byte `at` on; note where the file is truncated.
+
+        Args:
+            at: offset of the first record.
+            without_end: what is wrong with a file whose records end without one that marks the end, "" for nothing.
+
+        Returns:
+            Where the file is truncated, "" if it is complete.
+        """
+        storage, trouble = self._storage, without_end
+        while at + storage.SHORTEST_RECORD <= storage.size:
+            try:
+                end = storage.take_record(at, self)
+            except Exception as error:  # no complete record begins there: search for the next one
+                cut = storage.cut_chunk(at, self)
+                following = self.next_record(at + 1, chunks=cut is not None)
+                if following is None:
+                    if cut is not None:
+                        self.chunk(cut)
+                    trouble = storage.TRUNCATED.format(at=at, size=storage.size, error=error)
+                    break
+                self.other()
+                storage.note(f"{following - at} bytes from byte {at} on are not valid records; skipped")
+                at = following
+                continue
+            if end is None:
+                trouble = ""
+                break
+            at = end
+        self._close_chunk(cut=bool(trouble))
+        self._close_span()
+        storage.counts = dict(self._counts)
+        if trouble:
+            storage.set_time_range()
+            seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
+            storage.note(
+                f"{trouble}; {self._counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
+            )
+        return trouble
+
+    def next_record(self, at: int, *, chunks: bool) -> int | None:
+        """Offset of the next chunk, or record of any kind, from byte `at` on; None if there is none."""
+        storage = self._storage
+        while at < storage.size:
+            window = storage.read_at(at, min(_WINDOW, storage.size - at))
+            for place in storage.likely_records(window, chunks=chunks):
+                if storage.fits(at + place):
+                    return at + place
+            if at + len(window) == storage.size:
+                return None
+            at += len(window) - storage.LONGEST_HEAD
+        return None
 
     def chunk(self, block: Block) -> None:
         """A chunk begins; its index records follow."""
@@ -380,12 +457,12 @@ class Reindex:
     def index(self, channel: int, messages: int) -> None:
         """An index record: number of messages of a channel in the last chunk."""
         if self._chunk is not None and messages:
-            self._indexed[channel] = self._indexed.get(channel, 0) + messages
+            self._indexed[channel] += messages
 
-    def stretch(self, time_ns: int) -> None:
-        """An index entry: the last chunk holds a message of this log time."""
+    def stretch(self, first_ns: int, last_ns: int) -> None:
+        """An index record: the last chunk holds messages of these log times."""
         if self._chunk is not None:
-            start_ns, end_ns = min(self._chunk.start_ns, time_ns), max(self._chunk.end_ns, time_ns)
+            start_ns, end_ns = min(self._chunk.start_ns, first_ns), max(self._chunk.end_ns, last_ns)
             self._chunk = replace(self._chunk, start_ns=start_ns, end_ns=end_ns)
 
     def message(self, offset: int, end: int, channel: int, time_ns: int) -> None:
@@ -399,7 +476,7 @@ class Reindex:
             end_ns=max(span.end_ns, time_ns),
             channels=(span.channels or frozenset()) | {channel},
         )
-        self._counts[channel] = self._counts.get(channel, 0) + 1
+        self._counts[channel] += 1
         if self._span.size >= SPAN_BYTES:
             self._close_span()
 
@@ -408,46 +485,20 @@ class Reindex:
         self._close_chunk()
         self._close_span()
 
-    def skip(self, at: int, found: int) -> int:
-        """Note damage from byte `at` to the next record found; returns where to continue."""
-        self.other()
-        self._target.note(f"{found - at} bytes from byte {at} on are not valid records; skipped")
-        return found
-
-    def finish(self, trouble: str) -> None:
-        """End the scan.
-
-        Args:
-            trouble: where the file is truncated, "" if it is complete.
-        """
-        self._close_chunk(cut=bool(trouble))
-        self._close_span()
-        storage = self._target
-        storage.counts = self._counts
-        if trouble:
-            storage.set_time_range()
-            seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
-            messages = sum(self._counts.values())
-            storage.note(
-                f"{trouble}; {messages} messages ({seconds:.1f} s) were found before it, the rest is lost"
-            )
-
     def _close_span(self) -> None:
         if self._span is not None:
-            self._target.blocks.append(self._span)
+            self._storage.blocks.append(self._span)
         self._span = None
 
     def _close_chunk(self, *, cut: bool = False) -> None:
         block, counts = self._chunk, self._indexed
-        self._chunk, self._indexed = None, {}
+        self._chunk, self._indexed = None, Counter()
         if block is None:
             return
-        if cut or not counts or not counts.keys() <= self._target.channels.keys():
-            found, start_ns, end_ns, error = self._target.scan(block, cut=cut)
-            if not found and error is None:
+        if cut or not counts or not counts.keys() <= self._storage.channels.keys():
+            counts, start_ns, end_ns, error = self._storage.scan(block, cut=cut)
+            if not counts and error is None:
                 return
-            block = replace(block, start_ns=start_ns, end_ns=end_ns) if found else block
-            counts = found
-        for channel, messages in counts.items():
-            self._counts[channel] = self._counts.get(channel, 0) + messages
-        self._target.blocks.append(replace(block, channels=frozenset(counts) or None))
+            block = replace(block, start_ns=start_ns, end_ns=end_ns) if counts else block
+        self._counts.update(counts)
+        self._storage.blocks.append(replace(block, channels=frozenset(counts) or None))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -34,10 +34,6 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 #: A plain number, because comparing with an enum member is slow and happens for every message.
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
-#: Records that are searched for after damage.
-_CHUNKS, _RECORDS = (Opcode.CHUNK,), (Opcode.MESSAGE, Opcode.CHUNK)
-#: Bytes searched at once for the next record after damage.
-_WINDOW = 2**22
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
 _FORMATS: dict[str, DefinitionFormat] = {
@@ -58,6 +54,8 @@ class McapStorage(BlockStorage):
     """
 
     container = "MCAP"
+    SHORTEST_RECORD = LONGEST_HEAD = _HEAD.size
+    TRUNCATED = "the file ends inside a {error} at byte {at} of {size}"
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, records.Schema] = {}
@@ -68,19 +66,17 @@ class McapStorage(BlockStorage):
 
     def find_blocks(self) -> None:
         """Use the summary if it is complete, otherwise scan the file."""
-        self._profile = self._read_profile()
+        opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))
+        if opcode == Opcode.HEADER:
+            header = records.Header.read(_stream(self.read_at(len(MAGIC) + _HEAD.size, length)))
+            self._profile = str(header.profile)
         summary = self._complete_summary()
         if summary is not None:
             self._use(summary)
         else:
-            _Reindex(self).run()
-
-    def _read_profile(self) -> str:
-        opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))
-        if opcode != Opcode.HEADER:
-            return ""
-        header = records.Header.read(_stream(self.read_at(len(MAGIC) + _HEAD.size, length)))
-        return str(header.profile)
+            Reindex(self).run(
+                len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)"
+            )
 
     def _complete_summary(self) -> Summary | None:
         """The summary, if its index is reliable: most chunks are where it says, and every channel is known."""
@@ -121,16 +117,8 @@ class McapStorage(BlockStorage):
             ids = frozenset(index.message_index_offsets)
             if not ids and index.message_end_time == 0:
                 continue
-            self.blocks.append(
-                Block(
-                    index.chunk_start_offset,
-                    index.chunk_length,
-                    True,
-                    index.message_start_time,
-                    index.message_end_time,
-                    ids or None,
-                )
-            )
+            times = (index.message_start_time, index.message_end_time)
+            self.blocks.append(Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None))
 
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block, checksum verified."""
@@ -169,7 +157,7 @@ class McapStorage(BlockStorage):
                 yield number, time_ns, payload
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
                 definitions += 1
-                self.define(opcode, bytes(view[at:end]))
+                self._define(opcode, bytes(view[at:end]))
             else:
                 raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
             at = end
@@ -187,8 +175,7 @@ class McapStorage(BlockStorage):
             yield number, entries[entries[:, 0] < LATEST_NS].astype(np.int64)
             at += _HEAD.size + length
 
-    def define(self, opcode: int, body: bytes) -> None:
-        """Register a schema or channel record."""
+    def _define(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
             schema = records.Schema.read(_stream(body))
             self._schemas.setdefault(schema.id, schema)
@@ -206,120 +193,72 @@ class McapStorage(BlockStorage):
         encoding = channel.message_encoding or {"ros2": "cdr", "ros1": "ros1"}.get(self._profile, "")
         if encoding == "cdr":
             self._packable.add(channel.id)
-        self.channels[channel.id] = Channel(
-            channel.id,
-            channel.topic,
-            ros2_spelling(schema.name) if schema else "",
-            encoding,
-            definition,
-            kind,
-        )
+        name = ros2_spelling(schema.name) if schema else ""
+        self.channels[channel.id] = Channel(channel.id, channel.topic, name, encoding, definition, kind)
 
-
-class _Reindex(Reindex):
-    """Finds the blocks of a file without an index by reading record headers only."""
-
-    def __init__(self, storage: McapStorage) -> None:
-        super().__init__(storage)
-        self._storage = storage
-
-    def run(self) -> None:
-        """Fill the storage's blocks, channels and counts; note where the file is truncated."""
-        storage = self._storage
-        at, trouble = len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)"
-        while at + _HEAD.size <= storage.size:
-            opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
-            end = at + _HEAD.size + length
-            if opcode == 0 or end > storage.size:
-                cut = None
-                if opcode == Opcode.CHUNK:
-                    self.other()  # gives the channels, by which messages are recognized
-                    cut = self._cut_chunk(at) if self._next_record(at + 1, _CHUNKS) is None else None
-                found = self._next_record(at + 1, _RECORDS) if cut is None else None
-                if found is None:
-                    if cut is not None:
-                        self.chunk(cut)
-                    what = "chunk" if opcode == Opcode.CHUNK else "record"
-                    trouble = f"the file ends inside a {what} at byte {at} of {storage.size}"
-                    break
-                at = self.skip(at, found)
-                continue
-            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                trouble = ""
-                break
-            try:
-                self._visit(opcode, at, length)
-            except Exception as error:  # one damaged record; the next one has its own header
-                storage.note(f"the record at byte {at} of {storage.size} is damaged: {error}")
-            at = end
-        self.finish(trouble)
-
-    def _cut_chunk(self, at: int) -> Block | None:
-        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
-        storage, body = self._storage, at + _HEAD.size + _CHUNK.size + 12
-        if body >= storage.size or storage.read_at(body - 12, 4) != bytes(4):
+    def take_record(self, at: int, found: Reindex) -> int | None:
+        """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
+        opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
+        body = at + _HEAD.size
+        if opcode == 0 or body + length > self.size:
+            raise EOFError("chunk" if opcode == Opcode.CHUNK else "record")
+        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return None
-        return Block(body, storage.size - body, False, 2**63 - 1, 0, None)
+        try:
+            if opcode == Opcode.MESSAGE_INDEX:
+                index = records.MessageIndex.read(_stream(self.read_at(body, length)))
+                found.index(index.channel_id, len(index.records))
+            elif opcode == Opcode.MESSAGE:
+                number, _, time_ns, _ = _MESSAGE.unpack(self.read_at(body, _MESSAGE.size))
+                found.message(at, body + length, number, time_ns)
+            elif opcode == Opcode.CHUNK:
+                start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
+                found.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
+            else:
+                found.other()
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._define(opcode, self.read_at(body, length))
+        except Exception as error:  # one damaged record; the next one has its own header
+            self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
+        return int(body + length)
 
-    def _next_record(self, at: int, kinds: Sequence[int]) -> int | None:
-        """Offset of the next record of some kinds with consistent lengths from byte `at` on, None if there is none."""
-        storage = self._storage
-        while at + _HEAD.size < storage.size:
-            window = np.frombuffer(storage.read_at(at, min(_WINDOW, storage.size - at)), np.uint8)
-            if len(window) <= _HEAD.size:
-                return None
-            starts = len(window) - _HEAD.size
-            likely = np.isin(window[:starts], kinds)
-            for byte in range(5, 9):  # no record is longer than 4 GB
-                likely &= window[byte : byte + starts] == 0
-            for place in np.flatnonzero(likely):
-                if self._fits(at + int(place)):
-                    return at + int(place)
-            at += starts
-        return None
+    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
+        """The part of an uncompressed chunk before the end of a truncated file; None if another chunk follows."""
+        if self.read_at(at, 1)[0] != Opcode.CHUNK:
+            return None
+        found.other()  # gives the channels, by which messages are recognized
+        body = at + _HEAD.size + _CHUNK.size + 12
+        if found.next_record(at + 1, chunks=True) is not None:
+            return None
+        if body >= self.size or self.read_at(body - 12, 4) != bytes(4):
+            return None
+        return Block(body, self.size - body, False, 2**63 - 1, 0, None)
 
-    def _fits(self, at: int) -> bool:
+    def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
+        """Places in some bytes where a chunk, or a message or chunk, may begin."""
+        content, starts = np.frombuffer(window, np.uint8), max(len(window) - _HEAD.size, 0)
+        likely = np.isin(content[:starts], (Opcode.CHUNK,) if chunks else (Opcode.MESSAGE, Opcode.CHUNK))
+        for byte in range(5, 9):  # no record is longer than 4 GB
+            likely &= content[byte : byte + starts] == 0
+        yield from np.flatnonzero(likely).tolist()
+
+    def fits(self, at: int) -> bool:
         """Whether a chunk or a message begins at a byte, judged by the length and time in its header."""
-        storage, body = self._storage, at + _HEAD.size
-        opcode, length = _HEAD.unpack(storage.read_at(at, _HEAD.size))
-        if body + length > storage.size:
+        opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
+        body, end = at + _HEAD.size, at + _HEAD.size + length
+        if end > self.size or length < (_MESSAGE.size if opcode == Opcode.MESSAGE else _CHUNK.size + 12):
             return False
         if opcode == Opcode.MESSAGE:
-            if length < _MESSAGE.size:
-                return False
-            number, _, time_ns, _ = _MESSAGE.unpack(storage.read_at(body, _MESSAGE.size))
+            number, _, time_ns, _ = _MESSAGE.unpack(self.read_at(body, _MESSAGE.size))
+            goes_on = end == self.size or 0 < self.read_at(end, 1)[0] <= Opcode.DATA_END
             # Channels defined in chunks are not known here, but a message outside chunks follows its channel record.
-            return number in storage.channels and time_ns < LATEST_NS and self._goes_on(body + length)
-        if length < _CHUNK.size + 12:
-            return False
-        start_ns, end_ns, _, _ = _CHUNK.unpack(storage.read_at(body, _CHUNK.size))
-        (name,) = struct.unpack("<I", storage.read_at(body + _CHUNK.size, 4))
+            return number in self.channels and time_ns < LATEST_NS and goes_on
+        start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
+        (name,) = struct.unpack("<I", self.read_at(body + _CHUNK.size, 4))
         if name > 8 or start_ns > end_ns or end_ns >= LATEST_NS:
             return False
-        (stored,) = struct.unpack("<Q", storage.read_at(body + _CHUNK.size + 4 + name, 8))
+        (stored,) = struct.unpack("<Q", self.read_at(body + _CHUNK.size + 4 + name, 8))
         return bool(_CHUNK.size + 4 + name + 8 + stored == length)
-
-    def _goes_on(self, at: int) -> bool:
-        """Whether the file ends at a byte, or a record of a known kind begins there."""
-        if at >= self._storage.size:
-            return at == self._storage.size
-        return 0 < self._storage.read_at(at, 1)[0] <= Opcode.DATA_END
-
-    def _visit(self, opcode: int, at: int, length: int) -> None:
-        storage, body = self._storage, at + _HEAD.size
-        if opcode == Opcode.MESSAGE_INDEX:
-            index = records.MessageIndex.read(_stream(storage.read_at(body, length)))
-            self.index(index.channel_id, len(index.records))
-        elif opcode == Opcode.MESSAGE:
-            number, _, time_ns, _ = _MESSAGE.unpack(storage.read_at(body, _MESSAGE.size))
-            self.message(at, body + length, number, time_ns)
-        elif opcode == Opcode.CHUNK:
-            start_ns, end_ns, _, _ = _CHUNK.unpack(storage.read_at(body, _CHUNK.size))
-            self.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
-        else:
-            self.other()
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                storage.define(opcode, storage.read_at(body, length))
 
 
 def _stream(body: bytes) -> ReadDataStream:

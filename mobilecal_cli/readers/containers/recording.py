@@ -237,29 +237,29 @@ class Recording:
 
     def unsupported(self, topics: Collection[str]) -> dict[str, RecordingError]:
         """Those of the topics whose encoding is not supported → the error; one pass over all channels."""
-        names, found = frozenset(topics), dict[str, RecordingError]()
+        names, errors = frozenset(topics), dict[str, RecordingError]()
         for part in self.parts:
             for channel in part.channels.values():
-                if channel.topic in names and channel.topic not in found:
+                if channel.topic in names and channel.topic not in errors:
                     try:
                         channel.check()
                     except RecordingError as error:
-                        found[channel.topic] = error
-        return found
+                        errors[channel.topic] = error
+        return errors
 
     def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
-        seen = dict.fromkeys(topics, 0)
+        read = dict.fromkeys(topics, 0)
         own = self._of_part(extent)
         for group in _overlapping(self.parts):
             streams = [self._part(part, topics, own) for part in group]
             merged = heapq.merge(*streams, key=lambda raw: raw[1]) if len(streams) > 1 else streams[0]
             for message in merged:
-                seen[message[0].topic] += 1
+                read[message[0].topic] += 1
                 yield message
         for topic in sorted(topics & self._stated.keys()) if extent is EVERYTHING else ():
-            if seen[topic] < self._stated[topic]:
+            if read[topic] < self._stated[topic]:
                 self.note(
-                    f"{topic}: metadata.yaml states {self._stated[topic]} messages, {seen[topic]} could be read"
+                    f"{topic}: metadata.yaml states {self._stated[topic]} messages, {read[topic]} could be read"
                 )
 
     def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:

@@ -26,8 +26,6 @@ _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 
-#: Bytes searched at once for the next record after damage; the longest record header that is considered.
-_WINDOW, _LONGEST_HEAD = 2**22, 256
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
 _CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
 #: Header of nearly every message: these three fields once each, in any order, in 38 bytes.
@@ -86,19 +84,15 @@ def _end(data: memoryview, body: int) -> int:
 
 
 class BagStorage(BlockStorage):
-    """One ROS 1 bag.
-
-    Attributes:
-        first: offset of the first record after the bag header, bytes.
-    """
+    """One ROS 1 bag."""
 
     container = "ROS 1 bag"
-
-    first: int
+    SHORTEST_RECORD, LONGEST_HEAD = 1, 256
+    TRUNCATED = "the bag is truncated in the record at byte {at} of {size} ({error})"
 
     def find_blocks(self) -> None:
         """Use the index if it is complete, otherwise scan the file."""
-        fields, _, self.first = self.head(len(MAGIC))
+        fields, _, first = self._head(len(MAGIC))
         if fields.get(b"encryptor"):
             raise RecordingError(
                 f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
@@ -113,9 +107,13 @@ class BagStorage(BlockStorage):
             self.channels.clear()
             self.blocks.clear()
             self.counts = None
-            _Reindex(self).run()
+            if not Reindex(self).run(first, without_end=""):
+                self.note(
+                    f"the bag has no usable index (was the recorder stopped properly?); a scan found "
+                    f"{sum((self.counts or {}).values())} messages"
+                )
 
-    def head(self, at: int) -> tuple[Fields, int, int]:
+    def _head(self, at: int) -> tuple[Fields, int, int]:
         """Header fields of the record at byte `at` of the file, and begin and end of its data."""
         (header_size,) = _U32.unpack(self.read_at(at, _U32.size))
         header = self.read_at(at + _U32.size, header_size)
@@ -130,12 +128,12 @@ class BagStorage(BlockStorage):
             if at == 0:
                 return False
             for _ in range(_u32(bag, b"conn_count")):
-                fields, body, end = self.head(at)
-                self.define(fields, self.read_at(body, end - body))
+                fields, body, end = self._head(at)
+                self._define(fields, self.read_at(body, end - body))
                 at = end
             counts, damaged = dict.fromkeys(self.channels, 0), []
             for _ in range(_u32(bag, b"chunk_count")):
-                fields, body, end = self.head(at)
+                fields, body, end = self._head(at)
                 trouble = self._index_chunk(fields, self.read_at(body, end - body), counts)
                 damaged += [trouble] if trouble else []
                 at = end
@@ -158,7 +156,7 @@ class BagStorage(BlockStorage):
             counts[number] += messages
         start_ns, end_ns = _time_ns(fields, b"start_time"), _time_ns(fields, b"end_time")
         try:
-            chunk, _, end = self.head(position)
+            chunk, _, end = self._head(position)
             whole = chunk[b"op"] == bytes([_CHUNK]) and end <= self.size
         except Exception:  # damaged bytes may raise anything
             whole = False
@@ -195,128 +193,80 @@ class BagStorage(BlockStorage):
             if kind == _MESSAGE:
                 yield _u32(fields, b"conn"), _time_ns(fields, b"time"), view[body:end]
             elif kind == _CONNECTION:
-                self.define(fields, data[body:end])
+                self._define(fields, data[body:end])
             at = end
 
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
         """Connection id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
         at = block.offset + block.size
         while at < self.size:
-            fields, body, end = self.head(at)
+            fields, body, end = self._head(at)
             if fields[b"op"][0] != _INDEX:
                 return
-            entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
-            log_ns = entries[:, 0] * 10**9 + entries[:, 1]
-            yield _u32(fields, b"conn"), np.stack([log_ns, entries[:, 2]], axis=1)
+            yield _u32(fields, b"conn"), self._index_entries(body, end)
             at = end
 
-    def define(self, fields: Fields, data: bytes) -> None:
-        """Register a connection record."""
+    def _index_entries(self, body: int, end: int) -> IntArray:
+        """(n, 2) log time and position of the messages in an index record."""
+        entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
+        return np.stack([entries[:, 0] * 10**9 + entries[:, 1], entries[:, 2]], axis=1)
+
+    def _define(self, fields: Fields, data: bytes) -> None:
         number = _u32(fields, b"conn")
         if number in self.channels:
             return
         inner = _fields(memoryview(data))
-        self.channels[number] = Channel(
-            number,
-            fields[b"topic"].decode(),
-            ros2_spelling(inner[b"type"].decode()),
-            "ros1",
-            inner.get(b"message_definition", b"").decode(errors="replace"),
-            "msg",
-        )
+        name, text = inner[b"type"].decode(), inner.get(b"message_definition", b"").decode(errors="replace")
+        topic = fields[b"topic"].decode()
+        self.channels[number] = Channel(number, topic, ros2_spelling(name), "ros1", text, "msg")
 
+    def take_record(self, at: int, found: Reindex) -> int | None:
+        """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
+        fields, body, end = self._head(at)
+        if end > self.size:
+            raise EOFError("its data extends beyond the end of the file")
+        kind = fields[b"op"][0]
+        if kind == _CHUNK:
+            # The index records give the channels. The times are only in the chunk, or in the index entries.
+            found.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
+        elif kind == _INDEX:
+            found.index(_u32(fields, b"conn"), _u32(fields, b"count"))
+            log_ns = self._index_entries(body, end)[:, 0].tolist()
+            if log_ns:
+                found.stretch(min(log_ns), max(log_ns))
+        elif kind == _MESSAGE:
+            found.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
+        elif kind == _CONNECTION:
+            found.other()
+            self._define(fields, self.read_at(body, end - body))
+        elif kind == _CHUNK_INFO:
+            return None
+        else:
+            raise ValueError(f"unknown record kind {kind}")
+        return end
 
-class _Reindex(Reindex):
-    """Finds the blocks of a bag without a usable index by reading record headers only."""
+    def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
+        """Places in some bytes where a chunk, or a record of any kind, may begin."""
+        for match in (_CHUNKS if chunks else _KINDS).finditer(window):
+            yield from range(match.start() - 4, max(match.start() - self.LONGEST_HEAD, -1), -1)
 
-    def __init__(self, storage: BagStorage) -> None:
-        super().__init__(storage)
-        self._storage = storage
-
-    def run(self) -> None:
-        """Fill the storage's blocks, channels and counts; note a missing index or where the file is truncated."""
-        storage = self._storage
-        at = storage.first
-        trouble = ""
-        while at < storage.size:
-            try:
-                fields, body, end = storage.head(at)
-                if end > storage.size:
-                    raise EOFError("its data extends beyond the end of the file")
-                done = self._visit(fields, at, body, end)
-            except Exception as error:  # without a complete header, search for the next record
-                cut = self._cut_chunk(at)
-                found = self._next_record(at + 1, _CHUNKS if cut else _KINDS)
-                if found is None:
-                    if cut is not None:
-                        self.chunk(cut)
-                    trouble = f"the bag is truncated in the record at byte {at} of {storage.size} ({error})"
-                    break
-                at = self.skip(at, found)
-                continue
-            if done:
-                break
-            at = end
-        self.finish(trouble)
-        if not trouble:
-            storage.note(
-                f"the bag has no usable index (was the recorder stopped properly?); a scan found "
-                f"{sum((storage.counts or {}).values())} messages"
-            )
-
-    def _next_record(self, at: int, kinds: re.Pattern[bytes]) -> int | None:
-        """Offset of the next record of some kinds from byte `at` on, None if there is none."""
-        storage = self._storage
-        while at < storage.size:
-            window = storage.read_at(at, min(_WINDOW, storage.size - at))
-            for found in kinds.finditer(window):
-                for start in range(found.start() - 4, max(found.start() - _LONGEST_HEAD, -1), -1):
-                    if self._fits(at + start):
-                        return at + start
-            if len(window) < _WINDOW:
-                return None
-            at += len(window) - _LONGEST_HEAD
-        return None
-
-    def _fits(self, at: int) -> bool:
+    def fits(self, at: int) -> bool:
         """Whether a complete record begins at a byte."""
         try:
-            (head_size,) = _U32.unpack(self._storage.read_at(at, _U32.size))
-            if head_size > _LONGEST_HEAD:
+            (head_size,) = _U32.unpack(self.read_at(at, _U32.size))
+            if head_size > self.LONGEST_HEAD:
                 return False
-            fields, _, end = self._storage.head(at)
-            return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self._storage.size
+            fields, _, end = self._head(at)
+            return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self.size
         except Exception:  # arbitrary bytes may raise anything
             return False
 
-    def _cut_chunk(self, at: int) -> Block | None:
+    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
         """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
         try:
-            fields, body, _ = self._storage.head(at)
+            fields, body, _ = self._head(at)
         except Exception:  # arbitrary bytes may raise anything
             return None
         if fields.get(b"op") != bytes([_CHUNK]) or fields.get(b"compression") != b"none":
             return None
-        return Block(body, self._storage.size - body, False, 2**63 - 1, 0, None)
-
-    def _visit(self, fields: Fields, at: int, body: int, end: int) -> bool:
-        storage = self._storage
-        kind = fields[b"op"][0]
-        if kind == _CHUNK:
-            # The index records give the channels. The times are only in the chunk, or in the index entries.
-            self.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
-        elif kind == _INDEX:
-            self.index(_u32(fields, b"conn"), _u32(fields, b"count"))
-            data = storage.read_at(body, end - body)
-            for seconds, nanoseconds, _ in struct.iter_unpack("<III", data):
-                self.stretch(seconds * 10**9 + nanoseconds)
-        elif kind == _MESSAGE:
-            self.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
-        elif kind == _CONNECTION:
-            self.other()
-            storage.define(fields, storage.read_at(body, end - body))
-        elif kind == _CHUNK_INFO:
-            return True
-        else:
-            raise ValueError(f"unknown record kind {kind}")
-        return False
+        return Block(body, self.size - body, False, 2**63 - 1, 0, None)

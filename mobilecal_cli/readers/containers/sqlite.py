@@ -189,20 +189,20 @@ class SqliteStorage(Storage):
 
         Rows of other topics are not read, so a limit in bytes does not apply.
         """
-        seen: Counter[int] = Counter()
+        read: Counter[int] = Counter()
         damaged = self._log is None
         wanted = self._wanted(topics)
         for row in self._rows(self._batches(wanted, extent)):
             damaged = damaged or row is None
             if row is not None and row[1] in wanted and isinstance(row[2], int):
-                seen[row[1]] += 1
+                read[row[1]] += 1
                 yield self._message(*row)
         if damaged:
             self.note(
-                f"the message table is damaged; {sum(seen.values())} messages of the topics in use could be read"
+                f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
             )
         if extent.at_ns is None:
-            self.compare_counts(topics, seen)
+            self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         """Number of bytes that `raw` reads: the messages, or the whole file if the table is damaged."""

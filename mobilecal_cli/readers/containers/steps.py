@@ -64,7 +64,7 @@ def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
     """
     order = np.argsort(channel, kind="stable")
     sets = np.split(order, np.flatnonzero(np.diff(channel[order])) + 1)
-    found: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     places = [
         (int(own[k]), int(own[k - 1]))
         for own in sets
@@ -74,11 +74,11 @@ def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
     usual = [own for own in sets if len(own) >= _USUAL]
     usual_ns = min((np.median(np.abs(np.diff(log_ns[own]))) for own in usual), default=0)
     for last, first in sorted(places):
-        if found and first < found[-1][0]:
+        if steps and first < steps[-1][0]:
             continue
         at = first + 1 + int(np.argmin(np.diff(log_ns[first : last + 1])))
         ends = [(own[k - 1], own[k]) for own in usual if 0 < (k := int(np.searchsorted(own, at))) < len(own)]
         back = [(log_ns[a], log_ns[b]) for a, b in ends if log_ns[b] <= log_ns[a]]
         if 2 * len(back) > len(usual):
-            found.append((at, int(max(a for a, _ in back) - min(b for _, b in back) + usual_ns)))
-    return found if int(log_ns.max()) + sum(size_ns for _, size_ns in found) < _LATEST_NS else []
+            steps.append((at, int(max(a for a, _ in back) - min(b for _, b in back) + usual_ns)))
+    return steps if int(log_ns.max()) + sum(size_ns for _, size_ns in steps) < _LATEST_NS else []

@@ -119,14 +119,14 @@ class Storage(ABC):
     def close(self) -> None:
         """Close the file."""
 
-    def compare_counts(self, topics: Collection[str], seen: Mapping[int, int]) -> None:
+    def compare_counts(self, topics: Collection[str], read: Mapping[int, int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""
         if self.counts is None:
             return
         for number, channel in sorted(self.channels.items()):
             stated = self.counts.get(number, 0)
-            if channel.topic in topics and seen.get(number, 0) < stated:
-                self.note(f"{channel.topic}: {seen.get(number, 0)} of {stated} messages could be read")
+            if channel.topic in topics and read.get(number, 0) < stated:
+                self.note(f"{channel.topic}: {read.get(number, 0)} of {stated} messages could be read")
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -261,13 +261,13 @@ class FieldPath:
 
 def _field_names(value: Any, prefix: str = "") -> list[str]:  # noqa: ANN401
     """Paths to the numbers and lists in a message."""
-    found: list[str] = []
+    paths: list[str] = []
     for item, inner in fields_of(value).items():
         name = f"{prefix}{item}"
         if fields_of(inner):
-            found += _field_names(inner, f"{name}.")
+            paths += _field_names(inner, f"{name}.")
         elif isinstance(inner, (list, np.ndarray)):
-            found.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
+            paths.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
         elif isinstance(inner, (int, float, np.number)):
-            found.append(name)
-    return found
+            paths.append(name)
+    return paths

@@ -64,12 +64,12 @@ def _camera_info(message: Any) -> dict[str, Any]:  # noqa: ANN401
 
 def _interfaces(message: Any) -> dict[str, Any]:  # noqa: ANN401
     """Positions and velocities of a DynamicJointState; NaN if a joint has none."""
-    found: dict[str, list[float]] = {"position": [], "velocity": []}
+    values_of: dict[str, list[float]] = {"position": [], "velocity": []}
     for joint in message.interface_values:
         values = dict(zip(joint.interface_names, joint.values, strict=False))
-        for kind, numbers in found.items():
+        for kind, numbers in values_of.items():
             numbers.append(float(values.get(kind, math.nan)))
-    known = {kind: numbers for kind, numbers in found.items() if not all(map(math.isnan, numbers))}
+    known = {kind: numbers for kind, numbers in values_of.items() if not all(map(math.isnan, numbers))}
     return {"name": list(message.joint_names), **known}
 
 
@@ -192,9 +192,7 @@ def ros_decoder(
     Raises:
         RecordingError: the definition is harmful, or there is none.
     """
-    store = _embedded_types(encoding, type_name, definition, definition_format)
-    if store is None:
-        store = _default_types(encoding)
+    store = _embedded_types(encoding, type_name, definition, definition_format) or _default_types(encoding)
     if type_name not in store.fielddefs:
         raise RecordingError(
             f"the recording contains no definition of the message type {type_name}, "
@@ -297,15 +295,14 @@ def agrees(store: Typestore, encoding: str) -> bool:
     """Whether the types used by the readers have their standard fields; if not, their definitions are damaged."""
     for name in TYPES.keys() & store.fielddefs.keys():
         seq = "seq:uint32 " if encoding == "ros1" and name == "std_msgs/msg/Header" else ""
-        stored = " ".join(f"{_caseless(field)}:{_spelled(kind)}" for field, kind in store.fielddefs[name][1])
+        # ROS 1 names a camera's matrices D, K, R, P, ROS 2 d, k, r, p.
+        fields = (
+            (field.lower() if len(field) == 1 else field, kind) for field, kind in store.fielddefs[name][1]
+        )
+        stored = " ".join(f"{field}:{_spelled(kind)}" for field, kind in fields)
         if TYPES[name].fields and stored != f"{seq}{TYPES[name].fields}":
             return False
     return True
-
-
-def _caseless(field: str) -> str:
-    """A field name as in ROS 2: ROS 1 names a camera's matrices D, K, R, P, ROS 2 d, k, r, p."""
-    return field.lower() if len(field) == 1 else field
 
 
 def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples

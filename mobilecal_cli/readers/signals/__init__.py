@@ -13,6 +13,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
     IMAGES,
     JOINT_STATE,
+    SIDES,
     JointField,
     JointTransform,
     PictureIndex,
@@ -44,10 +45,6 @@ from mobilecal_cli.readers.signals.wheels import Counter, Odometry, from_positio
 Taker = Callable[[Any, int, int], None]
 
 
-def _unchecked(notes: list[str]) -> None:
-    """Of a quantity without further conditions."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
     """A joint or a wheel.
@@ -60,7 +57,7 @@ class Quantity:
 
     series: Series
     track: Callable[[Samples, list[str]], Track]
-    check: Callable[[list[str]], None] = _unchecked
+    check: Callable[[list[str]], None] = lambda _: None
 
 
 class Subscriptions:
@@ -292,9 +289,6 @@ class Subscriptions:
 def _plain_track(samples: Samples, notes: list[str]) -> Track:
     time_ns, value = samples.ordered(notes)
     return Track(time_ns, value[:, 0])
-
-
-SIDES: tuple[Side, Side] = ("left", "right")
 
 
 def read_signals(

@@ -142,8 +142,8 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     half = np.array([camera.width / K[0, 0], camera.height / K[1, 1]]) / 4
     for at in np.diag(half):
         if at.any():
-            seen = project(camera, np.array([*at, 1.0])) - K[:2, 2]
-            share = float(np.linalg.norm(seen) / np.linalg.norm(K[[0, 1], [0, 1]] * at))
+            distorted = project(camera, np.array([*at, 1.0])) - K[:2, 2]
+            share = float(np.linalg.norm(distorted) / np.linalg.norm(K[[0, 1], [0, 1]] * at))
             if share not in _DISTORTION:
                 return f"D moves a point half way to the edge to {share:.3g} of its distance (range {_DISTORTION})"
     return ""

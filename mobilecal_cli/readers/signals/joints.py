@@ -236,7 +236,7 @@ class Transforms:
 
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
     """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; a long recording is read in parts."""
-    found: dict[tuple[str, str], list[FloatArray]] = {}
+    samples_of: dict[tuple[str, str], list[FloatArray]] = {}
     for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
             items = message.decode().transforms
@@ -249,11 +249,11 @@ def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str
             except (AttributeError, TypeError, ValueError):  # JSON may contain anything
                 continue
             if T is not None:
-                samples = found.setdefault(ends, [])
+                samples = samples_of.setdefault(ends, [])
                 samples.append(T)
                 if len(samples) > _MOST_SAMPLES:  # keep the first and every second of the others
                     del samples[1::2]
-    return {ends: np.stack(samples) for ends, samples in found.items()}
+    return {ends: np.stack(samples) for ends, samples in samples_of.items()}
 
 
 def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401

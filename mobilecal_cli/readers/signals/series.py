@@ -247,23 +247,25 @@ def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
     Args:
         series: everything that is read, each with increasing log times.
     """
-    steps = [steps_of(one.stamp_ns, one.log_ns) for one in series]
+    steps = [steps_of(samples.stamp_ns, samples.log_ns) for samples in series]
     starts = [[0] for _ in series]
     shifts = [[0] for _ in series]
     notes = []
     for group in _together(series, steps):
         at_ns = min(int(series[k].log_ns[index]) for k, index in group.items())
-        begins = [group.get(k, int(np.searchsorted(one.log_ns, at_ns))) for k, one in enumerate(series)]
-        sizes = [_size(one, starts[k][-1], begins[k]) for k, one in enumerate(series)]
+        begins = [
+            group.get(k, int(np.searchsorted(samples.log_ns, at_ns))) for k, samples in enumerate(series)
+        ]
+        sizes = [_size(samples, starts[k][-1], begins[k]) for k, samples in enumerate(series)]
         known = [size for size in sizes if size is not None]
         alike = bool(known) and max(known) - min(known) < _SAME_NS
         for k, (begin, size) in enumerate(zip(begins, sizes, strict=True)):
             starts[k].append(max(begin, starts[k][-1]))
             shifts[k].append(shifts[k][-1] + (0 if alike or size is None else _common(size, known)))
         notes.append(_note(series, group, [_common(size, known) for size in sizes if size]))
-    ends = [[*begins[1:], len(one)] for begins, one in zip(starts, series, strict=True)]
+    ends = [[*begins[1:], len(samples)] for begins, samples in zip(starts, series, strict=True)]
     return [
-        tuple(one.part(starts[k][p], ends[k][p], shifts[k][p]) for k, one in enumerate(series))
+        tuple(samples.part(starts[k][p], ends[k][p], shifts[k][p]) for k, samples in enumerate(series))
         for p in range(len(notes) + 1)
     ], notes
 
@@ -274,7 +276,7 @@ def pause_notes(series: Sequence[Samples]) -> list[str]:
     Args:
         series: everything that is read, each with increasing log times.
     """
-    log_ns = np.sort(np.concatenate([one.log_ns for one in series]))
+    log_ns = np.sort(np.concatenate([samples.log_ns for samples in series]))
     gap_ns = np.diff(log_ns)
     usual_ns = float(np.median(gap_ns)) if len(gap_ns) else 0.0
     pauses = np.flatnonzero(gap_ns > max(LEAST_STEP_NS, _LONG_PAUSE * usual_ns))
@@ -301,14 +303,14 @@ def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict
     return groups
 
 
-def _size(one: Samples, start: int, begin: int) -> int | None:
+def _size(samples: Samples, start: int, begin: int) -> int | None:
     """Change of the lag at the begin of a piece, ns; 0 if it is no step, None without messages on one side.
 
     Args:
-        one: a series.
+        samples: of a series.
         start, begin: first index of the piece before, and of the piece.
     """
-    lag = one.log_ns - one.stamp_ns
+    lag = samples.log_ns - samples.stamp_ns
     before, after = lag[max(begin - _MEASURED, start) : begin], lag[begin : begin + _MEASURED]
     if not len(before) or not len(after):
         return None
@@ -322,7 +324,7 @@ def _common(size: int, known: Sequence[int]) -> int:
 
 
 def _note(series: Sequence[Samples], group: dict[int, int], sizes: Sequence[int]) -> str:
-    first = min(int(one.log_ns[0]) for one in series if len(one))
+    first = min(int(samples.log_ns[0]) for samples in series if len(samples))
     at_s = (min(int(series[k].log_ns[index]) for k, index in group.items()) - first) * 1e-9
     names = ", ".join(dict.fromkeys(series[k].topic for k in sorted(group)))
     largest = max(sizes, key=abs, default=0) * 1e-9
