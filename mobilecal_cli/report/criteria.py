@@ -15,12 +15,10 @@ _SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A figure that a gate can limit. If its name ends in a unit, the value has this unit.
+    """A figure that a gate can limit, by a lower limit if `at_least`.
 
-    Attributes:
-        name: for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it.
-        unit: of its values and limits, "" for counts and ratios.
-        at_least: whether its limit is a lower one.
+    The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
+    for counts and ratios. If the name ends in a unit, the value has this unit.
     """
 
     name: str

@@ -12,8 +12,7 @@ from mobilecal_cli.model import (
     JointLink,
     Snapshot,
 )
-from mobilecal_cli.report.overlays import leg_views
-from mobilecal_cli.report.plots import trail
+from mobilecal_cli.report.plots import leg_views, trail
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
 
 

@@ -145,7 +145,7 @@ def test_the_sentence_and_the_chart_group_the_sources_alike():
     share = dict(zip(names, shares[:, column], strict=True))
     family = max(share, key=share.get)
     sentence = limiting_sentence(shares_of(solution, "heading_rad_per_turn"), "heading")
-    assert sentence == f"{FAMILIES[family]} the heading: {100 * share[family]:.0f} % of its variance."
+    assert sentence == f"{FAMILIES[family].limits} the heading: {100 * share[family]:.0f} % of its variance."
 
 
 def test_a_fixed_camera_is_not_known_to_zero_millimeters():
