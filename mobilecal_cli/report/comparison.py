@@ -205,9 +205,7 @@ def constancy(chance: float) -> str:
 def history_plot(labels: Sequence[str], past: History) -> str:
     """An SVG file: change of each parameter since the first calibration, with bars of 2 sigma.
 
-    Args:
-        labels: labels of the calibrations, such as dates; the plot numbers them from 1.
-        past: the parameters of all calibrations.
+    The labels of the calibrations are, for example, dates; the plot numbers them from 1.
     """
     title = "change of each parameter since the first calibration, with bars of 2 sigma"
     shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]

@@ -239,7 +239,13 @@ def _known(parts: Parts) -> dict[str, str]:
     if parts.images is not None:
         said["cameras"] = " and ".join(dict.fromkeys(parts.images[side] for side in SIDES))
     if parts.cameras is not None:
-        said["camera infos"] = _geometry(parts.cameras)
+        sides = ", ".join(
+            f"{side} {camera.width} x {camera.height} {camera.distortion}"
+            for side, camera in zip(SIDES, (parts.cameras.left, parts.cameras.right), strict=True)
+        )
+        kind = "rectified" if parts.cameras.rectified else "raw"
+        baseline_mm = np.linalg.norm(parts.cameras.T_c_r[:3, 3]) * 1e3
+        said["camera infos"] = f"{sides}; {kind} images; baseline {baseline_mm:.1f} mm"
     if parts.wheels is not None:
         said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in SIDES)
     if parts.chain is not None:
@@ -248,15 +254,6 @@ def _known(parts: Parts) -> dict[str, str]:
         if parts.joints is not None:
             said["joints"] = f"{listed(chain.joints)} on {listed(parts.joints)}"
     return said
-
-
-def _geometry(cameras: StereoRig) -> str:
-    sides = [
-        f"{side} {camera.width} x {camera.height} {camera.distortion}"
-        for side, camera in zip(SIDES, (cameras.left, cameras.right), strict=True)
-    ]
-    kind = "rectified" if cameras.rectified else "raw"
-    return f"{', '.join(sides)}; {kind} images; baseline {np.linalg.norm(cameras.T_c_r[:3, 3]) * 1e3:.1f} mm"
 
 
 def _wheel(source: WheelSource) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -45,10 +45,9 @@ _MOST_PATHS = 4  # recordings with their own plots
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot, or the same plot of several recordings or of both cameras.
+    """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
-        section: where the page shows it.
         parts: title ("" for none) and SVG element of each.
         caption: sentences below it; its braces are filled in by `report_html`.
         half: half as wide as the page, side by side.
@@ -108,9 +107,7 @@ def plot(
     """Add a function to the plots of the page: solution, data (and log or side) → SVG element, "" for none.
 
     Args:
-        section: where the page shows it.
-        caption: see `Figure`.
-        half: see `Figure`.
+        section, caption, half: see `Figure`.
         each: draw it for each recording, or for each camera.
         corners: it is about corners, and is left out where poses were measured in their place.
     """
@@ -118,16 +115,14 @@ def plot(
     def registered(draw: _Draw) -> _Draw:
         def figure(solution: Solution, extraction: Extraction) -> Figure:
             logs = sorted({o.log for o in extraction.observations})
-            titles: dict[Any, str] = {None: ""} if each is None else dict.fromkeys(SIDES, "")
-            if each == "log":
-                titles = {
-                    log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]
-                }
-            items = () if corners and extraction.measured else titles.items()
-            drawn = (
-                (title, draw(solution, extraction, *(() if item is None else (item,))))
-                for item, title in items
-            )
+            names = {log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]}
+            titles: dict[tuple[Any, ...], str] = {(): ""}  # further arguments of the function → title
+            if each is not None:
+                subjects: Iterable[Any] = names if each == "log" else SIDES
+                titles = {(subject,): names.get(subject, "") for subject in subjects}
+            if corners and extraction.measured:
+                titles = {}
+            drawn = ((title, draw(solution, extraction, *more)) for more, title in titles.items())
             return Figure(section, tuple(part for part in drawn if part[1]), caption, half)
 
         _PLOTS.append(figure)

@@ -68,12 +68,7 @@ FIGURES = (
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """An expected error against its limit.
-
-    Attributes:
-        figure: which.
-        value, limit: in its unit.
-    """
+    """An expected error and its limit, in the unit of the figure."""
 
     figure: Figure
     value: float

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Drift, Evaluation, Extraction, Provenance, Solution
+from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
@@ -50,15 +50,9 @@ class Verdict(VerdictData):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A solution with all that belongs to it.
+    """A solution with all that belongs to it, also the evaluation on held-out stations, and the change, if any.
 
-    Attributes:
-        solution: the solution.
-        extraction: the data it was computed from.
-        provenance: time, version, recordings and settings.
-        verdict: result of `judge`.
-        trial: evaluation on the held-out stations, if any.
-        change: difference from the last calibration or from the nominal values, if there is either.
+    The change is that from the last calibration, or from the nominal values.
     """
 
     solution: Solution
@@ -76,14 +70,9 @@ def judge(
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> Verdict:
-    """The verdict on a solution. The first criterion that is not met decides.
+    """The verdict on a solution, see `Case`. The first criterion that is not met decides.
 
-    Args:
-        solution: the solution.
-        extraction: the data it was computed from.
-        gates: limits of the user on the metrics; those on an expected error replace the default limit.
-        trial: evaluation on the held-out stations, if any.
-        change: difference from the last calibration, if there is one.
+    Gates are limits of the user on the metrics; those on an expected error replace the default limit.
     """
     limits = {gate.name: gate.limit for gate in gates if gate.name in _USE_GATES}
     made = Calibration(solution, extraction, limits, change)
@@ -126,7 +115,7 @@ def verdict_data(verdict: Verdict) -> VerdictData:
     return VerdictData(verdict.level, verdict.reason, verdict.next_step, verdict.checks)
 
 
-def rms(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+def rms(values: FloatArray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 

@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import (
-    NINE,
-)
+from mobilecal_cli.model import NINE
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -21,10 +19,7 @@ from mobilecal_cli.report.use import (
     shares_of,
     uses,
 )
-from mobilecal_cli.report.verdict import (
-    gates_of,
-    judge,
-)
+from mobilecal_cli.report.verdict import gates_of, judge
 from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
 
 
