@@ -18,6 +18,7 @@ from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, c
 from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
+    PARAMETERS,
     board_distance_m,
     encoder_heading_rad,
     predicted_point_rms_m,
@@ -28,7 +29,6 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.use import (
     FIGURES,
-    LEAST_MOTION,
     MOTION,
     advice,
     limiting_sentence,
@@ -53,12 +53,10 @@ def mistake(made: Calibration) -> Iterator[Check]:
     found = made.solution.diagnosis
     if found is None:
         return
-    before, after = (
-        None if share is None else 100 * share for share in (found.error_share, found.corrected_share)
-    )
-    said = ("no solution" if share is None else f"{share:.2g} %" for share in (before, after))
+    shares = [None if s is None else 100 * s for s in (found.error_share, found.corrected_share)]
+    said = ("no solution" if share is None else f"{share:.2g} %" for share in shares)
     yield Check(
-        "mistake", before, None, "fail",
+        "mistake", shares[0], None, "fail",
         "robot description",
         "{}: point error {} of the distance to the board, {} when corrected".format(found.cause, *said),
         "no mistake found",
@@ -128,7 +126,7 @@ def observable(made: Calibration) -> Iterator[Check]:
     if set(missing) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
     if set(missing) & set(NINE[6:]):
-        turns, drives = (motion[key] >= LEAST_MOTION[key] for key in ("turned_deg", "driven_m"))
+        turns, drives = (motion[key] >= MOTION[key][0] for key in ("turned_deg", "driven_m"))
         cures.append(
             "turn the base by 20 degrees or more between stops"
             if drives and not turns
@@ -148,28 +146,24 @@ def observable(made: Calibration) -> Iterator[Check]:
 
 
 _EXTENTS = {
-    key: Metric(f"motion.{key}", "m" if key.endswith("_m") else "degrees", at_least=True)
-    for key in LEAST_MOTION
+    key: Metric(f"motion.{key}", "m" if key.endswith("_m") else "degrees", at_least=True) for key in MOTION
 }
 
 
 @criterion(*_EXTENTS.values())
 def motion(made: Calibration) -> Iterator[Check]:
     """Motion of head and base, for methods without standard deviations."""
-    if made.solution.uncertainty is not None:
-        return
-    for key, least in LEAST_MOTION.items():
-        if key not in made.solution.motion:
-            continue
-        (name, more), metric, value = MOTION[key], _EXTENTS[key], made.solution.motion[key]
-        yield Check(
-            metric.name, value, least, enough(value, least),
-            name,
-            f"{value:.1f} {metric.unit}",
-            f"at least {least:g} {metric.unit}",
-            f"The {name} in the recording is {value:.1f} {metric.unit} only (limit {least:g}).",
-            f"Record again and {more}.",
-        )  # fmt: skip
+    for key, (least, name, cure) in MOTION.items() if made.solution.uncertainty is None else ():
+        metric, value = _EXTENTS[key], made.solution.motion.get(key)
+        if value is not None:
+            yield Check(
+                metric.name, value, least, enough(value, least),
+                name,
+                f"{value:.1f} {metric.unit}",
+                f"at least {least:g} {metric.unit}",
+                f"The {name} in the recording is {value:.1f} {metric.unit} only (limit {least:g}).",
+                f"Record again and {cure}.",
+            )  # fmt: skip
 
 
 @criterion(Metric("camera_info"), gated=False)
@@ -210,9 +204,8 @@ def jump(made: Calibration) -> Iterator[Check]:
             f"station {names[found.station]} ({at_s:.1f} s)",
             visible(found.part.removeprefix("joint ")),
         )
-        what, cure = _JUMPS.get(
-            found.part, (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
-        )
+        at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
+        what, cure = _JUMPS.get(found.part, at_joint)
         parts = [f"{1e3 * abs(found.move_m):.2g} mm"] if found.move_m else []
         parts += [f"{math.degrees(found.turn_rad):.2g} degrees"] if found.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
@@ -313,14 +306,7 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-_SIZES = {
-    "radius_right": "right wheel radius",
-    "radius_left": "left wheel radius",
-    "separation": "wheel separation",
-}
-
-
-@criterion(*(Metric(f"nominal.{size}", "%") for size in _SIZES))
+@criterion(*(Metric(f"nominal.{size}", "%") for size in NINE[6:]))
 def nominal(made: Calibration) -> Iterator[Check]:
     """Each size of the wheels against its nominal value.
 
@@ -328,19 +314,15 @@ def nominal(made: Calibration) -> Iterator[Check]:
     """
     look, bad = 5.0, 25.0
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
-    for size, name in _SIZES.items() if stated is not None else ():
-        found_m, stated_m = (float(getattr(each, f"{size}_m")) for each in (wheels, stated))
+    for parameter in PARAMETERS[6:] if stated is not None else ():
+        name = parameter.label
+        found_m, stated_m = (float(getattr(each, f"{parameter.name}_m")) for each in (wheels, stated))
         off, mm, nominal_mm = 100 * (found_m / stated_m - 1), found_m * 1e3, stated_m * 1e3
         ratio = mm / nominal_mm
-        times = (
-            "about half of"
-            if abs(ratio / 0.5 - 1) < 0.1
-            else "about twice"
-            if abs(ratio / 2.0 - 1) < 0.1
-            else f"{ratio:.2f} times"
-        )
+        usual = {"about half of": 0.5, "about twice": 2.0}
+        times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
         yield Check(
-            f"nominal.{size}", off, bad, graded(abs(off), look, bad),
+            f"nominal.{parameter.name}", off, bad, graded(abs(off), look, bad),
             f"{name} against its nominal value",
             f"{mm:.1f} mm, {off:+.1f} %",
             f"within {bad:g} % of {nominal_mm:.1f} mm",
@@ -563,44 +545,36 @@ def outliers_as_noise(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-_JOINT_NOISE = ("joint readings", "the head joints for play, and the head chain in the URDF")
-
-
-@criterion(joint := Metric("noise.joint", "degrees"), sliding_joint := Metric("noise.sliding_joint", "mm"))
-def joint_noise(made: Calibration) -> Iterator[Check]:
-    """Noise of the joint readings; in mm for a head that only slides."""
-    found, chain = made.solution.uncertainty, made.extraction.rig.chain
-    if found is None:
-        return
-    if chain.joints and len(chain.prismatic) == len(chain.joints):
-        level = 1e3 * chain.joint_units[0] * found.noise.joint_rad
-        yield from _noise(sliding_joint, level, (0.35, 0.7), *_JOINT_NOISE)
-    else:
-        yield from _noise(joint, float(np.degrees(found.noise.joint_rad)), (0.2, 0.4), *_JOINT_NOISE)
-
-
 @criterion(
+    joint := Metric("noise.joint", "degrees"),
+    sliding_joint := Metric("noise.sliding_joint", "mm"),
     wheel := Metric("noise.wheel", "rad per sqrt(rad)"),
     wheel_share := Metric("noise.wheel_share", "%"),
     floor := Metric("noise.floor", "degrees"),
     stamp := Metric("noise.stamp", "ms"),
 )
-def other_noise(made: Calibration) -> Iterator[Check]:
-    """Noise of wheels, of the floor's roll and pitch, and of time stamps where the robot moves."""
-    found = made.solution.uncertainty
+def noise(made: Calibration) -> Iterator[Check]:
+    """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves."""
+    found, chain = made.solution.uncertainty, made.extraction.rig.chain
     if found is None:
         return
-    noise, moving = found.noise, not all(o.at_rest for o in made.extraction.observations)
-    yield from _noise(wheel, noise.wheel_rad_per_sqrt_rad, (0.015, 0.03), "wheels", "the wheels for slip")
+    levels, moving = found.noise, not all(o.at_rest for o in made.extraction.observations)
+    name, cause = "joint readings", "the head joints for play, and the head chain in the URDF"
+    if chain.joints and len(chain.prismatic) == len(chain.joints):
+        level = 1e3 * chain.joint_units[0] * levels.joint_rad
+        yield from _noise(sliding_joint, level, (0.35, 0.7), name, cause)
+    else:
+        yield from _noise(joint, float(np.degrees(levels.joint_rad)), (0.2, 0.4), name, cause)
+    yield from _noise(wheel, levels.wheel_rad_per_sqrt_rad, (0.015, 0.03), "wheels", "the wheels for slip")
     name, cause = "wheels in proportion to their rotation", "the wheels for slip, the tires and the load"
-    yield from _noise(wheel_share, 100 * noise.wheel_share, (1.0, 5.0), name, cause)
+    yield from _noise(wheel_share, 100 * levels.wheel_share, (1.0, 5.0), name, cause)
     name, cause = (
         "floor (roll and pitch of the base)",
         "that the floor is flat and that the base does not rock",
     )
-    yield from _noise(floor, float(np.degrees(noise.floor_rad)), (0.3, 1.5), name, cause)
+    yield from _noise(floor, float(np.degrees(levels.floor_rad)), (0.3, 1.5), name, cause)
     name, cause = "image time stamps", "that images have hardware time stamps, or stop for each image"
-    yield from _noise(stamp, 1e3 * noise.stamp_s if moving else 0.0, (2.0, 20.0), name, cause)
+    yield from _noise(stamp, 1e3 * levels.stamp_s if moving else 0.0, (2.0, 20.0), name, cause)
 
 
 @criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES))

@@ -15,17 +15,15 @@ from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, std_text
-from mobilecal_cli.report.svg import Axes, Canvas, Limits, standalone
+from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
-COMPARISON_SCHEMA = 1
 #: Significance level.
 _UNLIKELY = 0.01
 _MOST_LABELS = 20
 _WIDE, _HIGH = 300.0, 210.0
 
 
-def _unknown() -> FloatArray:
-    return np.full(len(NINE), np.nan)
+_UNKNOWN: FloatArray = np.full(len(NINE), np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +54,7 @@ def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Ch
         ConfigError: the earlier calibration is of other frames.
     """
     found = difference(last, robot)
-    return Change(name, found.change, found.sigmas, _unknown(), None if found.shared else found.chance)
+    return Change(name, found.change, found.sigmas, _UNKNOWN, None if found.shared else found.chance)
 
 
 def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | None:
@@ -65,15 +63,14 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
         return None
     T = robot.T_parent_child if nominal.T_h_reference is None else nominal.T_h_reference
     before = CalibratedRobot(robot.parent_frame, robot.child_frame, T, nominal.wheels or robot.wheels)
-    value, percent = nine_apart(before, robot), _unknown()
+    value, percent = nine_apart(before, robot), _UNKNOWN.copy()
     if nominal.T_h_reference is None:
         value[:6] = np.nan
     if nominal.wheels is None:
         value[6:] = np.nan
     else:
-        wheels = nominal.wheels
-        percent[6:] = 100 * value[6:] / [wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]
-    return Change("the nominal values", value, _unknown(), percent, None)
+        percent[6:] = 100 * value[6:] / nominal.wheels.vector
+    return Change("the nominal values", value, _UNKNOWN, percent, None)
 
 
 def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
@@ -113,32 +110,31 @@ def comparison_json(
 ) -> str:
     """The comparison as JSON: rad and m, or the unit in the key."""
     data: dict[str, Any] = {
-        "schema_version": COMPARISON_SCHEMA,
+        "schema_version": 1,
         "order": list(NINE),
         "calibrations": [
             {"name": name, "created": robot.created} for name, robot in zip(names, robots, strict=True)
         ],
-        "against_first": [_plain(found) for found in differences],
+        "against_first": [
+            {
+                "change": found.change,
+                "std": np.where(found.known, found.std, np.nan),
+                "sigmas": found.sigmas,
+                "chi2": found.chi2,
+                "chance": found.chance,
+                "changed": changed(found),
+                "share_a_recording": found.shared,
+                "unobservable": dict(zip(NINE, found.unobservable.tolist(), strict=True)),
+                "ray_at_2m_mm": found.ray_m * 1e3,
+                "along_mm_per_m": found.along_m_per_m * 1e3,
+                "heading_deg_per_m": math.degrees(found.heading_rad_per_m),
+                "heading_deg_per_turn": math.degrees(found.heading_rad_per_turn),
+            }
+            for found in differences
+        ],
         "chance_unchanged": None if past is None else past.chance,
     }
     return json_text(data, sort_keys=False)
-
-
-def _plain(found: Difference) -> dict[str, Any]:
-    return {
-        "change": found.change,
-        "std": np.where(found.known, found.std, np.nan),
-        "sigmas": found.sigmas,
-        "chi2": found.chi2,
-        "chance": found.chance,
-        "changed": changed(found),
-        "share_a_recording": found.shared,
-        "unobservable": dict(zip(NINE, found.unobservable.tolist(), strict=True)),
-        "ray_at_2m_mm": found.ray_m * 1e3,
-        "along_mm_per_m": found.along_m_per_m * 1e3,
-        "heading_deg_per_m": math.degrees(found.heading_rad_per_m),
-        "heading_deg_per_turn": math.degrees(found.heading_rad_per_turn),
-    }
 
 
 def effects(found: Difference) -> tuple[tuple[str, float, str], ...]:
@@ -209,9 +205,7 @@ def constancy(chance: float) -> str:
 def history_plot(labels: Sequence[str], past: History) -> str:
     """An SVG file: change of each parameter since the first calibration, with bars of 2 sigma.
 
-    Args:
-        labels: labels of the calibrations, such as dates; the plot numbers them from 1.
-        past: the parameters of all calibrations.
+    The labels of the calibrations are, for example, dates; the plot numbers them from 1.
     """
     title = "change of each parameter since the first calibration, with bars of 2 sigma"
     shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]
@@ -222,9 +216,9 @@ def history_plot(labels: Sequence[str], past: History) -> str:
         unit, factor = parameter.shown_unit, parameter.factor
         change, std = past.change[:, k] * factor, past.std[:, k] * factor
         left, top = k % 3 * _WIDE, k // 3 * _HIGH
-        y = Limits.of([0.0, *(change - 2 * std), *(change + 2 * std)], margin=0.1)
+        y = Scale.of([0.0, *(change - 2 * std), *(change + 2 * std)], margin=0.1)
         box = (left, top, left + _WIDE, top + _HIGH)
-        axes = Axes.of(canvas, Limits(0.5, len(labels) + 0.5), y, f"{parameter.name} [{unit}]", box)
+        axes = Axes.of(canvas, Scale(0.5, len(labels) + 0.5), y, f"{parameter.name} [{unit}]", box)
         axes.grid(x=False)
         axes.level(0.0, "faint thin")
         for n, (value, s) in enumerate(zip(change.tolist(), std.tolist(), strict=True), 1):

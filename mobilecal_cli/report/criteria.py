@@ -15,12 +15,10 @@ _SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A figure that a gate can limit. If its name ends in a unit, the value has this unit.
+    """A figure that a gate can limit, by a lower limit if `at_least`.
 
-    Attributes:
-        name: for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it.
-        unit: of its values and limits, "" for counts and ratios.
-        at_least: whether its limit is a lower one.
+    The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
+    for counts and ratios. If the name ends in a unit, the value has this unit.
     """
 
     name: str
@@ -115,14 +113,7 @@ def enough(value: float, least: float) -> Outcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What the criteria judge.
-
-    Attributes:
-        solution: the solution.
-        extraction: the data it was computed from.
-        limits: gate → limit of an expected error in use, replacing the default.
-        change: difference from the last calibration or from the nominal values, if there is either.
-    """
+    """What the criteria judge; `limits` of gates replace the default limits of the expected errors in use."""
 
     solution: Solution
     extraction: Extraction
@@ -130,19 +121,20 @@ class Calibration:
     change: Change | None = None
 
 
+_Judge = Callable[[Calibration], Iterator[Check]]
+
+
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """A criterion, or several of one kind.
+    """A criterion, or several of one kind: a function from a calibration to checks, none where it does not apply.
 
-    Attributes:
-        metrics: their values; a name without a dot also stands for ids with further parts.
-        gated: whether gates can limit them; not those that arise only where something is wrong.
-        judge: calibration → checks; none where the criterion does not apply.
+    The name of a metric without a dot also stands for ids with further parts. Gates can limit the metrics of gated
+    criteria: not those that arise only where something is wrong.
     """
 
     metrics: tuple[Metric, ...]
     gated: bool
-    judge: Callable[[Calibration], Iterator[Check]]
+    judge: _Judge
 
     def checks(self, made: Calibration) -> Iterator[Check]:
         """The checks, with their units."""
@@ -154,7 +146,6 @@ class Criterion:
 
 #: All criteria of a calibration in the order of the verdict: the first that is not met decides.
 CRITERIA: list[Criterion] = []
-_Judge = Callable[[Calibration], Iterator[Check]]
 
 
 def criterion(*metrics: Metric, gated: bool = True) -> Callable[[_Judge], _Judge]:

@@ -14,22 +14,13 @@ import numpy as np
 
 from mobilecal_cli.comparison import nine_apart
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import (
-    BoolArray,
-    CalibratedRobot,
-    Drift,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    StereoRig,
-)
+from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, Extraction, FloatArray, StereoRig
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
 
-EVALUATION_SCHEMA = 2
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (
     ("camera_rotation", "camera rotation", slice(0, 3), 0.75, "deg"),
@@ -83,11 +74,8 @@ def judge_evaluation(
     if checks.worst.outcome in LEVELS:
         return decided_by(checks.worst, checks)
     agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
-    next_step = (
-        "Evaluate a recording that was not used for this calibration."
-        if used
-        else "Use params.yaml on the robot."
-    )
+    unused = "Evaluate a recording that was not used for this calibration."
+    next_step = unused if used else "Use params.yaml on the robot."
     return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
 
 
@@ -137,19 +125,19 @@ def _corner_error(found: Evaluation, cameras: StereoRig, own: OwnEstimate | Mobi
         why = f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
         cure = "Check for wheel slip, a moved board and wrong encoder settings, and record again."
     else:
-        best = (
-            ""
-            if isinstance(own, MobilecalError)
-            else f"; the recording's own estimate leaves {best_px:.1f} px"
-        )
+        known = not isinstance(own, MobilecalError)
+        best = f"; the recording's own estimate leaves {best_px:.1f} px" if known else ""
         why = f"The median station-to-station corner error is {px:.1f} px (limit {limit_px:.1f} px){best}."
         cure = "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again."
-    name, measured, at_most = (
+    return Check(
+        "corner_error", px, limit, outcome,
         "median station-to-station corner error",
         f"{px:.2f} px",
         f"at most {limit:.1f} px",
-    )
-    return Check("corner_error", px, limit, outcome, name, measured, at_most, why, cure, unit="px")
+        why,
+        cure,
+        unit="px",
+    )  # fmt: skip
 
 
 def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
@@ -190,10 +178,7 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
 def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Difference in deg, mm and percent, (9,); its covariance, (9, 9); and which of it is known, (9,)."""
     wheels = own.wheels
-    scales = np.array(
-        [*[180 / np.pi] * 3, *[1e3] * 3]
-        + [100 / size for size in (wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)]
-    )
+    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / wheels.vector)])
     covariance: FloatArray = np.zeros((9, 9))
     known: BoolArray = np.zeros(9, dtype=np.bool_)
     if own.knowledge is not None:
@@ -262,9 +247,12 @@ def evaluation_data(found: Evaluation) -> EvaluationData:
         legs=len(found.legs),
         driven_m=found.driven_m,
         turned_deg=math.degrees(found.turned_rad),
-        **{key: _spread(values) for key, values in errors.items()},
-        drift_before=None if found.before is None else _drift(found.before),
-        drift_after=_drift(found.after),
+        **{
+            key: SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
+            for key, values in errors.items()
+        },
+        drift_before=None if found.before is None else DriftData(**drift_figures(found.before)),
+        drift_after=DriftData(**drift_figures(found.after)),
         per_leg=tuple(
             LegErrorData(
                 log=log,
@@ -278,14 +266,6 @@ def evaluation_data(found: Evaluation) -> EvaluationData:
     )
 
 
-def _drift(drift: Drift) -> DriftData:
-    return DriftData(**drift_figures(drift))
-
-
-def _spread(values: FloatArray) -> SpreadData:
-    return SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
-
-
 def evaluation_json(
     found: Evaluation,
     extraction: Extraction,
@@ -297,7 +277,7 @@ def evaluation_json(
     numbers = evaluation_data(found)
     return json_text(
         {
-            "schema_version": EVALUATION_SCHEMA,
+            "schema_version": 2,
             "logs": [{"path": log.path, "sha256": log.sha256} for log in extraction.logs],
             "used_for_calibration": list(used),
             "notes": [*dependence(used, len(extraction.logs)), *extraction.notes],
@@ -332,22 +312,18 @@ def drift_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
     )  # fmt: skip
 
 
-_PREDICTION = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
-
-
 def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     lines = [f"Note: {visible(note)}" for note in notes]
-    lines += [
-        f"{found.stations} stations, {found.legs} legs; driven {found.driven_m:.2f} m, turned "
-        f"{found.turned_deg:.0f} deg",
-    ]
+    motion = f"driven {found.driven_m:.2f} m, turned {found.turned_deg:.0f} deg"
+    lines.append(f"{found.stations} stations, {found.legs} legs; {motion}")
     if found.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in found.clock_offsets_s.items())
-        lines += [f"Clock offsets: {offsets}"]
+        lines.append(f"Clock offsets: {offsets}")
+    heads = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
     lines += [
         "",
-        *Table.of(_PREDICTION, evaluation_rows(found)).lines((36, 9, 9, 9)),
+        *Table.of(heads, evaluation_rows(found)).lines((36, 9, 9, 9)),
         "",
         *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(found)).lines((36, 9, 9)),
     ]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import BY_NAME, station_names, std_text, value_text
+from mobilecal_cli.report.use import SOURCES
 
 #: Further constants of a group are named if they are so many standard deviations off.
 _NAMED_SIGMAS = 2.0
@@ -18,74 +18,9 @@ _NAMED_SIGMAS = 2.0
 SCALES = frozenset({"square_size", "baseline_length"})
 
 
-@dataclass(frozen=True, slots=True)
-class _Stated:
-    """What is said about one kind of constants.
-
-    Attributes:
-        against: the stated value, after "from".
-        cure: in whole sentences.
-    """
-
-    against: str
-    cure: str
-
-
-_CAMERA = _Stated(
-    "camera_info",
-    "Check that camera_info belongs to these images (resolution, crop). Calibrate the camera again, or use the "
-    "exported camera_info.",
-)
-_PAIR = _Stated("camera_info", "Recalibrate the stereo pair, or use the exported camera_info.")
-_HEAD = _Stated("the URDF", "Correct the URDF, or use the exported URDF.")
-_BY_KIND = {
-    "clock": _Stated("equal clocks", "Synchronize the clocks (NTP or PTP) and record again."),
-    "stereo_clock": _Stated(
-        "simultaneous images", "Trigger both cameras together, or stop for images, and record again."
-    ),
-    "readout": _Stated(
-        "a global shutter",
-        "State priors.readout in rig.yaml (in ms), or stop for images, and record again.",
-    ),
-    "focal_length": _CAMERA,
-    "focal_aspect": _CAMERA,
-    "principal_point": _CAMERA,
-    "distortion": _CAMERA,
-    "stereo_rotation": _PAIR,
-    "baseline_direction": _PAIR,
-    "baseline_length": _PAIR,
-    "square_size": _Stated(
-        "the stated size",
-        "Measure ten squares with a ruler, and correct board.square_m in rig.yaml.",
-    ),
-    "square_aspect": _Stated(
-        "square", "Print the board again without scaling, and measure it in both directions."
-    ),
-    "board_bend": _Stated("a flat board", "Mount the board on a flat plate and record again."),
-    "board_shear": _Stated(
-        "a right angle", "Print the board again on a printer that does not skew, and measure it."
-    ),
-    "board_corners": _Stated(
-        "corners in their places", "Print the board again, and mount it on a flat plate."
-    ),
-    "lean": _Stated(
-        "an upright base", "Check tires and casters for size and wear, and the axes of the base in the URDF."
-    ),
-    "joint_zero": _HEAD,
-    "joint_scale": _Stated(
-        "the reading", "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."
-    ),
-    "joint_axis": _HEAD,
-    "joint_position": _HEAD,
-    "backlash": _Stated("no backlash", "Repair the joint, or approach each head pose from the same side."),
-}
-_MEASURED_SQUARE = _Stated(
+_MEASURED_SQUARE = (
     "the size that the stereo pair measures at each station",
     "Check that camera_info belongs to these images, and state board.square_m in rig.yaml.",
-)
-_SCALE_CURE = (
-    "The recording cannot tell which of the two is wrong. Measure ten squares with a ruler. If they are as stated, "
-    "recalibrate the stereo pair."
 )
 
 
@@ -100,49 +35,35 @@ def _part(found: Evidence) -> str:
 
 def contradiction_sentences(found: Evidence, solution: Solution, extraction: Extraction) -> tuple[str, str]:
     """What the data contradict and by how much, and the cure."""
-    scale, meanings = (
-        solution.scale,
-        {name: constant.meaning for name, constant in solution.constants.items()},
-    )
+    scale, meanings = solution.scale, {name: c.meaning for name, c in solution.constants.items()}
     if found.kind in SCALES and scale is not None:
-        off = (
-            f"{value_text(abs(100 * (scale.ratio - 1)), 100 * scale.std, 2)} ± {std_text(100 * scale.std)} %"
-        )
+        percent, std = abs(100 * (scale.ratio - 1)), 100 * scale.std
         return (
-            f"The stated squares and the stereo baseline disagree by {off}: with the stated baseline of "
+            "The stated squares and the stereo baseline disagree by "
+            f"{value_text(percent, std, 2)} ± {std_text(std)} %: with the stated baseline of "
             f"{scale.baseline_m * 1e3:.2f} mm, the squares measure {scale.square_m * scale.ratio * 1e3:.2f} mm "
             f"(stated: {scale.square_m * 1e3:.2f} mm).",
-            _SCALE_CURE,
+            "The recording cannot tell which of the two is wrong. Measure ten squares with a ruler. If they are as "
+            "stated, recalibrate the stereo pair.",
         )
-    measured = found.kind == "square_size" and extraction.board.square_m is None
-    stated = _MEASURED_SQUARE if measured else _BY_KIND[found.kind]
-    shown = (
-        " and ".join(_difference(found, name, meanings) for name in _worst(found))
-    ) or f"{' and '.join(meanings.get(name, name) for name in found.values)} together differ"
-    return f"{_part(found)}: {shown} from {stated.against} ({_prior(found)}).", stated.cure
-
-
-def _worst(found: Evidence) -> tuple[str, ...]:
-    """The constants that are off, worst first."""
-    off = {
+    measured, words = found.kind == "square_size" and extraction.board.square_m is None, SOURCES[found.kind]
+    stated, cure = _MEASURED_SQUARE if measured else (words.stated, words.cure)
+    kind = nuisance.kind(found.kind)
+    priors = " and ".join(sorted({std_text(prior * kind.shown) for prior in found.priors.values()}))
+    sigmas = {
         name: abs(value) / math.hypot(std, found.priors[name])
         for name, (value, std) in found.values.items()
         if math.isfinite(std)
     }
-    ranked = sorted(off, key=lambda name: -off[name])
-    return tuple(ranked[:1] + [name for name in ranked[1:] if off[name] > _NAMED_SIGMAS])
-
-
-def _difference(found: Evidence, name: str, meanings: Mapping[str, str]) -> str:
-    kind, (value, std) = nuisance.kind(found.kind), found.values[name]
-    shown = value_text(value * kind.shown, std * kind.shown, 3, "+")
-    return f"{meanings.get(name, name)} differs by {shown} ± {std_text(std * kind.shown)} {kind.shown_unit}"
-
-
-def _prior(found: Evidence) -> str:
-    kind = nuisance.kind(found.kind)
-    priors = sorted({std_text(prior * kind.shown) for prior in found.priors.values()})
-    return f"prior {' and '.join(priors)} {kind.shown_unit}"
+    worst_first = sorted(sigmas, key=lambda name: -sigmas[name])
+    differences = []
+    for name in worst_first[:1] + [name for name in worst_first[1:] if sigmas[name] > _NAMED_SIGMAS]:
+        value, std = (number * kind.shown for number in found.values[name])
+        difference = f"{value_text(value, std, 3, '+')} ± {std_text(std)} {kind.shown_unit}"
+        differences.append(f"{meanings.get(name, name)} differs by {difference}")
+    together = f"{' and '.join(meanings.get(name, name) for name in found.values)} together differ"
+    shown = " and ".join(differences) or together
+    return f"{_part(found)}: {shown} from {stated} (prior {priors} {kind.shown_unit}).", cure
 
 
 _LISTED = 3  # outliers of one kind that are listed singly
@@ -155,21 +76,11 @@ _KINDS = {
 
 
 def reprojection_sentence(parts_px: Mapping[str, float], noise_px: float) -> str:
-    """What the reprojection error consists of; "" where it is unknown.
-
-    Args:
-        parts_px: kind of noise → the error that it causes.
-        noise_px: of one corner coordinate.
-    """
+    """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
     if not parts_px:
         return ""
-    words = {
-        "corners": "corners",
-        "joints": "joint readings",
-        "floor": "the uneven floor",
-        "wheels": "wheels",
-    }
-    each = [f"{words[name]} {std_text(px)} px" for name, px in parts_px.items()]
+    words = {"joints": "joint readings", "floor": "the uneven floor"}
+    each = [f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items()]
     whole = math.sqrt(sum(px**2 for px in parts_px.values()))
     return (
         f"One corner coordinate has a noise of {std_text(noise_px)} px. The reprojection error compares two "
@@ -240,7 +151,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
         )
         now, then = suggestion.std_now * shown.factor, suggestion.std_then * shown.factor
         path, worst = _path(suggestion), suggestion.worst
-        if _observable(solution, worst):
+        if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
                 f"the standard deviation of {worst} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
@@ -252,11 +163,6 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             f"Expected result: {gain}."
         )
     return tuple(sentences)
-
-
-def _observable(solution: Solution, name: str) -> bool:
-    found = solution.uncertainty
-    return found is not None and bool(found.observable[NINE.index(name)])
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:

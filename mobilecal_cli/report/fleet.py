@@ -21,7 +21,6 @@ from mobilecal_cli.report.page import template
 OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
 _NAMED = 5  # number of skipped names that are listed
 _FEWEST = 5  # among fewer robots there are no outliers
-_FIELDS = tuple(parameter.key for parameter in PARAMETERS)
 
 
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
@@ -65,24 +64,24 @@ def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
     """Column → value of each robot; rotations are relative to the first robot that passes, None where unknown."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
-    names = (*_FIELDS, *(f"std_{name}" for name in _FIELDS))
-    lines = []
-    for row, *values in zip(rows, numbers, std, strict=True):
-        known = [value if np.isfinite(value) else None for value in np.concatenate(values).tolist()]
-        lines.append(
-            {
-                "robot": row.name,
-                "verdict": row.verdict,
-                "exit_code": row.exit_code,
-                "stations": row.stations,
-                **dict(zip(names, known, strict=True)),
-                "stands_out": " ".join(out.get(row.name, ())),
-                "skipped": row.skipped,
-                "reason": row.reason,
-                "hint": row.hint,
-            }
-        )
-    return lines
+    names = [f"{p.name}_{p.shown_unit}" for p in PARAMETERS]
+    names += [f"std_{name}" for name in names]
+    return [
+        {
+            "robot": row.name,
+            "verdict": row.verdict,
+            "exit_code": row.exit_code,
+            "stations": row.stations,
+            **{
+                name: value if np.isfinite(value) else None for name, value in zip(names, values, strict=True)
+            },
+            "stands_out": " ".join(out.get(row.name, ())),
+            "skipped": row.skipped,
+            "reason": row.reason,
+            "hint": row.hint,
+        }
+        for row, values in zip(rows, np.concatenate([numbers, std], axis=1).tolist(), strict=True)
+    ]
 
 
 def fleet_csv(rows: Sequence[FleetRow]) -> str:
@@ -96,9 +95,11 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
 
 
 def _cell(value: str | float | None) -> str:
+    """A value for a spreadsheet; text after a quote if it would be a formula there."""
     if isinstance(value, float):
         return f"{value:.6f}"
-    return "" if value is None else _harmless(str(value))
+    shown = "" if value is None else visible(str(value))
+    return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
 
 
 def fleet_json(rows: Sequence[FleetRow]) -> str:
@@ -106,12 +107,6 @@ def fleet_json(rows: Sequence[FleetRow]) -> str:
     robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
     content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def _harmless(text: str) -> str:
-    """The text, after a quote if a spreadsheet would treat it as a formula."""
-    shown = visible(text)
-    return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
 
 
 def fleet_html(rows: Sequence[FleetRow]) -> str:
@@ -167,10 +162,9 @@ def skipped_text(rows: Sequence[FleetRow]) -> str:
     for row in rows:
         if row.skipped:
             names.setdefault(row.skipped, []).append(row.name)
-    parts = [f"{reason}: {len(found)} ({_some(found)})" for reason, found in names.items()]
+    parts = []
+    for reason, entries in names.items():
+        more = f", and {len(entries) - _NAMED} more" if len(entries) > _NAMED else ""
+        named = ", ".join(visible(name) for name in entries[:_NAMED])
+        parts.append(f"{reason}: {len(entries)} ({named}{more})")
     return f"Skipped, {'; '.join(parts)}." if parts else ""
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f", and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(visible(name) for name in names[:_NAMED]) + more

@@ -91,14 +91,9 @@ class Table:
         title: str = "",
         note: str = "",
     ) -> Table:
-        """A table.
+        """A table in a section of the page, with a heading and a note above it.
 
-        Args:
-            heads: label of each column, with its kind in front ("number:1 sigma").
-            rows: the cells.
-            section: where the page shows it.
-            title: heading.
-            note: sentences above the table.
+        The heads are the labels of the columns, each with its kind in front ("number:1 sigma").
         """
         kinds = ((kind or "text", label) for kind, _, label in (head.rpartition(":") for head in heads))
         columns = tuple((label, cast(Kind, kind)) for kind, label in kinds)
@@ -113,8 +108,7 @@ class Table:
     def lines(self, widths: Sequence[int] = ()) -> list[str]:
         """The table for the terminal, numbers to the right.
 
-        Args:
-            widths: of the first columns. The others, and all by default, are as wide as their cells, after two spaces.
+        Columns without a given width are as wide as their cells, after two spaces.
         """
         rows = [tuple(label for label, _ in self.heads), *self.rows]
         lines = ["  " if widths else "" for _ in rows]

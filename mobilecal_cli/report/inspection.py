@@ -13,8 +13,6 @@ from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import (
     SIDES,
     BoardView,
-    Camera,
-    HeadChain,
     Inspection,
     Lack,
     MotionView,
@@ -38,7 +36,7 @@ _WHY = {
 
 def inspection_json(found: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
-    rig, board, motion = found.rig, found.board, found.motion
+    rig, board = found.rig, found.board
     columns, rows = (board.size if board is not None else None) or (None, None)
     data = {
         "recording": {
@@ -51,7 +49,14 @@ def inspection_json(found: Inspection) -> str:
         },
         "topics": found.topics,
         "roles": rig and rig.setting_sources,
-        "head": rig and _head(rig.chain),
+        "head": rig
+        and {
+            "base_frame": rig.chain.base_frame,
+            "head_frame": rig.chain.head_frame,
+            "joints": rig.chain.joints,
+            "pan": rig.chain.pan or None,
+            "tilt": rig.chain.tilt or None,
+        },
         "cameras": rig and _cameras(rig.cameras),
         "board": board
         and {
@@ -62,7 +67,7 @@ def inspection_json(found: Inspection) -> str:
             "square_m": board.square_m,
             "square_stated_m": board.stated_m,
         },
-        "motion": motion,
+        "motion": found.motion,
         "time": found.covered and {"images_covered": found.covered[0], "images": found.covered[1]},
         "missing": found.missing,
         "weak": found.weak,
@@ -78,27 +83,28 @@ def _duration_s(found: Inspection) -> float | None:
     return (found.end_ns - found.start_ns) * 1e-9
 
 
-def _head(chain: HeadChain) -> dict[str, Any]:
-    frames = {"base_frame": chain.base_frame, "head_frame": chain.head_frame}
-    return {**frames, "joints": chain.joints, "pan": chain.pan or None, "tilt": chain.tilt or None}
-
-
 def _cameras(cameras: StereoRig) -> dict[str, Any]:
-    def one(camera: Camera) -> dict[str, Any]:
-        size = {"frame": camera.frame_id, "width": camera.width, "height": camera.height}
-        return {**size, "focal_px": camera.K.diagonal()[:2], "distortion": camera.distortion}
-
-    return {
-        "left": one(cameras.left),
-        "right": one(cameras.right),
-        "baseline_m": float(np.linalg.norm(cameras.T_c_r[:3, 3])),
-        "rectified": cameras.rectified,
+    sides = {
+        side: {
+            "frame": camera.frame_id,
+            "width": camera.width,
+            "height": camera.height,
+            "focal_px": camera.K.diagonal()[:2],
+            "distortion": camera.distortion,
+        }
+        for side, camera in (("left", cameras.left), ("right", cameras.right))
     }
+    baseline_m = float(np.linalg.norm(cameras.T_c_r[:3, 3]))
+    return {**sides, "baseline_m": baseline_m, "rectified": cameras.rectified}
 
 
 def inspection_text(found: Inspection) -> str:
     """The summary for the terminal; control characters from the recording are escaped."""
-    lines = [visible(found.name), f"  {_file_facts(found)}", "", *_topics(found)]
+    facts, duration_s = [", ".join(found.containers), f"{found.size_bytes / 1e6:.1f} MB"], _duration_s(found)
+    if duration_s is not None and found.start_ns is not None:
+        start = datetime.fromtimestamp(found.start_ns // 10**9, UTC)
+        facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
+    lines = [visible(found.name), f"  {', '.join(facts)}", "", *_topics(found)]
     if found.rig is not None:
         lines += ["", "Used for a calibration", *_roles(found.rig)]
     if found.motion is not None:
@@ -109,17 +115,10 @@ def inspection_text(found: Inspection) -> str:
     lines += _lacks("Limits of a calibration", found.weak)
     if found.notes:
         lines += ["", "Notes", *(line for note in found.notes for line in wrapped(note))]
-    lines += ["", _conclusion(found)]
-    return "\n".join(lines) + "\n"
-
-
-def _file_facts(found: Inspection) -> str:
-    facts = [", ".join(found.containers), f"{found.size_bytes / 1e6:.1f} MB"]
-    duration_s = _duration_s(found)
-    if duration_s is not None and found.start_ns is not None:
-        start = datetime.fromtimestamp(found.start_ns // 10**9, UTC)
-        facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
-    return ", ".join(facts)
+    conclusion = f"can be calibrated{', with limits' if found.weak else ''}"
+    if found.missing:
+        conclusion = f"cannot be calibrated as it is (exit code {found.exit_code})"
+    return "\n".join([*lines, "", f"This recording {conclusion}."]) + "\n"
 
 
 def _topics(found: Inspection) -> list[str]:
@@ -187,14 +186,6 @@ def _lacks(title: str, lacks: Iterable[Lack]) -> list[str]:
     return ["", title, *lines] if lines else []
 
 
-def _conclusion(found: Inspection) -> str:
-    if found.missing:
-        return f"This recording cannot be calibrated as it is (exit code {found.exit_code})."
-    if found.weak:
-        return "This recording can be calibrated, with limits."
-    return "This recording can be calibrated."
-
-
 #: Criteria without which no other can be checked.
 _FIRST = ("rig.yaml", "recording")
 State = Literal["ok", "limit", "problem", "unknown"]
@@ -202,15 +193,10 @@ State = Literal["ok", "limit", "problem", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One criterion.
+    """One criterion, see `Lack`: what was found, or what is wrong, and the exit code of `calibrate` for it.
 
-    Attributes:
-        about: one of `Inspection.CRITERIA`.
-        state: "ok"; "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem
-            prevents the check.
-        what: what was found, or what is wrong.
-        cure: what to do.
-        exit_code: exit code of `calibrate` for this; 0 for "ok" and "unknown".
+    "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem prevents the
+    check.
     """
 
     about: str
@@ -232,24 +218,21 @@ def checklist(found: Inspection) -> tuple[Line, ...]:
     for about in found.CRITERIA:
         bad = [_line(lack, "problem") for lack in found.missing if lack.about == about]
         bad += [_line(lack, "limit") for lack in found.weak if lack.about == about]
-        lines += bad or [_good(about, found)]
-    return tuple(line for line in lines if line.what)
+        lines += bad or _good(about, found)
+    return tuple(lines)
 
 
 def _line(lack: Lack, state: State) -> Line:
     return Line(lack.about, state, lack.what, lack.cure, lack.exit_code)
 
 
-def _good(about: str, found: Inspection) -> Line:
-    """A criterion without a problem: what was found, or unknown; without a text if it does not apply."""
+def _good(about: str, found: Inspection) -> list[Line]:
+    """A criterion without a problem: what was found, or unknown; none if it is about problems only."""
     if about in ("recording", "priors", "gates"):
-        return Line(about, "ok", "")
+        return []
     known = {"rig.yaml": "valid", **_known(found.parts), **_measured(found)}.get(about)
-    return (
-        Line(about, "unknown", "not checked, see the problems" if found.missing else "could not be measured")
-        if known is None
-        else Line(about, "ok", known)
-    )
+    unknown = "not checked, see the problems" if found.missing else "could not be measured"
+    return [Line(about, "unknown", unknown) if known is None else Line(about, "ok", known)]
 
 
 def _known(parts: Parts) -> dict[str, str]:
@@ -257,7 +240,13 @@ def _known(parts: Parts) -> dict[str, str]:
     if parts.images is not None:
         said["cameras"] = " and ".join(dict.fromkeys(parts.images[side] for side in SIDES))
     if parts.cameras is not None:
-        said["camera infos"] = _geometry(parts.cameras)
+        sides = ", ".join(
+            f"{side} {camera.width} x {camera.height} {camera.distortion}"
+            for side, camera in zip(SIDES, (parts.cameras.left, parts.cameras.right), strict=True)
+        )
+        kind = "rectified" if parts.cameras.rectified else "raw"
+        baseline_mm = np.linalg.norm(parts.cameras.T_c_r[:3, 3]) * 1e3
+        said["camera infos"] = f"{sides}; {kind} images; baseline {baseline_mm:.1f} mm"
     if parts.wheels is not None:
         said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in SIDES)
     if parts.chain is not None:
@@ -268,15 +257,6 @@ def _known(parts: Parts) -> dict[str, str]:
         elif parts.joints is not None:
             said["joints"] = f"{listed(chain.joints)} on {listed(parts.joints)}"
     return said
-
-
-def _geometry(cameras: StereoRig) -> str:
-    sides = [
-        f"{side} {camera.width} x {camera.height} {camera.distortion}"
-        for side, camera in zip(SIDES, (cameras.left, cameras.right), strict=True)
-    ]
-    kind = "rectified" if cameras.rectified else "raw"
-    return f"{', '.join(sides)}; {kind} images; baseline {np.linalg.norm(cameras.T_c_r[:3, 3]) * 1e3:.1f} mm"
 
 
 def _wheel(source: WheelSource) -> str:

@@ -18,28 +18,21 @@ class _Case(NamedTuple):
     """A test case; `tag` is "failure", "error", or "" for one that passes, and `out` what it printed."""
 
     name: str
-    tag: str = ""
-    message: str = ""
-    kind: str = ""
-    text: str = ""
+    tag: str
+    message: str
+    kind: str
+    text: str
     out: str = ""
 
 
 def junit_xml(name: str, verdict: VerdictData) -> bytes:
-    """One test case per check: failed if it fails, or if there is too little data to decide.
-
-    Args:
-        name: name of the test suite, for example the recording.
-        verdict: the checks with their sentences.
-    """
+    """A test suite, for example of a recording: each check is a case, failed also where there is too little data."""
     cases = []
     for check in verdict.checks:
-        failed = (
-            ("failure", check.why, check.label, check.next_step) if check.outcome in LEVELS else ("",) * 4
-        )
-        warning = f"; warning: {check.why}" if check.outcome == "warning" else ""
-        out = f"measured: {check.measured_text}; limit: {check.limit_text}{warning}"
-        cases.append(_Case(check.name, *failed, out))
+        tag, warning = "failure" if check.outcome in LEVELS else "", check.outcome == "warning"
+        out = f"measured: {check.measured_text}; limit: {check.limit_text}"
+        out += f"; warning: {check.why}" if warning else ""
+        cases.append(_Case(check.name, tag, check.why, check.label, check.next_step, out))
     return _xml(name, cases)
 
 
@@ -50,17 +43,12 @@ def junit_error_xml(name: str, error: MobilecalError) -> bytes:
 
 
 def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
-    """One test case per robot: failed if it does not pass, an error if it has no result.
-
-    Args:
-        name: name of the test suite, for example the directory of the recordings.
-        rows: the robots.
-    """
+    """A test suite of a directory of recordings: each robot is a case, an error if it has no result."""
     tags = {"PASS": "", "ERROR": "error"}
-    robots = (row for row in rows if row.verdict != "SKIPPED")
     cases = [
         _Case(row.name, tags.get(row.verdict, "failure"), row.reason, row.verdict.lower(), row.hint)
-        for row in robots
+        for row in rows
+        if row.verdict != "SKIPPED"
     ]
     return _xml(name, cases)
 

@@ -6,6 +6,7 @@ A value is shown with the digits that its standard deviation justifies.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,6 @@ class Parameter:
 
     Attributes:
         name: as in params.yaml.
-        symbol: in the paper; for a rotation, the component of the rotation vector.
         label: in a summary.
         meaning: what its standard deviation is of.
         unit: "rad" or "m".
@@ -32,7 +32,6 @@ class Parameter:
     """
 
     name: str
-    symbol: str
     label: str
     meaning: str
     unit: str
@@ -41,48 +40,33 @@ class Parameter:
     digits: int
 
     @property
-    def key(self) -> str:
-        """Name with the unit for people, for columns of numbers."""
-        return f"{self.name}_{self.shown_unit}"
-
-    @property
     def gate(self) -> str:
         """Name of the gate on its standard deviation."""
         return f"std.{'wheels' if self.name in NINE[6:] else 'head_eye'}.{self.name}_{self.unit}"
 
 
-def _rotation(axis: str) -> Parameter:
-    meaning = f"small rotation about the head's {axis} axis"
-    return Parameter(
-        f"r_{axis}", f"r{axis}", f"rotation vector {axis}", meaning, "rad", "deg", 180 / math.pi, 3
-    )
-
-
-def _length(name: str, symbol: str, label: str, meaning: str = "") -> Parameter:
-    return Parameter(name, symbol, label, meaning or label, "m", "mm", 1e3, 2)
-
-
+_ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
+_WHEELS = ("right wheel radius", "left wheel radius", "wheel separation")
 PARAMETERS = (
-    *(_rotation(axis) for axis in "xyz"),
     *(
-        _length(f"t_{axis}", f"t{axis}", f"translation {axis}", f"camera position in the head frame, {axis}")
+        Parameter(
+            f"r_{axis}", f"rotation vector {axis}", f"small rotation about the head's {axis} axis", *_ANGLE
+        )
         for axis in "xyz"
     ),
-    _length("radius_right", "rR", "right wheel radius"),
-    _length("radius_left", "rL", "left wheel radius"),
-    _length("separation", "b", "wheel separation"),
+    *(
+        Parameter(f"t_{axis}", f"translation {axis}", f"camera position in the head frame, {axis}", *_LENGTH)
+        for axis in "xyz"
+    ),
+    *(Parameter(name, label, label, *_LENGTH) for name, label in zip(NINE[6:], _WHEELS, strict=True)),
 )
 BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
 def value_text(value: float, std: float | None, otherwise: int, sign: str = "") -> str:
-    """A value with as many decimals as its standard deviation shows.
+    """A value with as many decimals as its standard deviation shows, `otherwise` where that is None or not positive.
 
-    Args:
-        value: the value.
-        std: its standard deviation in the same unit; None where it is unknown.
-        otherwise: decimals where there is no positive standard deviation.
-        sign: "+" writes the sign of positive values too.
+    The sign "+" writes the sign of positive values too.
     """
     return f"{value:{sign}.{otherwise if std is None else decimals_of(std, otherwise)}f}"
 
@@ -93,12 +77,7 @@ def std_text(std: float) -> str:
 
 
 def decimals_of(std: float, otherwise: int = 3) -> int:
-    """Decimals of a value that match two significant digits of its standard deviation.
-
-    Args:
-        std: the standard deviation.
-        otherwise: decimals where it is zero or not finite.
-    """
+    """Decimals for two significant digits of a standard deviation; `otherwise` where it is zero or not finite."""
     if not (math.isfinite(std) and std > 0):
         return otherwise
     exponent = int(f"{std:.1e}".partition("e")[2])
@@ -107,7 +86,6 @@ def decimals_of(std: float, otherwise: int = 3) -> int:
 
 #: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.
 NEAR_LOCK_DEG = 5.0
-_STEP_RAD = 1e-5
 
 
 def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
@@ -126,49 +104,27 @@ def lengths_mm(parameters: Parameters, cameras: StereoRig) -> FloatArray:
     return 1e3 * np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rotation:
-    """Rotation of the reference camera in the head frame; each standard deviation is that of the number beside it.
+def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray | None]:
+    """1 sigma of the reference camera's rotation vector, (3,), and of its Euler angles x, y, z, (3,), first order.
 
-    Attributes:
-        vector_deg: (3,) rotation vector, norm at most 180 degrees.
-        vector_std_deg: (3,) 1 sigma of its components; None if any part of the rotation is fixed by the user.
-        quaternion_xyzw: (4,) unit quaternion with w >= 0.
-        euler_deg: (3,) angles x, y, z with R = Rz(z) Ry(y) Rx(x); None within `NEAR_LOCK_DEG` of gimbal lock.
-        euler_std_deg: (3,) 1 sigma of these angles; None where `euler_deg` or `vector_std_deg` is None.
-        lock_deg: distance from gimbal lock.
+    None if any part of the rotation is fixed by the user; the second also within `NEAR_LOCK_DEG` of gimbal lock. The
+    covariance is that of a small rotation r about the head's axes: `R_true = exp(r) R`.
     """
-
-    vector_deg: FloatArray
-    vector_std_deg: FloatArray | None
-    quaternion_xyzw: FloatArray
-    euler_deg: FloatArray | None
-    euler_std_deg: FloatArray | None
-    lock_deg: float
-
-
-def rotation_of(solution: Solution) -> Rotation:
-    """Rotation vector, quaternion and Euler angles of the reference camera, with first-order standard deviations.
-
-    The covariance is that of a small rotation r about the head's axes: `R_true = exp(r) R`.
-    """
-    R = reference_pose(solution.parameters, solution.cameras)[:3, :3]
-    vector_deg, found = np.degrees(se3.log_so3(R)), solution.uncertainty
-    lock_deg = se3.gimbal_margin_deg(R)
-    euler_deg = np.array(se3.euler_zyx_deg(R)) if lock_deg >= NEAR_LOCK_DEG else None
-    vector_std = euler_std = None
-    if found is not None and None not in reference_std(solution)[:3]:
-        C = found.reference_covariance[:3, :3]
-        J = np.linalg.inv(se3.left_jacobian_so3(np.radians(vector_deg)))
-        vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
-        if euler_deg is not None:
-            step = np.eye(3) * _STEP_RAD
-            ahead, behind = (
-                np.array([se3.euler_zyx_deg(se3.exp_so3(sign * r) @ R) for r in step]) for sign in (1, -1)
-            )
-            J = ((ahead - behind + 180) % 360 - 180).T / (2 * _STEP_RAD)
-            euler_std = np.sqrt(np.diag(J @ C @ J.T))
-    return Rotation(vector_deg, vector_std, se3.quaternion_xyzw(R), euler_deg, euler_std, lock_deg)
+    R, found = reference_pose(solution.parameters, solution.cameras)[:3, :3], solution.uncertainty
+    if found is None or None in reference_std(solution)[:3]:
+        return None, None
+    C = found.reference_covariance[:3, :3]
+    J = np.linalg.inv(se3.left_jacobian_so3(se3.log_so3(R)))
+    vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
+    if se3.gimbal_margin_deg(R) < NEAR_LOCK_DEG:
+        return vector_std, None
+    step_rad = 1e-5
+    ahead, behind = (
+        np.array([se3.euler_zyx_deg(se3.exp_so3(r) @ R) for r in sign * step_rad * np.eye(3)])
+        for sign in (1, -1)
+    )
+    J = ((ahead - behind + 180) % 360 - 180).T / (2 * step_rad)
+    return vector_std, np.sqrt(np.diag(J @ C @ J.T))
 
 
 def reference_std(solution: Solution) -> tuple[float | None, ...]:
@@ -197,6 +153,21 @@ def board_distance_m(extraction: Extraction) -> float:
     return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in seen])) if seen else 0.0
 
 
+def square_size_mm(extraction: Extraction) -> float | None:
+    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
+    if extraction.board.square_m is not None:
+        return extraction.board.square_m * 1e3
+    sizes = [o.square_m * 1e3 for o in extraction.observations]
+    return float(np.median(sizes)) if sizes else None
+
+
+def stated_priors(solution: Solution) -> dict[str, float]:
+    """Constants that the data contradict → their stated priors, before these were widened."""
+    return {
+        name: prior for found in reversed(solution.contradictions) for name, prior in found.priors.items()
+    }
+
+
 def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
     """Heading error if both encoders are off by one step, rad."""
     wheels = solution.parameters.wheels
@@ -218,9 +189,7 @@ def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
     """Number of rejections for each (stage, reason), most frequent first."""
-    counts: dict[tuple[str, str], int] = {}
-    for item in extraction.rejections:
-        counts[item.stage, item.reason] = counts.get((item.stage, item.reason), 0) + 1
+    counts = Counter((item.stage, item.reason) for item in extraction.rejections)
     return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 

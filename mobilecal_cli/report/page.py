@@ -9,10 +9,9 @@ import base64
 import functools
 import hashlib
 import re
-from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,12 +36,11 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     """
     from markupsafe import Markup  # SVG made here, with every text escaped
 
+    plots, views = drawings
     script, style = _asset("page.js"), _asset("page.css") + STYLE
-    filled: dict[str, object] = {
-        side: f"{100 * share:.0f} %" for side, share in report.image_coverage.items()
-    }
-    said = _sentences(report)
-    filled |= {"linear": report.linear, "refinement": said["refinement"]}
+    said, shares = _sentences(report), report.image_coverage.items()
+    filled = {"linear": report.linear, "refinement": said["refinement"]}
+    filled |= {side: f"{100 * share:.0f} %" for side, share in shares}
     figures = [
         {
             "section": figure.section,
@@ -52,15 +50,14 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
                 "Good:", Markup("<strong>Good:</strong>")
             ),
         }
-        for figure in drawings.figures
+        for figure in plots
     ]
     text = link_terms(
         template("report.html.jinja").render(
             report=report,
             figures=figures,
-            views=drawings.views,
+            views=views,
             said=said,
-            leg_title=_leg_title,
             least_stations=MIN_STATIONS,
             terms=TERMS,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
@@ -115,13 +112,6 @@ _INITIAL = {
     "nominal": "the nominal wheels",
     "given": "the given wheel ratios",
 }
-_RANKS = {
-    "worst": "Worst leg",
-    "median": "Median leg",
-    "best": "Best leg",
-    "only": "The leg with images",
-    "": "Leg",
-}
 
 
 def _sentences(report: ReportData) -> dict[str, str]:
@@ -142,11 +132,6 @@ def _sentences(report: ReportData) -> dict[str, str]:
         "refinement": _REFINEMENTS.get(method, method),
         "initial": f"Initial estimate: {_INITIAL[report.linear.initial_from]}.",
     }
-
-
-def _leg_title(rank: str, first: str, second: str, error_px: float, error_mm: float) -> str:
-    """Title of the images of a leg between two stations."""
-    return f"{_RANKS[rank]}, from station {first} to {second}: {error_px:.2f} px, {error_mm:.1f} mm"
 
 
 def _orientation(found: ResultData) -> str:
@@ -180,16 +165,8 @@ def _change(change: Change) -> str:
     return text
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
-    """One entry of the glossary.
-
-    Attributes:
-        key: its anchor, after "term-".
-        name: its heading.
-        pattern: regular expression for the words that link to it.
-        definition: one or two sentences.
-    """
+class Term(NamedTuple):
+    """One entry of the glossary: its anchor after "term-", heading, and the pattern of the words that link to it."""
 
     key: str
     name: str

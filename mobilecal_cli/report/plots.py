@@ -5,9 +5,11 @@ A new plot is a function with the decorator `plot`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import base64
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     NINE,
     SIDES,
+    Corners,
     Extraction,
     FloatArray,
     Side,
@@ -33,9 +36,8 @@ from mobilecal_cli.report.numbers import (
     reference_pose,
     station_names,
 )
-from mobilecal_cli.report.overlays import LegView, leg_views
-from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Limits, Scale
-from mobilecal_cli.report.use import FIGURES, families
+from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
+from mobilecal_cli.report.use import FAMILIES, FIGURES, families
 
 _Draw = TypeVar("_Draw", bound=Callable[..., str])
 _MOST_PATHS = 4  # recordings with their own plots
@@ -43,10 +45,9 @@ _MOST_PATHS = 4  # recordings with their own plots
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot, or the same plot of several recordings or of both cameras.
+    """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
-        section: where the page shows it.
         parts: title ("" for none) and SVG element of each.
         caption: sentences below it; its braces are filled in by `report_html`.
         half: half as wide as the page, side by side.
@@ -59,18 +60,39 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawings:
-    """What the page shows beside values.
+class Overlay:
+    """The region of an image around the board, as base64 ("" if it cannot be decoded), with marks, for the template.
 
-    Attributes:
-        figures: plots in the order of their definition.
-        views: images of legs with detected and predicted corners.
+    Region and marks are in pixels of the whole image; a mark is the corner as detected and as predicted, (u, v) each.
     """
 
-    figures: tuple[Figure, ...]
-    views: Sequence[LegView]
+    side: Side
+    x: int
+    y: int
+    width: int
+    height: int
+    jpeg: str
+    marks: list[list[float]]
 
 
+@dataclass(frozen=True, slots=True)
+class LegView:
+    """Both images of a leg's first station, with the corners predicted from the leg's other end.
+
+    The rank is "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
+    """
+
+    observation: int
+    rank: str
+    from_station: str
+    to_station: str
+    error_mm: float
+    error_px: float
+    pictures: tuple[Overlay, Overlay]
+
+
+#: What the page shows beside values: plots in the order of their definition, and images of legs.
+Drawings: TypeAlias = tuple[tuple[Figure, ...], list[LegView]]
 _PLOTS: list[Callable[[Solution, Extraction], Figure]] = []
 
 
@@ -85,9 +107,7 @@ def plot(
     """Add a function to the plots of the page: solution, data (and log or side) → SVG element, "" for none.
 
     Args:
-        section: where the page shows it.
-        caption: see `Figure`.
-        half: see `Figure`.
+        section, caption, half: see `Figure`.
         each: draw it for each recording, or for each camera.
         corners: it is about corners, and is left out where poses were measured in their place.
     """
@@ -95,16 +115,14 @@ def plot(
     def registered(draw: _Draw) -> _Draw:
         def figure(solution: Solution, extraction: Extraction) -> Figure:
             logs = sorted({o.log for o in extraction.observations})
-            titles: dict[Any, str] = {None: ""} if each is None else dict.fromkeys(SIDES, "")
-            if each == "log":
-                titles = {
-                    log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]
-                }
-            items = () if corners and extraction.measured else titles.items()
-            drawn = (
-                (title, draw(solution, extraction, *(() if item is None else (item,))))
-                for item, title in items
-            )
+            names = {log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]}
+            titles: dict[tuple[Any, ...], str] = {(): ""}  # further arguments of the function → title
+            if each is not None:
+                subjects: Iterable[Any] = names if each == "log" else SIDES
+                titles = {(subject,): names.get(subject, "") for subject in subjects}
+            if corners and extraction.measured:
+                titles = {}
+            drawn = ((title, draw(solution, extraction, *more)) for more, title in titles.items())
             return Figure(section, tuple(part for part in drawn if part[1]), caption, half)
 
         _PLOTS.append(figure)
@@ -114,46 +132,21 @@ def plot(
 
 
 def draw_all(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot] = ()) -> Drawings:
-    """Draw all plots, and the images of legs.
-
-    Args:
-        solution: the solution.
-        extraction: the data it was computed from.
-        snapshots: images of some or all stations; may be empty.
-    """
+    """All plots, and the images of those legs whose first station has a snapshot."""
     drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
-    figures = tuple(figure for figure in drawn if figure.parts)
-    return Drawings(figures, leg_views(solution, extraction, snapshots))
+    return tuple(figure for figure in drawn if figure.parts), leg_views(solution, extraction, snapshots)
 
 
+_COLORS = ("blue", "orange", "green")
+_MOST_VIEWS = 40  # legs with images beside the worst, the median and the best; keeps the page under 5 MB
+_VIEW_WIDTH_PX = 640  # wider regions are scaled down; the marks are vectors and stay sharp
+_VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
 _TRAIL_POINTS = 400
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
-# Error budget: dark shades for measurements, light ones for what the robot description states.
-_FAMILY_CLASSES = {
-    "corners": "blue dark",
-    "joint readings": "orange dark",
-    "floor": "green dark",
-    "wheels": "red dark",
-    "encoder steps": "ink half",
-    "time stamps": "ink light",
-    "camera_info": "blue light",
-    "head geometry": "orange light",
-    "board": "green light",
-    "nominal values": "red light",
-    "poses": "faint dark",
-    "other": "faint half",
-}
-_BUDGET_LABELS = {
-    "camera_m": "camera position",
-    "camera_rad": "camera rotation",
-    "along_m_per_m": "distance per meter",
-    "heading_rad_per_m": "heading per meter",
-    "heading_rad_per_turn": "heading per turn",
-}
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 _OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "joint": "joint reading"}
 
@@ -165,17 +158,12 @@ _OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "
 )
 def wheel_convergence(solution: Solution, _: Extraction) -> str:
     """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
-    history, cameras = solution.linear.history, solution.cameras
-    numbers = np.stack([lengths_mm(parameters, cameras) for parameters in history])
-    rounds = np.arange(1, len(history) + 1)
+    numbers = np.stack([lengths_mm(parameters, solution.cameras) for parameters in solution.linear.history])
     canvas = Canvas(WIDE, 210.0, "wheel radius and separation over the iterations")
     for k, (column, title) in enumerate(((3, "right wheel radius [mm]"), (5, "wheel separation [mm]"))):
-        values = numbers[:, column]
+        y = Scale.of(numbers[:, column], margin=0.25)
         box = (k * WIDE / 2, 0.0, (k + 1) * WIDE / 2, 210.0)
-        axes = Axes.of(canvas, _rounds(solution), Limits.of(values, margin=0.25), title, box)
-        axes.grid("iteration", whole=True)
-        _tolerance(axes, solution)
-        _line_with_dots(axes, np.column_stack([rounds, values]), "blue")
+        _over_rounds(solution, numbers[:, [column]], Axes.of(canvas, _rounds(solution), y, title, box))
     return canvas.svg
 
 
@@ -192,24 +180,19 @@ def all_convergence(solution: Solution, _: Extraction) -> str:
     turned = np.degrees([se3.log_so3(each @ R[-1].T) for each in R])
     apart = np.abs(np.concatenate([turned, numbers - numbers[-1]], axis=1))
     names = (*"xyzxyz", *(parameter.name.removeprefix("radius_") for parameter in PARAMETERS[6:]))
-    rounds = np.arange(1, len(numbers) + 1)
     canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
     for k, title in enumerate(("rotation [deg]", "translation [mm]", "wheels [mm]")):
         part = apart[:, 3 * k : 3 * k + 3]
         part = np.where(part > 1e-7, part, np.nan)
         if not np.isfinite(part).any():
             continue
-        y = Limits(10 ** np.floor(np.log10(np.nanmin(part))), 10 ** np.ceil(np.log10(np.nanmax(part))), True)
+        y = Scale(10 ** np.floor(np.log10(np.nanmin(part))), 10 ** np.ceil(np.log10(np.nanmax(part))), True)
         left = k * WIDE / 3
-        axes = Axes.of(canvas, _rounds(solution), y, title, (left, 18.0, left + WIDE / 3, 250.0))
-        axes.grid("iteration", whole=True)
-        _tolerance(axes, solution)
-        styles = list(zip(("blue", "orange", "green"), names[3 * k : 3 * k + 3], strict=True))
-        for column, (color, _) in enumerate(styles):
-            _line_with_dots(axes, np.column_stack([rounds, part[:, column]]), color)
-        shown = [(f"line {color}", name) for color, name in styles]
+        box = (left, 18.0, left + WIDE / 3, 250.0)
+        _over_rounds(solution, part, Axes.of(canvas, _rounds(solution), y, title, box))
         wide = Canvas(left + WIDE / 3, 1.0, "")
-        wide.legend(shown, left + 8, 16.0)
+        entries = zip(_COLORS, names[3 * k : 3 * k + 3], strict=True)
+        wide.legend([(f"line {color}", name) for color, name in entries], left + 8, 16.0)
         canvas.parts += wide.parts
     return canvas.svg
 
@@ -222,20 +205,24 @@ def refinement_convergence(solution: Solution, _: Extraction) -> str:
     error_mm = solution.refinement.point_rms_history_m * 1e3
     canvas = Canvas(WIDE, 190.0, "point error over the iterations of the refinement")
     axes = Axes.of(
-        canvas, Limits(0, max(len(error_mm) - 1, 1)), Limits.of(error_mm, zero=True), "point error [mm]"
+        canvas, Scale(0, max(len(error_mm) - 1, 1)), Scale.of(error_mm, zero=True), "point error [mm]"
     )
     axes.grid("iteration of the refinement (0: linear solution)", whole=True)
     _line_with_dots(axes, np.column_stack([np.arange(len(error_mm)), error_mm]), "blue")
     return canvas.svg
 
 
-def _rounds(solution: Solution) -> Limits:
-    return Limits(1, max(solution.linear.rounds, 2))
+def _rounds(solution: Solution) -> Scale:
+    return Scale(1, max(solution.linear.rounds, 2))
 
 
-def _tolerance(axes: Axes, solution: Solution) -> None:
+def _over_rounds(solution: Solution, columns: FloatArray, axes: Axes) -> None:
+    """A line for each column of values over the iterations, (n, up to 3), and one at the tolerance."""
+    axes.grid("iteration", whole=True)
     at = solution.linear.rounds_to_tolerance
     axes.line([(at, axes.y.low), (at, axes.y.high)], "faint thin dash")
+    for color, values in zip(_COLORS, columns.T, strict=False):
+        _line_with_dots(axes, np.column_stack([np.arange(1, len(values) + 1), values]), color)
 
 
 def _line_with_dots(axes: Axes, points: FloatArray, color: str) -> None:
@@ -265,7 +252,8 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     path = trail(extraction.wheels[log], times, solution.parameters.wheels)
     everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
-    axes = Axes.equal(canvas, Limits.of(everything[:, 0]), Limits.of(everything[:, 1]), "y [m]", top=18.0)
+    x, y = (Scale.of(column) for column in everything.T)
+    axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
     axes.grid("x at the first station [m]")
     entries = [("line soft", "path of the base")]
     axes.line(path, "soft")
@@ -283,7 +271,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
         axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
     if len(picked) <= _MOST_LABELS:
-        axes.named(T_w_v[:, :2, 3], [names[i] for i in picked])
+        canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
     entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
     canvas.legend(entries, 8.0, 16.0)
     return canvas.svg
@@ -316,14 +304,14 @@ def head_angles(_: Solution, extraction: Extraction) -> str:
     canvas = Canvas(HALF, 290.0, "head angles at each station")
     labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
     title = labels[1] if len(columns) == 2 else ""
-    spans = (Limits.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
+    spans = (Scale.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
     axes = Axes.of(canvas, next(spans), next(spans), title)
     axes.grid(labels[0])
     names = station_names(extraction)
     for i, (name, x, y) in enumerate(zip(names, pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
     if len(seen) <= _MOST_LABELS:
-        axes.named(np.column_stack([pan, other]), names)
+        canvas.labels(axes.at(np.column_stack([pan, other])), names)
     return canvas.svg
 
 
@@ -340,8 +328,8 @@ def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, 
     canvas.text(left, 16.0, f"{side} camera", "title")
     axes = Axes(
         canvas,
-        Scale(-0.5, camera.width - 0.5, left, left + wide),
-        Scale(-0.5, camera.height - 0.5, top, canvas.height - 6.0),
+        Scale(-0.5, camera.width - 0.5, start=left, end=left + wide),
+        Scale(-0.5, camera.height - 0.5, start=top, end=canvas.height - 6.0),
     )
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.width, camera.height] - 0.5
     axes.line(corners, "faint thin", closed=True)
@@ -390,8 +378,8 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> str:
         (14.0, "point error [mm]", point_mm, "mm", solution.point_rms_m * 1e3),
         (230.0, "reprojection error [px]", residuals.leg_reprojection_px, "px", solution.reprojection_rms_px),
     ):
-        y = Limits.of([*values, whole, depth_mm if unit == "mm" else 0.0], zero=True)
-        axes = Axes.of(canvas, Limits(-0.6, len(legs) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
+        y = Scale.of([*values, whole, depth_mm if unit == "mm" else 0.0], zero=True)
+        axes = Axes.of(canvas, Scale(-0.6, len(legs) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
         axes.grid(x=False)
         for k, ((name, ends), value) in enumerate(zip(legs, values.tolist(), strict=True)):
             axes.bar(k, value, "blue", ends, f"{name}: {value:.2f} {unit}")
@@ -426,8 +414,8 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
         entries.append(("line ink", "rejected image or station"))
     canvas = Canvas(WIDE, 290.0, "residuals over time, with outliers and rejected stations")
     top = canvas.legend(entries, 8.0, 16.0)
-    x = Limits.of([(t - start) * 1e-9 for t in times])
-    axes = Axes.of(canvas, x, Limits.of(values, zero=True), "residual [px]", (0.0, top + 8.0, WIDE, 290.0))
+    x = Scale.of([(t - start) * 1e-9 for t in times])
+    axes = Axes.of(canvas, x, Scale.of(values, zero=True), "residual [px]", (0.0, top + 8.0, WIDE, 290.0))
     axes.grid("time since the first station [s]")
     for leg in mine:
         i, j = residuals.legs[leg].tolist()
@@ -459,15 +447,15 @@ def station_residuals(_: Solution, extraction: Extraction) -> str:
     seen, names = extraction.observations, station_names(extraction)
     square_mm = [o.square_m * 1e3 for o in seen]
     stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
-    x = Limits(-0.6, len(seen) - 0.4)
+    x = Scale(-0.6, len(seen) - 0.4)
     canvas = Canvas(WIDE, 420.0, "stereo residual and square size at each station")
-    stereo = Limits.of([o.reprojection_px for o in seen], zero=True)
+    stereo = Scale.of([o.reprojection_px for o in seen], zero=True)
     axes = Axes.of(canvas, x, stereo, "stereo residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
     axes.grid(x=False)
     for i, o in enumerate(seen):
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
     axes.names(names, "")
-    size = Limits.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
+    size = Scale.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)
     for value in stated:
@@ -522,7 +510,7 @@ def residual_histogram(_: Solution, extraction: Extraction) -> str:
     share = 100 * counts / values.size
     canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
     axes = Axes.of(
-        canvas, Limits(-most, most), Limits.of(share, zero=True), "corner residuals, share of all [%]"
+        canvas, Scale(-most, most), Scale.of(share, zero=True), "corner residuals, share of all [%]"
     )
     axes.grid("residual of a coordinate [px]")
     left, right = edges[:-1], edges[1:]
@@ -582,11 +570,11 @@ def error_budget(solution: Solution, _: Extraction) -> str:
     at_work = [figure for figure in FIGURES if figure.limit is not None]
     fields = [*NINE, *found.budget.at_work]
     columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
-    labels = [*NINE, *(_BUDGET_LABELS[figure.field] for figure in at_work)]
+    labels = [*NINE, *(figure.short for figure in at_work)]
     used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
     left, wide = 122.0, WIDE - 132.0
-    canvas.legend([(f"fill {_FAMILY_CLASSES[names[k]]}", names[k]) for k in used], 8.0, 14.0)
+    canvas.legend([(f"fill {FAMILIES[names[k]].style}", names[k]) for k in used], 8.0, 14.0)
     for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
         y, x = 46.0 + 24.0 * row, left
         canvas.text(left - 8, y + 13, label, anchor="end")
@@ -594,9 +582,66 @@ def error_budget(solution: Solution, _: Extraction) -> str:
             width = wide * float(shares[k, column])
             if width <= 0:
                 continue
-            share, kind = f"{100 * shares[k, column]:.0f} %", f"fill {_FAMILY_CLASSES[names[k]]}"
+            share, kind = f"{100 * shares[k, column]:.0f} %", f"fill {FAMILIES[names[k]].style}"
             canvas.shape("rect", kind, (), f"{label}: {names[k]} {share}", x=x, y=y, width=width, height=18)
             if shares[k, column] > _LABELED_SHARE:
                 canvas.text(x + width / 2, y + 13, share, anchor="middle")
             x += width
     return canvas.svg
+
+
+def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
+    """The worst, the median and the best leg among those whose first station has images, and up to 40 others."""
+    residuals, seen = solution.residuals, extraction.observations
+    pictures = {(s.log, s.station): s for s in snapshots}
+    shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
+    order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
+    if not order:
+        return []
+    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
+    words = {1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
+    ranks = dict(zip(chosen, words, strict=True))
+    others = [leg for leg in shown if leg not in ranks]
+    others = others[:: max(1, math.ceil(len(others) / _MOST_VIEWS))]
+    names = station_names(extraction)
+    views = []
+    for leg in (*ranks, *others):
+        i, j = residuals.legs[leg]
+        snapshot = pictures[seen[i].log, seen[i].station]
+        views.append(
+            LegView(
+                observation=int(i),
+                rank=ranks.get(leg, ""),
+                from_station=names[i],
+                to_station=names[j],
+                error_mm=float(residuals.leg_point_rms_m[leg] * 1e3),
+                error_px=float(residuals.leg_reprojection_px[leg]),
+                pictures=(
+                    _overlay("left", snapshot.left_jpeg, seen[i].left, residuals.predicted_left_px[leg]),
+                    _overlay("right", snapshot.right_jpeg, seen[i].right, residuals.predicted_right_px[leg]),
+                ),
+            )
+        )
+    return views
+
+
+def _overlay(side: Side, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:
+    import cv2  # slow to import
+
+    detected, predicted = corners.pixels[corners.seen], predicted[corners.seen]
+    picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) if jpeg else None
+    marks = np.concatenate([detected, predicted], axis=1) + 0.5  # SVG coordinates start at a pixel's edge
+    shown = detected if len(detected) else corners.pixels  # where the board is, as the other camera sees it
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    margin = _VIEW_MARGIN * float(np.max(high - low)) + 8
+    bounds = np.array([[0, 0], [1 << 20, 1 << 20]] if picture is None else [[0, 0], picture.shape[::-1]])
+    (x, y), (right, bottom) = np.clip([low - margin, high + margin], *bounds).astype(int).tolist()
+    place = (side, x, y, right - x, bottom - y)
+    if picture is None:
+        return Overlay(*place, "", np.round(marks, 2).tolist())
+    part = picture[y:bottom, x:right]
+    if part.shape[1] > _VIEW_WIDTH_PX:
+        size = (_VIEW_WIDTH_PX, max(1, round(part.shape[0] * _VIEW_WIDTH_PX / part.shape[1])))
+        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    encoded = cv2.imencode(".jpg", part, [cv2.IMWRITE_JPEG_QUALITY, 72])[1]
+    return Overlay(*place, base64.b64encode(encoded.tobytes()).decode("ascii"), np.round(marks, 2).tolist())

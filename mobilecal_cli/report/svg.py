@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
@@ -38,71 +38,20 @@ def number(value: float) -> str:
     return f"{value:.2f}".rstrip("0").rstrip(".")
 
 
-def ticks(low: float, high: float, most: int = 6) -> list[float]:
-    """Round values in an interval: steps of 1, 2, 2.5 or 5 times a power of ten."""
-    span = high - low
-    if not span > 0:
-        return [low]
-    power = 10.0 ** math.floor(math.log10(span / most))
-    step = next(power * k for k in (1, 2, 2.5, 5, 10, 20) if span / (power * k) <= most)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [k * step for k in range(first, last + 1)]
-
-
-def _label(value: float) -> str:
-    """A tick value without the rounding errors of its step."""
-    return f"{round(value, 12) + 0.0:.7g}"
-
-
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Values to coordinates.
-
-    Attributes:
-        low, high: of the values.
-        start, end: their coordinates.
-        log: logarithmic; the values are positive.
-    """
-
-    low: float
-    high: float
-    start: float
-    end: float
-    log: bool = False
-
-    def __call__(self, value: float) -> float:
-        """Coordinate of a value."""
-        low, high = (math.log10(v) if self.log else v for v in (self.low, self.high))
-        at = math.log10(value) if self.log else value
-        return self.start + (at - low) / ((high - low) or 1.0) * (self.end - self.start)
-
-    @property
-    def ticks(self) -> list[float]:
-        """Values to label."""
-        if self.log:
-            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
-            every = max(1, -(-(last - first + 1) // 6))
-            return [10.0**k for k in range(first, last + 1, every)]
-        return ticks(self.low, self.high, max(4, min(7, int(abs(self.end - self.start) / 55))))
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Interval of an axis.
-
-    Attributes:
-        low, high: the interval.
-        log: logarithmic.
-    """
+    """Values from `low` to `high` (positive ones if logarithmic), shown from coordinate `start` to `end`."""
 
     low: float
     high: float
     log: bool = False
+    start: float = 0.0
+    end: float = 1.0
 
     @classmethod
     def of(
         cls, values: Iterable[float], zero: bool = False, margin: float = 0.06, least: float = 0.0
-    ) -> Limits:
+    ) -> Scale:
         """Limits around finite values, from zero on request, and at least a span apart."""
         finite = [float(v) for v in values if math.isfinite(v)] or [0.0, 1.0]
         low, high = min(finite), max(finite)
@@ -112,16 +61,31 @@ class Limits:
         room += max(0.0, least - (high - low + 2 * room)) / 2
         return cls(low - room, high + room)
 
+    def __call__(self, value: float) -> float:
+        """Coordinate of a value."""
+        low, high = (math.log10(v) if self.log else v for v in (self.low, self.high))
+        at = math.log10(value) if self.log else value
+        return self.start + (at - low) / ((high - low) or 1.0) * (self.end - self.start)
+
+    @property
+    def ticks(self) -> list[float]:
+        """Round values to label: powers of ten, or in steps of 1, 2, 2.5 or 5 times a power of ten."""
+        if self.log:
+            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+            every = max(1, -(-(last - first + 1) // 6))
+            return [10.0**k for k in range(first, last + 1, every)]
+        span, most = self.high - self.low, max(4, min(7, int(abs(self.end - self.start) / 55)))
+        if not span > 0:
+            return [self.low]
+        power = 10.0 ** math.floor(math.log10(span / most))
+        step = next(power * k for k in (1, 2, 2.5, 5, 10, 20) if span / (power * k) <= most)
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        return [k * step for k in range(first, last + 1)]
+
 
 @dataclass(slots=True)
 class Canvas:
-    """An <svg> element under construction.
-
-    Attributes:
-        width, height: of its coordinates.
-        title: for screen readers.
-        parts: its content.
-    """
+    """An <svg> element under construction, with a title for screen readers."""
 
     width: float
     height: float
@@ -169,12 +133,7 @@ class Canvas:
         self.parts.append(f'<{tag} class="{kind}" {shown}{linked}>{inside}</{tag}>')
 
     def path(
-        self,
-        points: FloatArray,
-        kind: str,
-        closed: bool = False,
-        stations: Sequence[int] = (),
-        tip: str = "",
+        self, points: FloatArray, kind: str, closed: bool = False, stations: Sequence[int] = (), tip: str = ""
     ) -> None:
         """A line through points, (n, 2); gaps where they are not finite."""
         steps, up = [], True
@@ -216,12 +175,7 @@ class Canvas:
 
 @dataclass(slots=True)
 class Axes:
-    """One pair of axes on a canvas.
-
-    Attributes:
-        canvas: receives the marks.
-        x, y: the scales.
-    """
+    """A pair of axes on a canvas."""
 
     canvas: Canvas
     x: Scale
@@ -231,48 +185,42 @@ class Axes:
     def of(
         cls,
         canvas: Canvas,
-        x: Limits,
-        y: Limits,
+        x: Scale,
+        y: Scale,
         title: str = "",
         box: tuple[float, float, float, float] | None = None,
     ) -> Axes:
         """Axes in a box (left, top, right, bottom) of the canvas, by default all of it; labels are inside."""
         left, top, right, bottom = box or (0.0, 0.0, canvas.width, canvas.height)
-        left, top, right, bottom = left + _LEFT, top + _TOP, right - _RIGHT, bottom - _BOTTOM
         if title:
-            canvas.text(left - _LEFT + 8, top - 14, title, "title")
-        return cls(canvas, Scale(x.low, x.high, left, right, x.log), Scale(y.low, y.high, bottom, top, y.log))
+            canvas.text(left + 8, top + _TOP - 14, title, "title")
+        return cls(
+            canvas,
+            replace(x, start=left + _LEFT, end=right - _RIGHT),
+            replace(y, start=bottom - _BOTTOM, end=top + _TOP),
+        )
 
-    @classmethod
-    def equal(cls, canvas: Canvas, x: Limits, y: Limits, title: str = "", top: float = 0.0) -> Axes:
+    def with_equal_units(self) -> Axes:
         """Axes with one unit on both, the data in the middle."""
-        axes = cls.of(canvas, x, y, title, (0.0, top, canvas.width, canvas.height))
-        unit = min(abs(s.end - s.start) / (s.high - s.low) for s in (axes.x, axes.y))
+        unit = min(abs(s.end - s.start) / (s.high - s.low) for s in (self.x, self.y))
         scales = []
-        for s in (axes.x, axes.y):
+        for s in (self.x, self.y):
             half, middle = abs(s.end - s.start) / unit / 2, (s.low + s.high) / 2
-            scales.append(Scale(middle - half, middle + half, s.start, s.end))
-        return cls(canvas, scales[0], scales[1])
+            scales.append(replace(s, low=middle - half, high=middle + half))
+        return Axes(self.canvas, *scales)
 
     def grid(self, x_label: str = "", x: bool = True, whole: bool = False) -> None:
-        """Grid lines, tick labels and the label of the x axis.
-
-        Args:
-            x_label: the label.
-            x: whether the x axis has ticks.
-            whole: whether it counts, so that its ticks are whole numbers.
-        """
+        """Grid lines, tick labels, on the x axis if `x` and only whole numbers if `whole`, and the x axis's label."""
         for value in self.y.ticks:
             at = self.y(value)
             self._line(self.x.start, at, self.x.end, at, "grid")
-            self.canvas.text(self.x.start - 5, at + 4, _label(value), anchor="end")
-        if x:
-            for value in self.x.ticks:
-                if whole and value != round(value):
-                    continue
+            self.canvas.text(self.x.start - 5, at + 4, f"{round(value, 12) + 0.0:.7g}", anchor="end")
+        for value in self.x.ticks if x else ():
+            if not whole or value == round(value):
                 at = self.x(value)
                 self._line(at, self.y.start, at, self.y.end, "grid")
-                self.canvas.text(at, self.y.start + 14, _label(value), anchor="middle")
+                label = f"{round(value, 12) + 0.0:.7g}"  # without the rounding errors of the step
+                self.canvas.text(at, self.y.start + 14, label, anchor="middle")
         self._line(self.x.start, self.y.start, self.x.end, self.y.start, "axis")
         if x_label:
             self.canvas.text((self.x.start + self.x.end) / 2, self.y.start + 31, x_label, anchor="middle")
@@ -290,11 +238,11 @@ class Axes:
 
     def at(self, points: FloatArray) -> FloatArray:
         """Coordinates of points, (n, 2), on the canvas."""
-        found = [
+        shown = [
             [self.x(px), self.y(py)] if math.isfinite(px) and math.isfinite(py) else [math.nan] * 2
             for px, py in points.tolist()
         ]
-        return np.array(found).reshape(-1, 2)
+        return np.array(shown).reshape(-1, 2)
 
     def line(
         self,
@@ -306,10 +254,6 @@ class Axes:
     ) -> None:
         """A line through points, (n, 2), in the units of the axes."""
         self.canvas.path(self.at(np.asarray(points)), f"line {kind}", closed, stations, tip)
-
-    def named(self, points: FloatArray, names: Sequence[str]) -> None:
-        """Names beside dots at points, (n, 2), in the units of the axes; see `Canvas.labels`."""
-        self.canvas.labels(self.at(points), names)
 
     def level(self, value: float, kind: str) -> None:
         """A horizontal line."""

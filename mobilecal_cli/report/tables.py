@@ -21,7 +21,9 @@ from mobilecal_cli.report.numbers import (
     reference_std,
     rejected_station,
     rejection_counts,
-    rotation_of,
+    rotation_std_deg,
+    square_size_mm,
+    stated_priors,
     std_text,
     value_text,
 )
@@ -33,26 +35,15 @@ Rows = Sequence[tuple[str, ...]]
 _TABLES: list[Callable[[Case], Table]] = []
 _MOST_REJECTIONS = 200  # further ones are in report.json only
 _NAMED_SIGMAS = 2.0  # constants that are further from their stated values are tagged
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def table(
     section: str, title: str, *heads: str, note: str = ""
 ) -> Callable[[Callable[[Case], Rows]], Callable[[Case], Rows]]:
-    """Make the rows that a function returns a table of the page.
-
-    Args:
-        section: where the page shows it.
-        title: heading.
-        heads: label of each column, with its kind in front ("number:1 sigma"); see `Table.of`.
-        note: sentences above the table.
-    """
+    """Make the rows that a function returns a table of the page; see `Table.of` for the arguments."""
 
     def registered(rows: Callable[[Case], Rows]) -> Callable[[Case], Rows]:
-        def made(case: Case) -> Table:
-            return Table.of(heads, rows(case), section, title, note).without_empty_columns()
-
-        _TABLES.append(made)
+        _TABLES.append(lambda case: Table.of(heads, rows(case), section, title, note).without_empty_columns())
         return rows
 
     return registered
@@ -66,10 +57,10 @@ def tables(case: Case) -> tuple[Table, ...]:
 @table("parameters", "", "parameter", "number:linear", "strong:refined", "number:1 sigma", "unit")
 def nine(case: Case) -> Rows:
     """Rotation vector, translation and wheels of both solutions, and the point error."""
-    solution, cameras, rotation = case.solution, case.solution.cameras, rotation_of(case.solution)
-    stds = _shown_std(case)
+    solution, cameras = case.solution, case.solution.cameras
+    stds, (vector_std, _) = _shown_std(case), rotation_std_deg(solution)
     unknown = ["fixed" if s is None else "–" for s in stds]  # "–": another part of the rotation is fixed
-    stds[:3] = [None] * 3 if rotation.vector_std_deg is None else rotation.vector_std_deg.tolist()
+    stds[:3] = [None] * 3 if vector_std is None else vector_std.tolist()
     if solution.uncertainty is None:
         unknown = [""] * 9
     linear, refined = (
@@ -225,23 +216,11 @@ def separately(case: Case) -> Rows:
 
 
 @table(
-    "constants",
-    "",
-    "part",
-    "name:",
-    "constant",
-    "number:difference",
-    "number:1 sigma",
-    "number:prior",
-    "unit",
-    "tag:",
-)
+    "constants", "", "part", "name:", "constant", "number:difference", "number:1 sigma", "number:prior", "unit", "tag:"
+)  # fmt: skip
 def constants(case: Case) -> Rows:
     """All constants by part of the robot; those that are far off first."""
-    solution = case.solution
-    stated = {
-        name: prior for found in reversed(solution.contradictions) for name, prior in found.priors.items()
-    }
+    solution, stated = case.solution, stated_priors(case.solution)
     wrong = {(found.kind, found.part) for found in solution.contradictions}
     groups: dict[str, list[tuple[float, tuple[str, ...]]]] = {}
     for found in solution.constants.values():
@@ -330,7 +309,8 @@ def each_rejected(case: Case) -> Rows:
 def _moment(time_ns: int) -> str:
     """A recording's time as a UTC date, or in seconds if it is not a valid date."""
     if 0 < time_ns < 253_402_300_800_000_000_000:
-        return (_EPOCH + timedelta(microseconds=time_ns // 1000)).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
+        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
+        return moment.strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
     return f"{time_ns / 1e9:.3f} s"
 
 
@@ -352,12 +332,10 @@ def inputs(case: Case) -> Rows:
         if wheel.sign < 0:
             parts.append("sign reversed")
         rows.append((f"{side} wheel", ", ".join(parts)))
-    size = "square size unknown"
-    if board.square_m is not None:
-        size = f"stated square size {board.square_m * 1e3:g} mm"
-    elif case.extraction.observations:
-        measured = float(np.median([o.square_m for o in case.extraction.observations]))
-        size = f"square size {measured * 1e3:.2f} mm, measured by the stereo pair"
+    size, square_mm = "square size unknown", square_size_mm(case.extraction)
+    if square_mm is not None:
+        measured = f"square size {square_mm:.2f} mm, measured by the stereo pair"
+        size = measured if board.square_m is None else f"stated square size {square_mm:g} mm"
     return [*rows, ("board", f"{board.columns} x {board.rows} inner corners, {size}")]
 
 

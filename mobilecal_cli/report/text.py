@@ -11,7 +11,6 @@ from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, PARAMETERS, decimals_of,
 from mobilecal_cli.report.values import ReportData
 
 _WIDTH = 80
-_CLOCKS = (("time_joints", "Cameras to joints"), ("time_wheels", "Cameras to wheels"))
 
 
 def summary_text(report: ReportData) -> str:
@@ -29,7 +28,8 @@ def summary_text(report: ReportData) -> str:
         "Wheels",
         *lengths[3:],
     ]
-    clocks = [(name, report.constants[key]) for key, name in _CLOCKS if key in report.constants]
+    keys = {"time_joints": "Cameras to joints", "time_wheels": "Cameras to wheels"}
+    clocks = [(name, report.constants[key]) for key, name in keys.items() if key in report.constants]
     if clocks:
         lines.append("Clock offsets, to be added to the image time stamps")
         lines += [_row(name, 1e3 * c.value, 1e3 * c.std if c.std else None, "ms", 3) for name, c in clocks]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,14 +13,12 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, FloatArray, Solution
 from mobilecal_cli.report.numbers import std_text
 
-#: Extent of the motion → with less, a parameter depends on a difference about as small as the noise.
-LEAST_MOTION = {"pan_range_deg": 10.0, "tilt_range_deg": 5.0, "turned_deg": 20.0, "driven_m": 0.2}
-#: Extent of the motion → its name, and what to do where it is small.
+#: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; name; cure.
 MOTION = {
-    "pan_range_deg": ("pan range of the head", "pan the head further left and right"),
-    "tilt_range_deg": ("tilt range of the head", "tilt the head further up and down"),
-    "turned_deg": ("rotation of the base", "turn the base between stops"),
-    "driven_m": ("path length of the base", "drive the base further between stops"),
+    "pan_range_deg": (10.0, "pan range of the head", "pan the head further left and right"),
+    "tilt_range_deg": (5.0, "tilt range of the head", "tilt the head further up and down"),
+    "turned_deg": (20.0, "rotation of the base", "turn the base between stops"),
+    "driven_m": (0.2, "path length of the base", "drive the base further between stops"),
 }
 
 
@@ -30,7 +29,7 @@ class Figure:
     Attributes:
         field: of `AtWork`.
         name: of its gate, see `Metric`.
-        meaning: label.
+        meaning, short: label, and the one in a chart.
         unit: for people.
         factor: how many of it one unit of the field is.
         limit: default limit in this unit; None for no limit.
@@ -39,6 +38,7 @@ class Figure:
     field: str
     name: str
     meaning: str
+    short: str
     unit: str
     factor: float
     limit: float | None = None
@@ -51,29 +51,24 @@ class Figure:
 _DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
-    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "mm", 1e3, 20.0),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "deg", _DEG, 1.0),
-    Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "mm", 1e3),
-    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight", "mm/m", 1e3,
-           10.0),
+    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3, 20.0),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG, 1.0),
+    Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "point", "mm", 1e3),
+    Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight",
+           "distance per meter", "mm/m", 1e3, 10.0),
     Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
-           "mm/m", 1e3),
-    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight", "deg/m",
-           _DEG, 1.0),
-    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn", "deg",
-           _DEG, 5.0),
+           "lateral position per meter", "mm/m", 1e3),
+    Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight",
+           "heading per meter", "deg/m", _DEG, 1.0),
+    Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn",
+           "heading per turn", "deg", _DEG, 5.0),
 )
 # fmt: on
 
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """An expected error against its limit.
-
-    Attributes:
-        figure: which.
-        value, limit: in its unit.
-    """
+    """An expected error and its limit, in the unit of the figure."""
 
     figure: Figure
     value: float
@@ -91,12 +86,7 @@ class Use:
 
 
 def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
-    """All expected errors that have a limit; none for methods that give no standard deviations.
-
-    Args:
-        solution: the solution.
-        limits: gate → limit, replacing the default.
-    """
+    """All expected errors that have a limit, the default or that of a gate in `limits`; none without deviations."""
     found = solution.uncertainty
     if found is None:
         return ()
@@ -110,11 +100,11 @@ def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
     fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
     head = (of_camera or of_point) and not all(fixed[:6])
     base = not of_camera and not all(fixed[6:])
-    for (key, least), wanted in zip(LEAST_MOTION.items(), (head, head, base, base), strict=True):
+    for (key, (least, _, cure)), wanted in zip(MOTION.items(), (head, head, base, base), strict=True):
         now = solution.motion.get(key, least)
         if wanted and now < least:
             extent = f"{now:.1f} m" if key.endswith("_m") else f"{now:.0f} degrees"
-            yield f"{MOTION[key][1].capitalize()} (now {extent})."
+            yield f"{cure.capitalize()} (now {extent})."
 
 
 def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:
@@ -162,30 +152,37 @@ def use_sentence(expected: AtWork) -> str:
     )
 
 
-#: Stated values dominate from this share of a variance on.
-_DOMINANT = 0.5
-_FEW_PERCENT = 0.05
-
-
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A source of errors.
+    """A source of errors: a noise level, or a kind of constants of the robot description.
 
     Attributes:
         label: as in a list.
         family: its group, a key of `FAMILIES`.
         advice: what reduces it, as a command without a full stop.
+        stated: of constants, the stated value, after "differs from".
+        cure: of constants, what to do where the data contradict that value; in whole sentences.
     """
 
     label: str
     family: str
     advice: str
+    stated: str = ""
+    cure: str = ""
 
 
-_STATED_CAMERA = "calibrate the cameras again with more images"
-_STATED_PAIR = "calibrate the stereo pair again with more images"
-_STATED_HEAD = "measure the geometry of the head"
 # fmt: off
+_CAMERA = (
+    "camera_info", "calibrate the cameras again with more images", "camera_info",
+    "Check that camera_info belongs to these images (resolution, crop). Calibrate the camera again, or use the "
+    "exported camera_info.",
+)
+_PAIR = (
+    "camera_info", "calibrate the stereo pair again with more images", "camera_info",
+    "Recalibrate the stereo pair, or use the exported camera_info.",
+)
+_URDF = ("the URDF", "Correct the URDF, or use the exported URDF.")
+_HEAD = ("head geometry", "measure the geometry of the head", *_URDF)
 SOURCES: dict[str, Source] = {
     "pixel_px": Source("corner noise", "corners", "record more stops, with the board closer or more images each"),
     "joint_rad": Source("joint reading noise", "joint readings", "record more stops, and check the head for play"),
@@ -198,47 +195,70 @@ SOURCES: dict[str, Source] = {
     "encoder_rad": Source("encoder steps", "encoder steps", "record more legs, or use finer encoders"),
     "stamp_s": Source("jitter of the image time stamps", "time stamps", "stop for images, or use hardware time stamps"),
     "pose_scale": Source("the measured poses", "poses", "measure more poses, or measure them more exactly"),
-    "clock": Source("the stated clock offset", "time stamps", "synchronize the clocks"),
-    "focal_length": Source("the stated focal length", "camera_info", _STATED_CAMERA),
-    "focal_aspect": Source("the stated ratio of the focal lengths", "camera_info", _STATED_CAMERA),
-    "stereo_clock": Source("the delay between the cameras", "time stamps", "stop for images, or trigger them together"),
-    "readout": Source("the read-out time of the images", "time stamps", "stop for images, or use a global shutter"),
-    "principal_point": Source("the stated principal point", "camera_info", _STATED_CAMERA),
-    "distortion": Source("the stated lens distortion", "camera_info", _STATED_CAMERA),
-    "stereo_rotation": Source("the stated rotation between the cameras", "camera_info", _STATED_PAIR),
-    "baseline_direction": Source("the stated direction of the stereo baseline", "camera_info", _STATED_PAIR),
-    "baseline_length": Source("the stated length of the stereo baseline", "camera_info", _STATED_PAIR),
-    "square_size": Source("the stated size of the squares", "board", "measure the board (ten squares, with a caliper)"),
-    "square_aspect": Source("the stated aspect of the squares", "board", "measure the board in both directions"),
-    "board_bend": Source("the flatness of the board", "board", "mount the board on a flat plate"),
-    "board_shear": Source("the right angle of the board", "board", "measure the diagonals of the board"),
-    "board_corners": Source("the places of the board's corners", "board", "use a board that is printed more exactly"),
-    "lean": Source("the lean of the base", "floor", "check that the base stands upright"),
-    "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints"),
-    "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings"),
-    "joint_axis": Source("the stated axes of the head joints", "head geometry", _STATED_HEAD),
-    "joint_position": Source("the stated positions of the head joints", "head geometry", _STATED_HEAD),
-    "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides"),
+    "clock": Source("the stated clock offset", "time stamps", "synchronize the clocks", "equal clocks",
+                    "Synchronize the clocks (NTP or PTP) and record again."),
+    "focal_length": Source("the stated focal length", *_CAMERA),
+    "focal_aspect": Source("the stated ratio of the focal lengths", *_CAMERA),
+    "stereo_clock": Source("the delay between the cameras", "time stamps", "stop for images, or trigger them together",
+                           "simultaneous images",
+                           "Trigger both cameras together, or stop for images, and record again."),
+    "readout": Source("the read-out time of the images", "time stamps", "stop for images, or use a global shutter",
+                      "a global shutter",
+                      "State priors.readout in rig.yaml (in ms), or stop for images, and record again."),
+    "principal_point": Source("the stated principal point", *_CAMERA),
+    "distortion": Source("the stated lens distortion", *_CAMERA),
+    "stereo_rotation": Source("the stated rotation between the cameras", *_PAIR),
+    "baseline_direction": Source("the stated direction of the stereo baseline", *_PAIR),
+    "baseline_length": Source("the stated length of the stereo baseline", *_PAIR),
+    "square_size": Source("the stated size of the squares", "board", "measure the board (ten squares, with a caliper)",
+                          "the stated size",
+                          "Measure ten squares with a ruler, and correct board.square_m in rig.yaml."),
+    "square_aspect": Source("the stated aspect of the squares", "board", "measure the board in both directions",
+                            "square", "Print the board again without scaling, and measure it in both directions."),
+    "board_bend": Source("the flatness of the board", "board", "mount the board on a flat plate", "a flat board",
+                         "Mount the board on a flat plate and record again."),
+    "board_shear": Source("the right angle of the board", "board", "measure the diagonals of the board",
+                          "a right angle", "Print the board again on a printer that does not skew, and measure it."),
+    "board_corners": Source("the places of the board's corners", "board", "use a board that is printed more exactly",
+                            "corners in their places", "Print the board again, and mount it on a flat plate."),
+    "lean": Source("the lean of the base", "floor", "check that the base stands upright", "an upright base",
+                   "Check tires and casters for size and wear, and the axes of the base in the URDF."),
+    "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints",
+                         *_URDF),
+    "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings",
+                          "the reading",
+                          "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."),
+    "joint_axis": Source("the stated axes of the head joints", *_HEAD),
+    "joint_position": Source("the stated positions of the head joints", *_HEAD),
+    "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides",
+                       "no backlash", "Repair the joint, or approach each head pose from the same side."),
     "nominal": Source("the uncertainty of the nominal values", "nominal values", "record more varied motion"),
     "unobservable": Source("the missing motion", "nominal values", "record the missing motion"),
     "user priors": Source("the stated priors", "nominal values", "state more accurate priors"),
     "other": Source("other errors", "other", "record more stops"),
 }
 # fmt: on
-#: Group of sources, in the chart's order → its name with a verb.
+class Family(NamedTuple):
+    """A group of sources: what it does in a sentence, and its style in the chart of the error budget."""
+
+    limits: str
+    style: str
+
+
+#: Groups of sources in the chart's order: dark shades for measurements, light ones for the robot description.
 FAMILIES = {
-    "corners": "Corner noise limits",
-    "joint readings": "Joint reading noise limits",
-    "floor": "The uneven floor limits",
-    "wheels": "Wheel noise limits",
-    "encoder steps": "Encoder steps limit",
-    "poses": "The measured poses limit",
-    "time stamps": "Errors of the image time stamps limit",
-    "camera_info": "The stated camera calibration (camera_info) limits",
-    "board": "The stated geometry of the board limits",
-    "head geometry": "The stated geometry of the head limits",
-    "nominal values": "The uncertainty of the nominal values limits",
-    "other": "Other errors limit",
+    "corners": Family("Corner noise limits", "blue dark"),
+    "joint readings": Family("Joint reading noise limits", "orange dark"),
+    "floor": Family("The uneven floor limits", "green dark"),
+    "wheels": Family("Wheel noise limits", "red dark"),
+    "encoder steps": Family("Encoder steps limit", "ink half"),
+    "poses": Family("The measured poses limit", "faint dark"),
+    "time stamps": Family("Errors of the image time stamps limit", "ink light"),
+    "camera_info": Family("The stated camera calibration (camera_info) limits", "blue light"),
+    "board": Family("The stated geometry of the board limits", "green light"),
+    "head geometry": Family("The stated geometry of the head limits", "orange light"),
+    "nominal values": Family("The uncertainty of the nominal values limits", "red light"),
+    "other": Family("Other errors limit", "faint half"),
 }
 
 
@@ -248,19 +268,14 @@ def source(name: str) -> Source:
 
 
 def limiting_sentence(shares: Sequence[tuple[float, str]], meaning: str) -> str:
-    """Which group of sources contributes most to an expected error; "" where nothing is known.
-
-    Args:
-        shares: (share, source) of its variance.
-        meaning: its label.
-    """
+    """Which group of sources contributes most to an expected error with these (share, source); "" without any."""
     sums = dict.fromkeys(FAMILIES, 0.0)
     for share, name in shares:
         sums[source(name).family] += share
     family = max(sums, key=lambda name: sums[name])
     if not sums[family]:
         return ""
-    return f"{FAMILIES[family]} the {meaning}: {100 * sums[family]:.0f} % of its variance."
+    return f"{FAMILIES[family].limits} the {meaning}: {100 * sums[family]:.0f} % of its variance."
 
 
 def advice(shares: Sequence[tuple[float, str]]) -> str:
@@ -270,15 +285,14 @@ def advice(shares: Sequence[tuple[float, str]]) -> str:
     kinds = {kind.name for kind in nuisance.KINDS}
     stated = [(share, name) for share, name in shares if name in kinds]
     total = sum(share for share, _ in stated)
-    if total <= _DOMINANT:
-        return _sentence(source(shares[0][1]).advice)
-    few = [f"{source(name).label} {100 * share:.0f} %" for share, name in stated[:3] if share > _FEW_PERCENT]
-    first = stated[0][1]
+    dominant = total > 0.5  # stated values are most of the variance
+    first = (stated if dominant else shares)[0][1]
+    command = source(first).advice
+    sentence = f"{command[0].upper()}{command[1:]}."
+    if not dominant:
+        return sentence
+    largest = [f"{source(name).label} {100 * share:.0f} %" for share, name in stated[:3] if share > 0.05]
     return (
-        f"More stations will not help much: {100 * total:.0f} % comes from stated values ({', '.join(few)}). "
-        f"{_sentence(source(first).advice)} Then state a smaller `priors: {first}` in rig.yaml."
+        f"More stations will not help much: {100 * total:.0f} % comes from stated values ({', '.join(largest)}). "
+        f"{sentence} Then state a smaller `priors: {first}` in rig.yaml."
     )
-
-
-def _sentence(command: str) -> str:
-    return f"{command[0].upper()}{command[1:]}."

@@ -62,7 +62,9 @@ from mobilecal_cli.report.numbers import (
     reference_frame,
     reference_pose,
     rejection_counts,
-    rotation_of,
+    rotation_std_deg,
+    square_size_mm,
+    stated_priors,
     stations_looked_at,
 )
 from mobilecal_cli.report.plots import trail
@@ -369,17 +371,53 @@ class ReportData:
 
 def build_report(case: Case) -> ReportData:
     """All numbers, sentences and tables of a report."""
-    solution, extraction = case.solution, case.extraction
-    board, counts = extraction.board, rejection_counts(extraction)
+    solution, extraction, cameras = case.solution, case.extraction, case.solution.cameras
+    linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
+    scale, between, counts = solution.scale, solution.between, extraction.counts
+    vector_std_deg, euler_std_deg = rotation_std_deg(solution)
+    legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
     return ReportData(
         schema_version=5,
         verdict=verdict_data(case.verdict),
         metrics=case.verdict.metrics,
-        parameters=_result(solution, extraction),
+        parameters=ResultData(
+            **_nine(solution.parameters, cameras),
+            rotation_vector_std_deg=vector_std_deg,
+            euler_zyx_std_deg=euler_std_deg,
+            parent_frame=extraction.rig.chain.head_frame,
+            child_frame=reference_frame(cameras),
+            camera=cameras.reference,
+            rectified=cameras.rectified,
+        ),
         quality=_quality(solution, extraction),
-        linear=_linear(solution),
-        refinement=_refinement(solution),
-        legs=_legs(solution),
+        linear=LinearData(
+            **_nine(linear.parameters, cameras),
+            point_rms_mm=linear.point_rms_m * 1e3,
+            second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
+            iterations=linear.rounds,
+            iterations_to_tolerance=linear.rounds_to_tolerance,
+            initial_ratios=linear.start_ratios,
+            initial_from=linear.start_from,
+            history=tuple(ParametersData(**_nine(each, cameras)) for each in linear.history),
+        ),
+        refinement=None
+        if refinement is None
+        else like(
+            RefinementData,
+            refinement,
+            **_nine(refinement.parameters, cameras),
+            point_rms_mm=refinement.point_rms_m * 1e3,
+            point_rms_history_mm=refinement.point_rms_history_m * 1e3,
+        ),
+        legs=tuple(
+            LegData(
+                from_observation=first,
+                to_observation=second,
+                point_rms_mm=float(m) * 1e3,
+                reprojection_px=float(px),
+            )
+            for (first, second), m, px in legs
+        ),
         uncertainty=_uncertainty(solution),
         outliers=solution.outliers,
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
@@ -389,8 +427,22 @@ def build_report(case: Case) -> ReportData:
         contradictions=tuple(
             _contradiction(found, solution, extraction) for found in solution.contradictions
         ),
-        scale=_scale(solution),
-        logs=_between(solution),
+        scale=None
+        if scale is None
+        else like(
+            ScaleData,
+            scale,
+            consistent=not scale.apart and not any(found.kind in SCALES for found in solution.contradictions),
+            text=scale_sentence(scale),
+        ),
+        logs=None
+        if between is None
+        else like(
+            LogsData,
+            between,
+            shift=np.where(between.shown, between.shift, np.nan),
+            std=np.where(between.shown, between.std, np.nan),
+        ),
         suggestions=_suggestions(solution, extraction),
         hold_out=None if case.trial is None else evaluation_data(case.trial),
         change=case.change,
@@ -400,18 +452,18 @@ def build_report(case: Case) -> ReportData:
         image_coverage=_coverage(extraction),
         board=like(
             BoardData,
-            board,
-            square_mm=_square_mm(extraction),
-            square_from="measured" if board.square_m is None else "stated",
+            extraction.board,
+            square_mm=square_size_mm(extraction),
+            square_from="measured" if extraction.board.square_m is None else "stated",
         ),
         rejections=RejectionsData(
             counts=tuple(
                 RejectionCount(stage=stage, reason=reason, count=count)
-                for (stage, reason), count in counts.items()
+                for (stage, reason), count in rejection_counts(extraction).items()
             ),
             items=extraction.rejections,
         ),
-        counts={"images" if name == "pictures" else name: count for name, count in extraction.counts.items()},
+        counts={"images" if name == "pictures" else name: count for name, count in counts.items()},
         notes=extraction.notes,
         setting_sources=extraction.rig.setting_sources,
         provenance=like(ProvenanceData, case.provenance, tool="mobilecal"),
@@ -433,19 +485,6 @@ def _nine(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
     }
 
 
-def _result(solution: Solution, extraction: Extraction) -> ResultData:
-    rotation, cameras = rotation_of(solution), solution.cameras
-    return ResultData(
-        **_nine(solution.parameters, cameras),
-        rotation_vector_std_deg=rotation.vector_std_deg,
-        euler_zyx_std_deg=rotation.euler_std_deg,
-        parent_frame=extraction.rig.chain.head_frame,
-        child_frame=reference_frame(cameras),
-        camera=cameras.reference,
-        rectified=cameras.rectified,
-    )
-
-
 def _quality(solution: Solution, extraction: Extraction) -> QualityData:
     parts = {name: part.px for name, part in error_parts(solution, extraction).items()}
     noise_px = 0.0 if solution.uncertainty is None else solution.uncertainty.noise.pixel_px
@@ -462,40 +501,6 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
     )
 
 
-def _linear(solution: Solution) -> LinearData:
-    linear, cameras = solution.linear, solution.cameras
-    return LinearData(
-        **_nine(linear.parameters, cameras),
-        point_rms_mm=linear.point_rms_m * 1e3,
-        second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
-        iterations=linear.rounds,
-        iterations_to_tolerance=linear.rounds_to_tolerance,
-        initial_ratios=linear.start_ratios,
-        initial_from=linear.start_from,
-        history=tuple(ParametersData(**_nine(parameters, cameras)) for parameters in linear.history),
-    )
-
-
-def _refinement(solution: Solution) -> RefinementData | None:
-    found = solution.refinement
-    return None if found is None else like(
-        RefinementData,
-        found,
-        **_nine(found.parameters, solution.cameras),
-        point_rms_mm=found.point_rms_m * 1e3,
-        point_rms_history_mm=found.point_rms_history_m * 1e3,
-    )  # fmt: skip
-
-
-def _legs(solution: Solution) -> tuple[LegData, ...]:
-    found = solution.residuals
-    points_mm, pixels = (found.leg_point_rms_m * 1e3).tolist(), found.leg_reprojection_px.tolist()
-    return tuple(
-        LegData(from_observation=first, to_observation=second, point_rms_mm=mm, reprojection_px=px)
-        for (first, second), mm, px in zip(found.legs.tolist(), points_mm, pixels, strict=True)
-    )
-
-
 def _uncertainty(solution: Solution) -> UncertaintyData | None:
     found = solution.uncertainty
     if found is None:
@@ -507,6 +512,7 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
         name: getattr(found, name)
         for name in ("observable", "fixed", "described", "jackknife_std", "widened")
     }
+    by_name["std"] = std
     return like(
         UncertaintyData,
         found,
@@ -516,15 +522,12 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
         unobservable_directions=found.unobservable,
         jackknife_text=jackknife_sentence(solution),
         predicted=found.at_work,
-        **{
-            key: dict(zip(NINE, values.tolist(), strict=True))
-            for key, values in (by_name | {"std": std}).items()
-        },
+        **{key: dict(zip(NINE, values.tolist(), strict=True)) for key, values in by_name.items()},
     )
 
 
 def _constants(solution: Solution) -> dict[str, ConstantData]:
-    stated = {name: prior for c in reversed(solution.contradictions) for name, prior in c.priors.items()}
+    stated = stated_priors(solution)
     return {
         name: like(
             ConstantData,
@@ -558,22 +561,6 @@ def _values(found: Evidence) -> dict[str, EvidenceValue]:
 def _contradiction(found: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
     text, cure = contradiction_sentences(found, solution, extraction)
     return like(ContradictionData, found, values=_values(found), text=text, cure=cure)
-
-
-def _scale(solution: Solution) -> ScaleData | None:
-    scale = solution.scale
-    if scale is None:
-        return None
-    consistent = not scale.apart and not any(found.kind in SCALES for found in solution.contradictions)
-    return like(ScaleData, scale, consistent=consistent, text=scale_sentence(scale))
-
-
-def _between(solution: Solution) -> LogsData | None:
-    found = solution.between
-    if found is None:
-        return None
-    shift, std = (np.where(found.shown, values, np.nan) for values in (found.shift, found.std))
-    return like(LogsData, found, shift=shift, std=std)
 
 
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
@@ -618,14 +605,12 @@ def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, 
 
 def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
     """Path of the base in each recording, in the frame of the base at its first station."""
-    seen, wheels = extraction.observations, solution.parameters.wheels
-    times = {
-        log: np.array([o.time_ns for o in seen if o.log == log]) for log in sorted({o.log for o in seen})
-    }
-    return tuple(
-        PathData(log=log, points_m=np.round(trail(extraction.wheels[log], at, wheels), 4))
-        for log, at in times.items()
-    )
+    paths = []
+    for log in sorted({o.log for o in extraction.observations}):
+        times = np.array([o.time_ns for o in extraction.observations if o.log == log])
+        points_m = trail(extraction.wheels[log], times, solution.parameters.wheels)
+        paths.append(PathData(log=log, points_m=np.round(points_m, 4)))
+    return tuple(paths)
 
 
 def _coverage(extraction: Extraction) -> dict[str, float]:
@@ -637,11 +622,3 @@ def _coverage(extraction: Extraction) -> dict[str, float]:
         pixels = np.concatenate([c.pixels[c.seen] for c in corners])
         shares[side] = image_coverage(pixels, camera.width, camera.height)
     return shares
-
-
-def _square_mm(extraction: Extraction) -> float | None:
-    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
-    if extraction.board.square_m is not None:
-        return extraction.board.square_m * 1e3
-    sizes = [o.square_m * 1e3 for o in extraction.observations]
-    return float(np.median(sizes)) if sizes else None

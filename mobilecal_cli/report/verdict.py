@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Drift, Evaluation, Extraction, Provenance, Solution
+from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.numbers import PARAMETERS, board_distance_m, reference_std
-from mobilecal_cli.report.use import FIGURES, LEAST_MOTION, use_sentence
+from mobilecal_cli.report.use import FIGURES, MOTION, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
 #: Outcome of a check → the verdict that it alone decides.
@@ -42,15 +42,7 @@ class VerdictData:
 
 @dataclass(frozen=True, slots=True)
 class Verdict(VerdictData):
-    """Whether a calibration can be used.
-
-    Attributes:
-        level: "PASS", "FAIL" or "NOT ENOUGH".
-        reason: one or two sentences.
-        next_step: what to do now.
-        checks: every criterion.
-        metrics: name → value of every figure that gates can limit, None if unknown.
-    """
+    """Whether a calibration can be used, with every criterion, and with every figure that gates can limit."""
 
     checks: Checks = field(default_factory=Checks)
     metrics: Figures = field(default_factory=dict)
@@ -58,15 +50,9 @@ class Verdict(VerdictData):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A solution with all that belongs to it.
+    """A solution with all that belongs to it, also the evaluation on held-out stations, and the change, if any.
 
-    Attributes:
-        solution: the solution.
-        extraction: the data it was computed from.
-        provenance: time, version, recordings and settings.
-        verdict: result of `judge`.
-        trial: evaluation on the held-out stations, if any.
-        change: difference from the last calibration or from the nominal values, if there is either.
+    The change is that from the last calibration, or from the nominal values.
     """
 
     solution: Solution
@@ -84,14 +70,9 @@ def judge(
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> Verdict:
-    """The verdict on a solution. The first criterion that is not met decides.
+    """The verdict on a solution, see `Case`. The first criterion that is not met decides.
 
-    Args:
-        solution: the solution.
-        extraction: the data it was computed from.
-        gates: limits of the user on the metrics; those on an expected error replace the default limit.
-        trial: evaluation on the held-out stations, if any.
-        change: difference from the last calibration, if there is one.
+    Gates are limits of the user on the metrics; those on an expected error replace the default limit.
     """
     limits = {gate.name: gate.limit for gate in gates if gate.name in _USE_GATES}
     made = Calibration(solution, extraction, limits, change)
@@ -101,23 +82,18 @@ def judge(
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return decided_by(decisive, checks, metrics)
-    point_mm, share = (
-        solution.point_rms_m * 1e3,
-        0.1 * (solution.point_rms_m * 1e3) / board_distance_m(extraction),
-    )
+    point_mm = solution.point_rms_m * 1e3
     reason = (
-        f"The point error over {len(extraction.observations)} stations is {point_mm:.1f} mm, {share:.1f} % of the "
-        "distance to the board. "
+        f"The point error over {len(extraction.observations)} stations is {point_mm:.1f} mm, "
+        f"{0.1 * point_mm / board_distance_m(extraction):.1f} % of the distance to the board. "
     )
     if solution.uncertainty is None:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
         reason += f"The method {solution.method} {unknown}."
         next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
     else:
-        reason, next_step = (
-            reason + use_sentence(solution.uncertainty.at_work),
-            "Use params.yaml on the robot.",
-        )
+        reason += use_sentence(solution.uncertainty.at_work)
+        next_step = "Use params.yaml on the robot."
     look = next((check for check in checks if check.outcome == "warning"), None)
     if look is not None:
         next_step += f" Check first: {look.why} {look.next_step}"
@@ -139,7 +115,7 @@ def verdict_data(verdict: Verdict) -> VerdictData:
     return VerdictData(verdict.level, verdict.reason, verdict.next_step, verdict.checks)
 
 
-def rms(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+def rms(values: FloatArray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -197,12 +173,7 @@ def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A limit on one figure.
-
-    Attributes:
-        name: name of the figure.
-        limit: upper limit, or a lower one, see `metrics`.
-    """
+    """A limit on the figure with this name, a lower one if its metric says so."""
 
     name: str
     limit: float
@@ -231,11 +202,11 @@ def gates_of(
     if evaluating:
         limits = {name: limit for name, limit in limits.items() if name in known}
     for text in flags:
-        name, equals, value = text.partition("=")
+        name, equals, stated = text.partition("=")
         if name not in known:
             raise _unknown(f"--gate {text}", name, known)
         try:
-            limits[name] = float(value)
+            limits[name] = float(stated)
         except ValueError:
             limits[name] = math.nan
         if not equals or not math.isfinite(limits[name]):
@@ -247,14 +218,11 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    return tuple(Gate(name, _finite(name, limit)) for name, limit in limits.items())
-
-
-def _finite(name: str, limit: object) -> float:
-    value = number_of(f"gate {name}", limit)
-    if not math.isfinite(value):
-        raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
-    return value
+    for name, limit in limits.items():
+        value = limits[name] = number_of(f"gate {name}", limit)
+        if not math.isfinite(value):
+            raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
+    return tuple(Gate(name, limit) for name, limit in limits.items())
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -269,24 +237,16 @@ def figures_of(
     hold_out: Evaluation | None = None,
     checks: Iterable[Check] = (),
 ) -> dict[str, float | None]:
-    """Value of every figure of a calibration that a gate can limit, None if unknown.
-
-    Args:
-        solution, extraction: the calibration.
-        hold_out: evaluation on the held-out stations, if any.
-        checks: criteria, whose values are figures too.
-    """
+    """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
     found = solution.uncertainty
     figures: dict[str, float | None] = dict.fromkeys(gate_names())
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
-    figures |= {f"motion.{key}": solution.motion.get(key) for key in LEAST_MOTION}
+    figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
     if found is not None:
-        figures |= {
-            name: 0.0 for name in figures if name.startswith("noise.")
-        }  # levels of zero have no criterion
+        noise = [name for name in figures if name.startswith("noise.")]
+        figures |= dict.fromkeys(noise, 0.0)  # levels of zero have no criterion
         figures["observable"] = float(np.sum(found.observable | found.fixed))
-        stds = zip(PARAMETERS, reference_std(solution), strict=True)
-        figures |= {parameter.gate: std for parameter, std in stds}
+        figures |= {p.gate: std for p, std in zip(PARAMETERS, reference_std(solution), strict=True)}
         figures |= {figure.name: figure.of(found.at_work) for figure in FIGURES}
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.report.decomposition import error_parts
-from mobilecal_cli.report.numbers import (
-    std_text,
-)
+from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise
 from tests.report.example import drawn, made, recorded

@@ -7,20 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import (
-    Outlier,
-)
+from mobilecal_cli.model import Outlier
 from mobilecal_cli.report.checks import outliers_as_noise
 from mobilecal_cli.report.criteria import Calibration
-from mobilecal_cli.report.findings import (
-    contradiction_sentences,
-    jackknife_sentence,
-    outlier_sentences,
-)
+from mobilecal_cli.report.findings import contradiction_sentences, jackknife_sentence, outlier_sentences
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.verdict import (
-    judge,
-)
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve

@@ -6,9 +6,7 @@ import csv
 import io
 import re
 
-from mobilecal_cli.model import (
-    FleetRow,
-)
+from mobilecal_cli.model import FleetRow
 from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
 
 

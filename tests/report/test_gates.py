@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import (
-    Drift,
-    Evaluation,
-)
+from mobilecal_cli.model import Drift, Evaluation
 from mobilecal_cli.report.criteria import Calibration, Check, Checks, Criterion, Metric
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
 from mobilecal_cli.report.numbers import PARAMETERS
-from mobilecal_cli.report.use import (
-    FIGURES,
-)
+from mobilecal_cli.report.use import FIGURES
 from mobilecal_cli.report.verdict import (
     Gate,
     Verdict,

@@ -7,17 +7,12 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import (
-    decimals_of,
-    reference_pose,
-    rotation_of,
-    std_text,
-    value_text,
-)
+from mobilecal_cli.report.numbers import decimals_of, reference_pose, std_text, value_text
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, ideal_extraction
+from tests.report.example import made
 
 
 @pytest.mark.parametrize("name", ["tick", "paper"])
@@ -27,8 +22,8 @@ def test_sigmas_of_the_rotation_are_those_of_the_printed_components(name):
     extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
     solution, cameras = solve(extraction), extraction.rig.cameras
     R = reference_pose(solution.parameters, cameras)[:3, :3]
-    rotation = rotation_of(solution)
-    assert se3.exp_so3(np.radians(rotation.vector_deg)) == pytest.approx(R, abs=1e-12)
+    rotation = made(solution, extraction).parameters
+    assert se3.exp_so3(np.radians(rotation.rotation_vector_deg)) == pytest.approx(R, abs=1e-12)
     assert se3.from_quaternion_xyzw(rotation.quaternion_xyzw) == pytest.approx(R, abs=1e-12)
 
     small = np.random.default_rng(0).multivariate_normal(
@@ -36,16 +31,18 @@ def test_sigmas_of_the_rotation_are_those_of_the_printed_components(name):
     )
     drawn = se3.exp_so3(small) @ R
     vectors = np.degrees(se3.log_so3(drawn))
-    assert rotation.vector_std_deg == pytest.approx(vectors.std(axis=0), rel=0.05)
+    assert rotation.rotation_vector_std_deg == pytest.approx(vectors.std(axis=0), rel=0.05)
     # They differ from the sigmas of a small rotation about the head's axes, which have another label.
-    assert rotation.vector_std_deg != pytest.approx(np.degrees(solution.uncertainty.std[:3]), rel=0.05)
+    assert rotation.rotation_vector_std_deg != pytest.approx(
+        np.degrees(solution.uncertainty.std[:3]), rel=0.05
+    )
     if name == "paper":  # 0.6 degrees from gimbal lock
-        assert rotation.euler_deg is None
-        assert rotation.euler_std_deg is None
+        assert rotation.euler_zyx_deg is None
+        assert rotation.euler_zyx_std_deg is None
     else:
         angles = np.array([se3.euler_zyx_deg(one) for one in drawn])
-        assert rotation.euler_deg == pytest.approx(angles.mean(axis=0), abs=0.01)
-        assert rotation.euler_std_deg == pytest.approx(angles.std(axis=0), rel=0.05)
+        assert rotation.euler_zyx_deg == pytest.approx(angles.mean(axis=0), abs=0.01)
+        assert rotation.euler_zyx_std_deg == pytest.approx(angles.std(axis=0), rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,7 @@ import re
 
 import pytest
 
-from mobilecal_cli.model import (
-    LogSource,
-)
+from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import TERMS, link_terms
 from tests.report.example import (

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import (
-    HeadChain,
-    JointLink,
-    Snapshot,
-)
-from mobilecal_cli.report.overlays import leg_views
-from mobilecal_cli.report.plots import trail
+from mobilecal_cli.model import HeadChain, JointLink, Snapshot
+from mobilecal_cli.report.plots import leg_views, trail
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
 
 
@@ -66,11 +61,10 @@ def test_a_head_with_one_joint():
     extraction = make_extraction(n=8)
     solution = make_solution(extraction)
     seen = tuple(
-        dataclasses.replace(o, joints=o.joints[:1], joints_std=o.joints_std[:1])
-        for o in extraction.observations
+        replace(o, joints=o.joints[:1], joints_std=o.joints_std[:1]) for o in extraction.observations
     )
-    rig = dataclasses.replace(extraction.rig, chain=chain)
-    extraction = dataclasses.replace(extraction, rig=rig, observations=seen)
+    rig = replace(extraction.rig, chain=chain)
+    extraction = replace(extraction, rig=rig, observations=seen)
     assert "pan [deg]" in Page(page_of(solution, extraction)).text
 
 
@@ -93,8 +87,8 @@ def test_a_camera_without_corners(extraction, blind):
     """The plots of its corners raised AttributeError and IndexError, and so did its images."""
     seen, none = list(extraction.observations), np.zeros(extraction.board.corners, dtype=bool)
     for i in blind:
-        seen[i] = dataclasses.replace(seen[i], right=dataclasses.replace(seen[i].right, seen=none))
-    half = dataclasses.replace(extraction, observations=tuple(seen))
+        seen[i] = replace(seen[i], right=replace(seen[i].right, seen=none))
+    half = replace(extraction, observations=tuple(seen))
     solution, pictures = make_solution(half), make_snapshots(extraction)
     assert "corner residuals across the image of the left camera" in page_of(solution, half, pictures)
     for view in leg_views(solution, half, pictures):

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
+from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.model import (
-    Nominal,
-    Rejection,
-)
+from mobilecal_cli.model import Nominal, Rejection
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.rig.settings import settings_of
 from tests.report.example import WHEELS, Page, made, make_solution, page_of, robot, rows_of
@@ -35,7 +32,7 @@ def test_settings_read_as_yaml(solution, extraction):
 
 
 def test_a_change_from_nominal_values_is_in_units_and_percent(extraction):
-    nominal = Nominal(None, dataclasses.replace(WHEELS, separation_m=WHEELS.separation_m - 0.01))
+    nominal = Nominal(None, replace(WHEELS, separation_m=WHEELS.separation_m - 0.01))
     change = change_from_nominal(robot(std=1e-4), nominal)
     rows = shown_change(extraction, change)
     assert rows["separation"] == ("+10.00", "mm", f"{1000 / (1e3 * WHEELS.separation_m - 10):+.2f}")
@@ -44,7 +41,7 @@ def test_a_change_from_nominal_values_is_in_units_and_percent(extraction):
 
 
 def test_a_change_between_two_calibrations_is_in_sigma(extraction):
-    moved = dataclasses.replace(WHEELS, separation_m=WHEELS.separation_m + 0.001)
+    moved = replace(WHEELS, separation_m=WHEELS.separation_m + 0.001)
     rows = shown_change(extraction, change_since(robot(moved, 3e-4), robot(std=4e-4), "before"))
     assert rows["separation"] == ("+1.00", "mm", "+2.0")
 
@@ -52,7 +49,7 @@ def test_a_change_between_two_calibrations_is_in_sigma(extraction):
 def test_the_square_is_the_measured_one_where_none_is_stated(extraction):
     stated = settings_of(extraction)["board"]
     assert (stated["square_m"], stated["square_from"]) == (0.08, "stated")
-    unstated = dataclasses.replace(extraction, board=dataclasses.replace(extraction.board, square_m=None))
+    unstated = replace(extraction, board=replace(extraction.board, square_m=None))
     measured = settings_of(unstated)["board"]
     assert measured["square_m"] == np.median([o.square_m for o in extraction.observations])
     assert measured["square_from"] == "measured by the stereo pair"
@@ -60,7 +57,7 @@ def test_the_square_is_the_measured_one_where_none_is_stated(extraction):
 
 def test_many_rejections_are_cut_and_counted(solution, extraction):
     many = tuple(Rejection("vision", "no board", f"n{i}", i) for i in range(205))
-    text = Page(page_of(solution, dataclasses.replace(extraction, rejections=many))).text
+    text = Page(page_of(solution, replace(extraction, rejections=many))).text
     assert "report.json lists 5 more" in text
     assert "n199" in text
     assert "n200" not in text

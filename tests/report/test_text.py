@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -20,9 +20,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
-from mobilecal_cli.report.findings import (
-    suggestion_sentences,
-)
+from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_text
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import summary_text
@@ -47,8 +45,8 @@ def texts(extraction):
     """Every text of a calibration by the default method; a wheel slips once."""
     (track,) = extraction.wheels
     slip = 0.2 * (track.right.time_ns > extraction.observations[5].time_ns + 10**9)
-    right = dataclasses.replace(track.right, value=track.right.value + slip)
-    slipped = dataclasses.replace(extraction, wheels=(dataclasses.replace(track, right=right),))
+    right = replace(track.right, value=track.right.value + slip)
+    slipped = replace(extraction, wheels=(replace(track, right=right),))
     solution = make_solution(slipped, "ml")
     trial = evaluate(extraction, solution.parameters, ROBOT.wheels)
     report = made(solution, slipped, trial)
@@ -56,10 +54,8 @@ def texts(extraction):
         f"{check.outcome}: {check.name}: {check.measured_text} ({check.limit_text})\n  {check.why} {check.next_step}\n"
         for check in report.verdict.checks
     )
-    past = [dataclasses.replace(robot(std=1e-4), created=f"2015-06-0{day}") for day in (1, 2, 3)]
-    past[1] = dataclasses.replace(
-        past[1], wheels=WheelGeometry(0.083, 0.082, 0.35), logs=(LogSource("b", "1"),)
-    )
+    past = [replace(robot(std=1e-4), created=f"2015-06-0{day}") for day in (1, 2, 3)]
+    past[1] = replace(past[1], wheels=WheelGeometry(0.083, 0.082, 0.35), logs=(LogSource("b", "1"),))
     changes = [difference(past[0], other) for other in past[1:]]
     rows = [
         FleetRow(f"robot-{n}", level, code, "the reason", 12, (0.1, 0.0, 0.0), (0.1,) * 6, (1e-3,) * 9)
@@ -102,7 +98,7 @@ def test_each_text_against_its_golden_copy(texts, name):
 
 def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
     solved = make_solution(extraction, "ml")
-    moving = dataclasses.replace(
+    moving = replace(
         solved,
         constants={
             name: EstimatedConstant(name, "clock", "joints", "", value, std, 0.2)
@@ -124,7 +120,7 @@ def test_the_table_cannot_steer_the_terminal(solution, extraction):
 
 def test_gimbal_lock_is_said(extraction, solution):
     locked = Parameters(se3.transform(se3.from_rpy(np.radians([-164, 89.4, -166])), np.zeros(3)), WHEELS)
-    solution = dataclasses.replace(solution, parameters=locked)
+    solution = replace(solution, parameters=locked)
     assert "0.6° from gimbal lock" in Page(page_of(solution, extraction)).text
     table = summary_text(made(solution, extraction))
     assert "0.6 deg from gimbal lock" in table

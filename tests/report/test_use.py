@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import (
-    NINE,
-)
+from mobilecal_cli.model import NINE
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -21,10 +19,7 @@ from mobilecal_cli.report.use import (
     shares_of,
     uses,
 )
-from mobilecal_cli.report.verdict import (
-    gates_of,
-    judge,
-)
+from mobilecal_cli.report.verdict import gates_of, judge
 from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
 
 
@@ -145,7 +140,7 @@ def test_the_sentence_and_the_chart_group_the_sources_alike():
     share = dict(zip(names, shares[:, column], strict=True))
     family = max(share, key=share.get)
     sentence = limiting_sentence(shares_of(solution, "heading_rad_per_turn"), "heading")
-    assert sentence == f"{FAMILIES[family]} the heading: {100 * share[family]:.0f} % of its variance."
+    assert sentence == f"{FAMILIES[family].limits} the heading: {100 * share[family]:.0f} % of its variance."
 
 
 def test_a_fixed_camera_is_not_known_to_zero_millimeters():

@@ -12,14 +12,10 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
-from mobilecal_cli.model import (
-    Nominal,
-)
+from mobilecal_cli.model import Nominal
 from mobilecal_cli.report.comparison import change_from_nominal
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.numbers import (
-    image_coverage,
-)
+from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, evaluate, solve
 from tests.report.example import (

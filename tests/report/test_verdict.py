@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import replace
 
@@ -19,9 +18,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.criteria import Check, Checks
-from mobilecal_cli.report.verdict import (
-    judge,
-)
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.report.example import (
     ROBOT,
@@ -38,14 +35,14 @@ NO_SIGMAS = "Calibrate with --method ml (the default) for a result that the robo
 
 
 def with_legs(solution, errors_m):
-    residuals = dataclasses.replace(solution.residuals, leg_point_rms_m=np.array(errors_m))
+    residuals = replace(solution.residuals, leg_point_rms_m=np.array(errors_m))
     rms = math.sqrt(np.mean(np.square(errors_m)))
-    return dataclasses.replace(solution, residuals=residuals, point_rms_m=rms)
+    return replace(solution, residuals=residuals, point_rms_m=rms)
 
 
 def with_seen(extraction, **changes):
-    seen = tuple(dataclasses.replace(o, **changes) for o in extraction.observations)
-    return dataclasses.replace(extraction, observations=seen)
+    seen = tuple(replace(o, **changes) for o in extraction.observations)
+    return replace(extraction, observations=seen)
 
 
 def test_a_sound_calibration_passes(solution, extraction):
@@ -61,8 +58,8 @@ def test_a_sound_calibration_passes(solution, extraction):
 
 def test_an_exact_one_passes(solution, extraction):
     exact = with_legs(solution, np.zeros(11))
-    linear = dataclasses.replace(solution.linear, point_rms_m=0.0, rival_point_rms_m=0.01)
-    assert judge(dataclasses.replace(exact, linear=linear), extraction).level == "PASS"
+    linear = replace(solution.linear, point_rms_m=0.0, rival_point_rms_m=0.01)
+    assert judge(replace(exact, linear=linear), extraction).level == "PASS"
 
 
 def test_too_few_stations_come_before_any_failure():
@@ -84,14 +81,14 @@ def test_too_few_stations_come_before_any_failure():
     ],
 )
 def test_too_little_motion(solution, extraction, key, value, said):
-    verdict = judge(dataclasses.replace(solution, motion={**solution.motion, key: value}), extraction)
+    verdict = judge(replace(solution, motion={**solution.motion, key: value}), extraction)
     assert verdict.level == "NOT ENOUGH"
     assert said in verdict.reason
     assert verdict.next_step.startswith("Record again and ")
 
 
 def test_motion_that_nobody_measured_is_not_judged(solution, extraction):
-    assert judge(dataclasses.replace(solution, motion={}), extraction).level == "PASS"
+    assert judge(replace(solution, motion={}), extraction).level == "PASS"
 
 
 def failing(solution, extraction, said):
@@ -102,20 +99,20 @@ def failing(solution, extraction, said):
 
 
 def test_a_rival_answer(solution, extraction):
-    linear = dataclasses.replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.012)
+    linear = replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.012)
     failing(
-        dataclasses.replace(solution, linear=linear),
+        replace(solution, linear=linear),
         extraction,
         "almost equally well: point errors 10.9 and 12.0 mm",
     )
-    linear = dataclasses.replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.02)
-    assert judge(dataclasses.replace(solution, linear=linear), extraction).level == "PASS"
+    linear = replace(solution.linear, point_rms_m=0.0109, rival_point_rms_m=0.02)
+    assert judge(replace(solution, linear=linear), extraction).level == "PASS"
 
 
 def test_linear_answers_that_both_do_not_fit_are_no_rivals(solution, extraction):
     """One slipping leg makes both linear errors large, and the refined solution leaves it out."""
-    linear = dataclasses.replace(solution.linear, point_rms_m=0.45, rival_point_rms_m=0.62)
-    verdict = judge(dataclasses.replace(solution, linear=linear), extraction)
+    linear = replace(solution.linear, point_rms_m=0.45, rival_point_rms_m=0.62)
+    verdict = judge(replace(solution, linear=linear), extraction)
     assert verdict.level == "PASS"
     (check,) = (check for check in verdict.checks if check.id == "second_solution")
     assert check.measured_text == "not compared: the linear solution has a point error of 450 mm"
@@ -128,9 +125,7 @@ def test_wheels_far_from_their_nominal_sizes(solution, extraction):
         with_nominal(extraction, Nominal(wheels=double)),
         "left wheel radius is 81.7 mm, about half of",
     )
-    verdict = judge(
-        solution, with_nominal(extraction, Nominal(wheels=dataclasses.replace(WHEELS, separation_m=0.37)))
-    )
+    verdict = judge(solution, with_nominal(extraction, Nominal(wheels=replace(WHEELS, separation_m=0.37))))
     assert verdict.level == "PASS"
     found = solution.parameters.wheels.separation_m
     said = f"Check first: The wheel separation is {1e3 * found:.1f} mm, {found / 0.37:.2f} times"
@@ -148,7 +143,7 @@ def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
 
 def test_squares_of_another_size(solution, extraction):
     failing(solution, with_seen(extraction, square_m=0.075), "squares of 75.00 mm, but 80.00 mm is stated")
-    unstated = dataclasses.replace(extraction, board=dataclasses.replace(extraction.board, square_m=None))
+    unstated = replace(extraction, board=replace(extraction.board, square_m=None))
     assert judge(solution, with_seen(unstated, square_m=0.075)).level == "PASS"
 
 
@@ -156,9 +151,9 @@ def test_methods_that_disagree(solution, extraction):
     far = Parameters(
         solution.parameters.T_h_c @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0])), solution.parameters.wheels
     )
-    linear = dataclasses.replace(solution.linear, parameters=far)
+    linear = replace(solution.linear, parameters=far)
     failing(
-        dataclasses.replace(solution, linear=linear),
+        replace(solution, linear=linear),
         extraction,
         "The linear and the refined solution differ by",
     )
@@ -179,15 +174,15 @@ def test_one_leg_that_stands_out(solution, extraction):
 def test_one_leg_that_stands_out_in_the_pictures_only(solution, extraction):
     px = np.full(11, 0.5)
     px[7] = 12.0
-    residuals = dataclasses.replace(solution.residuals, leg_reprojection_px=px)
-    failing(dataclasses.replace(solution, residuals=residuals), extraction, "is 12.0 px (median 0.5 px)")
+    residuals = replace(solution.residuals, leg_reprojection_px=px)
+    failing(replace(solution, residuals=residuals), extraction, "is 12.0 px (median 0.5 px)")
 
 
 def test_wheels_of_two_sizes(solution, extraction):
-    half = dataclasses.replace(WHEELS, radius_left_m=WHEELS.radius_left_m / 2)
+    half = replace(WHEELS, radius_left_m=WHEELS.radius_left_m / 2)
     odd = Parameters(solution.parameters.T_h_c, half)
     failing(
-        dataclasses.replace(solution, refinement=None, parameters=odd),
+        replace(solution, refinement=None, parameters=odd),
         extraction,
         "left 40.8 mm",
     )
@@ -204,20 +199,20 @@ def test_depth_noise_is_no_fault_of_the_calibration(solution, extraction):
 
 def test_pixels_off(solution, extraction):
     failing(
-        dataclasses.replace(solution, reprojection_rms_px=9.0),
+        replace(solution, reprojection_rms_px=9.0),
         extraction,
         "The reprojection error is 9.0 px (limit 7.8 px)",
     )
 
 
 def test_many_rejections_are_worth_a_look(solution, extraction):
-    verdict = judge(solution, dataclasses.replace(extraction, counts={"stations": 40}))
+    verdict = judge(solution, replace(extraction, counts={"stations": 40}))
     assert verdict.level == "PASS"
     assert "28 of 40 stations were rejected (most often: board partly hidden)." in verdict.next_step
 
 
 def solved(extraction, **changes):
-    extraction = dataclasses.replace(extraction, **changes)
+    extraction = replace(extraction, **changes)
     return judge(solve(extraction), extraction)
 
 
@@ -259,12 +254,12 @@ class TestWithTheSolver:
         for i, o in enumerate(moved[6:], 6):
             T = o.T_c_k @ se3.transform(np.eye(3), np.array([0.05, 0, 0]))
             points_c = se3.act(T @ se3.inverse(o.T_c_k), o.points_c)
-            moved[i] = dataclasses.replace(
+            moved[i] = replace(
                 o,
                 T_c_k=T,
                 points_c=points_c,
-                left=dataclasses.replace(o.left, pixels=project(cameras.left, points_c)),
-                right=dataclasses.replace(
+                left=replace(o.left, pixels=project(cameras.left, points_c)),
+                right=replace(
                     o.right, pixels=project(cameras.right, se3.act(se3.inverse(cameras.T_c_r), points_c))
                 ),
             )
@@ -277,8 +272,7 @@ class TestWithTheSolver:
         extraction = with_nominal(make_extraction(seed=seed), Nominal(ROBOT.T_h_c, WHEELS))
         rng = np.random.default_rng(seed)
         loose = tuple(
-            dataclasses.replace(o, joints=o.joints + rng.normal(0, math.radians(1), 2))
-            for o in extraction.observations
+            replace(o, joints=o.joints + rng.normal(0, math.radians(1), 2)) for o in extraction.observations
         )
         verdict = solved(extraction, observations=loose)
         assert verdict.level == "FAIL"
