@@ -11,10 +11,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
 from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
 from mobilecal_cli.likelihood.effects import WheelClock
-from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
+from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
-from mobilecal_cli.model import FloatArray, WheelGeometry
+from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"

@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
-from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
@@ -23,7 +23,7 @@ from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, linearize_views, view_rates, with_stations
-from mobilecal_cli.model import Evidence, FloatArray
+from mobilecal_cli.model import Evidence, FloatArray, Noise
 
 
 @contextmanager

@@ -12,11 +12,20 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose
 from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
-from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelGeometry, WheelTrack
+from mobilecal_cli.model import (
+    NINE,
+    BoolArray,
+    FloatArray,
+    Noise,
+    StereoRig,
+    Suggestion,
+    WheelGeometry,
+    WheelTrack,
+)
 
 # Accuracy that a robot needs: the least certain parameter is the worst relative to these.
 NEEDED = np.array(

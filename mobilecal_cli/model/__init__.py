@@ -70,8 +70,10 @@ from mobilecal_cli.model.robot_description import (
 )
 from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track
 from mobilecal_cli.model.solution import (
+    EXACT,
     LinearEstimate,
     Method,
+    Noise,
     NoiseLevels,
     Outlier,
     Provenance,
@@ -86,6 +88,7 @@ from mobilecal_cli.model.text import listed
 __all__ = [
     "CAMERA_INFO",
     "CAMERA_INFO_CHANGES",
+    "EXACT",
     "IMAGES",
     "JOINT_STATE",
     "NINE",
@@ -133,6 +136,7 @@ __all__ = [
     "Markers",
     "Method",
     "MotionView",
+    "Noise",
     "NoiseLevels",
     "Nominal",
     "NumberField",

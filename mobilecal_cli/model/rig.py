@@ -389,20 +389,7 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
-    """Standard deviations given by the user; None where they are estimated.
-
-    Attributes:
-        pixel_px: of one corner coordinate.
-        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian.
-        encoder_rad: of one encoder reading.
-        joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-        floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
-        stamp_s: of an image's time stamp, where the robot moves.
-        wheel_share: of a wheel's scale.
-        floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
-        sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
-        pose_scale: of measured poses, in units of the stated standard deviations.
-    """
+    """Standard deviations given by the user, see `Noise`; None where they are estimated."""
 
     pixel_px: float | None = None
     wheel_rad_per_sqrt_rad: float | None = None

@@ -13,8 +13,8 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_jacobian, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
 from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Parameters
+from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise, Parameters
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
 _DRAWN_LEGS = 4

@@ -17,17 +17,16 @@ from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.state import State, cameras_at
-from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Parameters
+from mobilecal_cli.model import NINE, BetweenLogs, Extraction, FloatArray, Noise, Parameters
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, few_rounds, ratios_of
 from mobilecal_cli.solvers.noise import (
-    GUESS,
     UNIFORM,
     Component,
     LevelSearch,
@@ -179,7 +178,10 @@ class Fitter:
         self.given = frozenset(self._levels)
         #: Tolerances while outliers are searched for.
         self.coarse = _QUICK if self.data.stations >= LONG_RECORDING else _COARSE
-        self._guess = replace(GUESS, encoder_rad=float(self.data.encoder_step_rad.max()) * UNIFORM)
+        self._guess = Noise(
+            **Noise.limits("guess") | {"encoder_rad": float(self.data.encoder_step_rad.max()) * UNIFORM},
+            wider={},
+        )
 
     # -- initial parameters -----------------------------------------------------------------------
 

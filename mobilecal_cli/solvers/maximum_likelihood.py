@@ -10,8 +10,8 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, Parameters
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.model import Extraction, Noise, Parameters
 from mobilecal_cli.solvers.consensus import consensus
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.corners import gross_corners

@@ -13,8 +13,8 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Parameters, Solution
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Noise, Parameters, Solution
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.imperfect import PRIORS, draw
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, tick_robot
@@ -128,7 +128,7 @@ def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArr
     data = Fitter(extraction, Constraints()).data
     parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
     fitter = Fitter(extraction, Constraints())
-    noise = Noise(encoder_rad=0.0, **given(USUAL).given)
+    noise = Noise.exact(**given(USUAL).given)
     state = initial_state(data, parameters, everything)
     lin = Linearization.at(data, state, everything, noise, fitter.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
