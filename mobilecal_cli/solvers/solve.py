@@ -29,7 +29,6 @@ from mobilecal_cli.model import (
     Uncertainty,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
     budget_of,
@@ -37,6 +36,7 @@ from mobilecal_cli.solvers.findings import (
     contradictions_of,
     jackknife_covariance,
     jumps_of,
+    outliers_of,
     over_logs,
     reference_jacobian,
     scale_of,
@@ -47,9 +47,8 @@ from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
-from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from mobilecal_cli.solvers.residuals import residuals_of
+from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
@@ -310,7 +309,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     contradictions = contradictions_of(fit)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, solver.fitter, fit)
+    jumps = jumps_of(extraction, fit, solver.jump)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters

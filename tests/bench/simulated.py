@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.vision import Miss, board_pose, triangulate
 from tests import extractions
 

@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.views import corner_residuals
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 
 NOISE = Noise(
