@@ -167,11 +167,6 @@ class Dataset:
             return np.ones(2)
         return np.asarray(np.maximum(self.encoder_step_rad / coarser, _LEAST_ENCODER_SHARE))
 
-    def joint_with(self, role: str) -> int | None:
-        """Column of the joint with a role, "pan" or "tilt"; None where the chain has no such joint."""
-        name = {"pan": self.chain.pan, "tilt": self.chain.tilt}[role]
-        return self.chain.joints.index(name) if name in self.chain.joints else None
-
     @cached_property
     def drives(self) -> BoolArray:
         """(N,) stations of recordings in which the base moves: there the floor differs from station to station."""

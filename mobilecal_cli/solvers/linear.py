@@ -210,13 +210,9 @@ class Rounds:
                 weight[3] = _LEG_M / (_NOMINAL_SHARE * mean[3])
         return mean, weight
 
-    def turns(self, ratios: FloatArray) -> FloatArray:
-        """Psi of each leg (eq. 10), rad."""
-        return self._Phi @ ratios
-
     def once(self, ratios: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Rotation and wheel ratios after one round; None where the ratios are of no use."""
-        psi = self.turns(ratios)
+        psi = self._Phi @ ratios  # eq. 10
         R_h_c = self.rotation(psi)
         ratios = self.ratios(R_h_c, psi)
         if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < 1e-9:
@@ -256,12 +252,3 @@ class Rounds:
 def _without_size(wheels: WheelGeometry) -> bool:
     """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
     return bool(np.abs(wheels.vector).min() < _NO_SIZE_M)
-
-
-def few_rounds(pairs: MotionPairs, ratios: FloatArray, rounds: int) -> Parameters:
-    """The iterative linear solution of a few legs from wheel ratios that are nearly right.
-
-    Raises:
-        SolveError: the iteration breaks down.
-    """
-    return Rounds(pairs).after(ratios, rounds)

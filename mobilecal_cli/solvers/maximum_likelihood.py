@@ -29,7 +29,7 @@ from mobilecal_cli.solvers.consensus import consensus
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_state, initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, few_rounds, ratios_of
+from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     Component,
@@ -139,7 +139,7 @@ class Solver:
     def initial_of(self, pairs: MotionPairs, near: Parameters) -> Parameters:
         """Linear parameters from a few legs, from parameters that are nearly right."""
         if self.full_motion:
-            return few_rounds(pairs, ratios_of(near.wheels), FEW_ROUNDS)
+            return Rounds(pairs).after(ratios_of(near.wheels), FEW_ROUNDS)
         return initial_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -----------------------------------------------------------------------------------
