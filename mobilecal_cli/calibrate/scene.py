@@ -28,8 +28,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
 from mobilecal_cli.report.numbers import station_names
-from mobilecal_cli.solvers.applied import at_constants
-from mobilecal_cli.solvers.residuals import residuals_of
+from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import base_motion
 from mobilecal_cli.stations import images_of
 from mobilecal_cli.vision import snapshot_jpeg

@@ -6,7 +6,7 @@ import math
 import re
 import reprlib
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -151,8 +151,7 @@ def _uncertainty_lines(solution: Solution) -> list[str]:
 
 def _noise(levels: NoiseLevels) -> str:
     """Every noise level, and the names of those that were estimated from the residuals."""
-    names = (name for name, kind in get_type_hints(NoiseLevels).items() if kind is float)
-    shown = (f"{name}: {exponential(getattr(levels, name))}" for name in names)
+    shown = (f"{name}: {exponential(level)}" for name, level in levels.levels.items())
     return f"{', '.join(shown)}, estimated: [{', '.join(levels.estimated)}]"
 
 

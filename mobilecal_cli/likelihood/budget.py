@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.processes import COUNT, LEVELS
-from mobilecal_cli.model import NINE, FloatArray
+from mobilecal_cli.model import FloatArray
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
@@ -180,11 +180,6 @@ def shares(lin: Linearization) -> Mapping[str, FloatArray]:
     result["unobservable"] = lin.considered @ lin.considered.T
     result["free"] = lin.covariance - sum(result.values())
     return result
-
-
-def nine_of(share: FloatArray) -> FloatArray:
-    """(9,) variances of the nine parameters in a share of the budget."""
-    return np.asarray(np.diag(share)[: len(NINE)])
 
 
 def usual_jackknife_factor(legs: int) -> float:

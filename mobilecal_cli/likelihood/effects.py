@@ -63,46 +63,51 @@ class JointClock(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class JointZero(JointEffect):
-    """Zero offset of a joint, by its column, rad or m."""
+class OneJointEffect(JointEffect):
+    """Changes the position of one joint, by its column."""
 
     joint: int
 
+    @abstractmethod
+    def own_rate(self, data: Dataset) -> FloatArray | float:
+        """(N,) derivative of this joint's positions by the value."""
+
     def rate(self, data: Dataset, value: float) -> FloatArray:
-        """(N, J) 1 in this joint's column."""
+        """(N, J) derivative of the joint positions by the value."""
         rate = np.zeros_like(data.joints)
-        rate[:, self.joint] = 1.0
+        rate[:, self.joint] = self.own_rate(data)
         return rate
 
 
 @dataclass(frozen=True, slots=True)
-class JointScale(JointEffect):
-    """Relative error of a joint's reading, by its column."""
+class JointZero(OneJointEffect):
+    """Zero offset of a joint, rad or m."""
 
-    joint: int
-
-    def rate(self, data: Dataset, value: float) -> FloatArray:
-        """(N, J) the reading in this joint's column."""
-        rate = np.zeros_like(data.joints)
-        rate[:, self.joint] = data.joints[:, self.joint]
-        return rate
+    def own_rate(self, data: Dataset) -> FloatArray | float:
+        """The same at all stations."""
+        return 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class JointPlay(JointEffect):
-    """Backlash of a joint, by its column, rad or m: the whole play between its two approach directions."""
+class JointScale(OneJointEffect):
+    """Relative error of a joint's reading."""
 
-    joint: int
+    def own_rate(self, data: Dataset) -> FloatArray | float:
+        """The reading."""
+        return data.joints[:, self.joint]
+
+
+@dataclass(frozen=True, slots=True)
+class JointPlay(OneJointEffect):
+    """Backlash of a joint, rad or m: the whole play between its two approach directions."""
 
     def offered(self, data: Dataset) -> bool:
         """Only a joint that was approached from both directions shows its play."""
         return bool(np.ptp(data.approach_direction[:, self.joint]))
 
-    def rate(self, data: Dataset, value: float) -> FloatArray:
-        """(N, J) half of the approach direction, negative, in this joint's column."""
-        rate = np.zeros_like(data.joints)
-        rate[:, self.joint] = -data.approach_direction[:, self.joint] / 2
-        return rate
+    def own_rate(self, data: Dataset) -> FloatArray | float:
+        """Half of the approach direction, negative."""
+        return -data.approach_direction[:, self.joint] / 2
 
 
 @dataclass
@@ -279,11 +284,6 @@ class CameraEffect(Effect, ABC):
         """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
 
 
-def _right_moves(sight: Sight, by_shift_c: FloatArray) -> FloatArray:
-    """Derivative of the right pixels where its center moves by (3,) in the left camera's frame."""
-    return -sight.by_shift(by_shift_c)
-
-
 @dataclass(frozen=True, slots=True)
 class RightTurn(CameraEffect):
     """Rotation of the right camera about an axis of the left one, rad."""
@@ -318,7 +318,7 @@ class BaselineTurn(CameraEffect):
         if sight.side == "left":
             return None
         turn = se3.left_jacobian_so3(sight.change.swing) @ np.array(self.about)
-        return _right_moves(sight, np.cross(turn, sight.rig.T_c_r[:3, 3]))
+        return -sight.by_shift(np.cross(turn, sight.rig.T_c_r[:3, 3]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,7 +333,7 @@ class BaselineScale(CameraEffect):
         """The right camera moves along the baseline."""
         if sight.side == "left":
             return None
-        return _right_moves(sight, sight.rig.T_c_r[:3, 3] / (1 + sight.change.baseline))
+        return -sight.by_shift(sight.rig.T_c_r[:3, 3] / (1 + sight.change.baseline))
 
 
 @dataclass(frozen=True, slots=True)

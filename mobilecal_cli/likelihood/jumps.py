@@ -189,9 +189,7 @@ def without(lin: Linearization, jump: Jump) -> Linearization:
         views = replace(views, gradient=views.gradient + change, cost=cost)
     if part.legs is not None:
         offset = offset + np.where(after[data.legs[:, 1], None], part.legs @ jump.value, 0.0)
-    other = replace(lin, leg_offset=offset)
-    other.__dict__["views"] = views
-    return other
+    return lin.changed(known={"views": views}, leg_offset=offset)
 
 
 def again(lin: Linearization, jump: Jump) -> Jump:

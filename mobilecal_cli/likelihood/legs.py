@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import Arcs, Increments, LegMotion
+from mobilecal_cli.kinematics import Arcs, Increments
 from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
 from mobilecal_cli.likelihood.effects import WheelClock
-from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD, Noise
+from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
-from mobilecal_cli.model import FloatArray, WheelGeometry
+from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"
@@ -77,10 +77,6 @@ def base_legs(data: Dataset, state: State) -> FloatArray:
     return np.stack([x, y, apart[:, 2]], axis=1)
 
 
-def _as_rows(motion: LegMotion) -> FloatArray:
-    return np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1)
-
-
 def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: bool) -> Legs:
     """Residuals of all legs and their derivatives, those by encoder errors only where encoders have steps."""
     i, j = data.legs.T
@@ -116,7 +112,8 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
     if not encoders:
         by_start[:, :, ENCODERS] = by_end[:, :, ENCODERS] = 0.0
-    residual = _as_rows(arcs.motion()) - between
+    motion = arcs.motion()
+    residual = np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
@@ -166,11 +163,6 @@ def all_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mappi
         wide[name][:, :3, :3] = share
     wide["pose_scale"][:, 3:, 3:] = noise.pose_scale**2 * data.motions.covariance
     return wide
-
-
-def leg_covariance(data: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
-    """(L, 3, 3) covariance of odometry's (x, y, heading), m^2, m rad, rad^2; see `leg_covariances`."""
-    return np.asarray(sum(leg_covariances(data.steps(), wheels, noise).values()))
 
 
 def leg_covariances(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
 from mobilecal_cli.likelihood.marginals import Marginals, marginals
-from mobilecal_cli.likelihood.noise import Inliers, Noise, encoder_sigmas, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
@@ -23,7 +24,7 @@ from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, linearize_views, view_rates, with_stations
-from mobilecal_cli.model import Evidence, FloatArray
+from mobilecal_cli.model import Evidence, FloatArray, Noise
 
 
 @contextmanager
@@ -77,52 +78,63 @@ class Linearization:
         wide = priors.widened(noise.wider)
         return cls(data, state, inliers, noise, wide, covariances, along, view_rates(data, state))
 
+    def changed(
+        self,
+        keep: Collection[str] = (),
+        known: Mapping[str, object] | None = None,
+        **fields: Any,  # noqa: ANN401
+    ) -> Linearization:
+        """Another point, with some of what was derived here: the only place that moves it.
+
+        Args:
+            keep: names of properties that are the same there; they are derived again only if they were not yet here.
+            known: properties → their values there.
+            fields: attributes that differ.
+        """
+        other = replace(self, **fields)
+        other.__dict__.update({name: self.__dict__[name] for name in keep if name in self.__dict__})
+        other.__dict__.update(known or {})
+        return other
+
     def after(self, step: Step) -> Linearization:
         """The likelihood after a step of all unknowns."""
-        return replace(self, state=self.state.plus(self.data, step))
+        return self.changed(state=self.state.plus(self.data, step))
 
     def predicted(self, step: Step) -> Linearization:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
-        other = self.after(step)
-        other.__dict__["views"] = self.views.moved(step)
-        other.__dict__["legs"] = self.legs.moved(self.data, step)
-        other.__dict__["normal"] = self.normal.after(step.shared)
-        other.__dict__["conditional_covariance"] = self.conditional_covariance
-        return other
+        known = {
+            "views": self.views.moved(step),
+            "legs": self.legs.moved(self.data, step),
+            "normal": self.normal.after(step.shared),
+            "conditional_covariance": self.conditional_covariance,
+        }
+        return self.changed(known=known, state=self.state.plus(self.data, step))
 
     def under(self, priors: Priors) -> Linearization:
         """The same point with other priors."""
-        other = replace(self, priors=priors.widened(self.noise.wider))
-        for name in (
-            "views",
-            "legs",
-            "leg_covariance",
-            "leg_weight",
-            "own_sigmas",
-            "normal",
-        ):  # these do not depend on priors
-            if name in self.__dict__:
-                other.__dict__[name] = self.__dict__[name]
-        return other
+        same = ("views", "legs", "leg_covariance", "leg_weight", "own_sigmas", "normal")
+        return self.changed(same, priors=priors.widened(self.noise.wider))
 
     def with_noise(self, noise: Noise) -> Linearization:
         """The same point with other noise levels, and the legs' covariance for the wheels of this state.
 
         The views' rates stay, as the views do; see `renewed`.
         """
-        wheels = self.state.parameters.wheels
-        covariances = all_covariances(self.data, wheels, noise)
-        along = processes_of(self.data, wheels, noise, self.inliers)
-        wide = self.priors.widened(noise.wider)
-        other = replace(self, noise=noise, priors=wide, leg_covariances=covariances, processes=along)
+        wheels, known = self.state.parameters.wheels, {}
         if "views" in self.__dict__:
             levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
             factor = sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
-            other.__dict__["views"] = self.views.scaled(np.asarray(factor))
-        same = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
-        if "legs" in self.__dict__ and same and noise.wheel_length_m == self.noise.wheel_length_m:
-            other.__dict__["legs"] = self.legs
-        return other
+            known["views"] = self.views.scaled(np.asarray(factor))
+        same_legs = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
+        same_legs &= noise.wheel_length_m == self.noise.wheel_length_m
+        return self.changed(
+            ("legs",) if same_legs else (),
+            known,
+            noise=noise,
+            priors=self.priors.widened(noise.wider),
+            leg_covariances=all_covariances(self.data, wheels, noise),
+            processes=processes_of(self.data, wheels, noise, self.inliers),
+        )
 
     def renewed(self) -> Linearization:
         """The same point with the views' rates of its state: the same itself where nothing moves."""
@@ -132,18 +144,14 @@ class Linearization:
 
     def with_inliers(self, inliers: Inliers) -> Linearization:
         """The same point with other inliers."""
-        along = processes_of(self.data, self.state.parameters.wheels, self.noise, inliers)
-        other = replace(self, inliers=inliers, processes=along)
-        for name in ("legs", "leg_covariance"):
-            if name in self.__dict__:
-                other.__dict__[name] = self.__dict__[name]
+        along, known = processes_of(self.data, self.state.parameters.wheels, self.noise, inliers), {}
         if "views" in self.__dict__:
-            changed = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
-            changed |= inliers.views != self.inliers.views
-            other.__dict__["views"] = with_stations(
-                self.views, self.data, self.state, inliers, self.noise, self.rates, np.flatnonzero(changed)
+            differ = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
+            differ |= inliers.views != self.inliers.views
+            known["views"] = with_stations(
+                self.views, self.data, self.state, inliers, self.noise, self.rates, np.flatnonzero(differ)
             )
-        return other
+        return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
     def of_log(self, log: int) -> Linearization:
         """The part that belongs to one recording."""

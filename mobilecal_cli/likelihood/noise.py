@@ -1,72 +1,20 @@
-"""Noise level of each kind of measurement, and which measurements are inliers."""
+"""Which measurements are inliers, and their standard deviations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model import EXACT, BoolArray, FloatArray, Noise
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
-EXACT = 1e-6  # rad, m, s: of what has no noise
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Standard deviations.
-
-    Attributes:
-        pixel_px: of one corner coordinate (root mean square over the stations, whose images differ).
-        wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading of the wheel with the coarser encoder; 0 where the encoders have no steps.
-        joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
-        floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height; see `processes`.
-        stamp_s: of an image's time stamp, where the robot moves.
-        wheel_share: of each wheel's scale.
-        floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
-        sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
-        pose_scale: of measured poses, in units of the stated standard deviations.
-        wider: kind of constants → how many times as wide as stated their priors are, at least 1.
-    """
-
-    pixel_px: float
-    wheel_rad_per_sqrt_rad: float
-    encoder_rad: float
-    joint_rad: float
-    floor_rad: float = EXACT
-    floor_m: float = EXACT
-    stamp_s: float = EXACT
-    wheel_share: float = EXACT
-    floor_length_m: float = 0.3
-    wheel_length_m: float = 1.0
-    sway_rad: float = EXACT
-    sway_m: float = EXACT
-    pose_scale: float = 1.0
-    wider: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def levels(self) -> dict[str, float]:
-        """Name → level of each kind of measurement."""
-        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "wider"}
-
-    @property
-    def all_levels(self) -> dict[str, float]:
-        """`levels` and `wider`."""
-        return self.levels | dict(self.wider)
-
-    def with_levels(self, found: Mapping[str, float]) -> Noise:
-        """With some of `all_levels` changed."""
-        mine = self.levels
-        own = {name: level for name, level in found.items() if name in mine}
-        return replace(self, **own, wider={**self.wider, **{k: s for k, s in found.items() if k not in mine}})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

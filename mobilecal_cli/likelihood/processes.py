@@ -14,8 +14,8 @@ import numpy as np
 
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise
-from mobilecal_cli.model import FloatArray, IntArray, WheelGeometry
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.model import EXACT, FloatArray, IntArray, Noise, WheelGeometry
 
 #: Noise level of each process, and of its correlation length: roll, pitch, height, right wheel, left wheel.
 LEVELS = ("floor_rad", "floor_rad", "floor_m", "wheel_share", "wheel_share")

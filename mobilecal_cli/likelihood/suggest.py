@@ -12,11 +12,18 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose
 from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
-from mobilecal_cli.model import NINE, BoolArray, FloatArray, StereoRig, Suggestion, WheelGeometry, WheelTrack
+from mobilecal_cli.model import (
+    NINE,
+    BoolArray,
+    FloatArray,
+    StereoRig,
+    Suggestion,
+    WheelTrack,
+)
 
 # Accuracy that a robot needs: the least certain parameter is the worst relative to these.
 NEEDED = np.array(
@@ -168,7 +175,8 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
     by_shared = legs.by_shared[0]
     rows = np.concatenate([by_shared, by_start, legs.by_end[0]], axis=1)
-    H: FloatArray = rows.T @ np.linalg.inv(_covariance(pair, wheels, noise)[0]) @ rows
+    covariance = np.asarray(sum(leg_covariances(pair.steps(), wheels, noise, ends_known=True).values()))
+    H: FloatArray = rows.T @ np.linalg.inv(covariance[0]) @ rows
     before = by_shared.shape[1] + np.arange(PROCESSES.start, PROCESSES.stop)
     after, rho, weight = before + STAMP, along.rho[1], 1 / along.variance[1]
     H[before, before] += rho**2 * weight
@@ -176,11 +184,6 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     H[before, after] -= rho * weight
     H[after, before] -= rho * weight
     return H
-
-
-def _covariance(pair: Dataset, wheels: WheelGeometry, noise: Noise) -> FloatArray:
-    """(1, 3, 3) covariance of a leg's odometry for known scale errors of the wheels at its ends."""
-    return np.asarray(sum(leg_covariances(pair.steps(), wheels, noise, ends_known=True).values()))
 
 
 def _informations(lin: Linearization, stops: _Stops) -> FloatArray:

@@ -25,7 +25,7 @@ from mobilecal_cli.likelihood.effects import (
     JointEffect,
     Sight,
 )
-from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
     State,
@@ -37,7 +37,7 @@ from mobilecal_cli.likelihood.state import (
     points_at,
     wheel_clock_s,
 )
-from mobilecal_cli.model import Camera, FloatArray, IntArray, Side
+from mobilecal_cli.model import Camera, FloatArray, IntArray, Noise, Side
 
 _BLOCK = 200
 

@@ -68,10 +68,12 @@ from mobilecal_cli.model.robot_description import (
 )
 from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track, sampled
 from mobilecal_cli.model.solution import (
+    EXACT,
     Drift,
     Evaluation,
     LinearEstimate,
     Method,
+    Noise,
     NoiseLevels,
     Outlier,
     Provenance,

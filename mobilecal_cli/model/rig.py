@@ -389,7 +389,7 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
-    """Standard deviations given by the user; None where they are estimated. See `NoiseLevels`."""
+    """Standard deviations given by the user, see `Noise`; None where they are estimated."""
 
     pixel_px: float | None = None
     wheel_rad_per_sqrt_rad: float | None = None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -24,6 +25,8 @@ from mobilecal_cli.model.findings import (
 from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import StereoRig
 
+#: Standard deviation of what has no noise, rad, m, s.
+EXACT = 1e-6
 Method = Literal["linear", "paper", "lm", "ml"]
 Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str, Setting] | None"
 
@@ -84,14 +87,25 @@ class Refinement:
         freeze(self, point_rms_history_m=("n",))
 
 
+def _level(guess: float, least: float, most: float) -> dict[str, float]:
+    """Row of a noise level: a guess where nothing else is known, and limits.
+
+    Beyond the largest, a level says that the model is wrong, not how noisy a measurement is.
+    """
+    return {"guess": guess, "least": least, "most": most}
+
+
 @dataclass(frozen=True, slots=True)
-class NoiseLevels:
-    """Standard deviations of the measurements.
+class Noise:
+    """Standard deviations of the measurements: one row for each noise level.
+
+    The guesses are those of a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor, and
+    a base that hardly sways on its wheels.
 
     Attributes:
-        pixel_px: of one corner coordinate.
+        pixel_px: of one corner coordinate (root mean square over the stations, whose images differ).
         wheel_rad_per_sqrt_rad: of a wheel's rotation over one radian; the variance grows with the rotation.
-        encoder_rad: of one encoder reading, of the wheel with the coarser encoder; 0 for encoders without steps.
+        encoder_rad: of one encoder reading of the wheel with the coarser encoder; 0 where the encoders have no steps.
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
         floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
         stamp_s: of an image's time stamp, where the robot moves.
@@ -100,24 +114,61 @@ class NoiseLevels:
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
         pose_scale: of measured poses, in units of the stated standard deviations.
         wider: kind of constants → how many times as wide as stated their priors are, at least 1.
+    """
+
+    pixel_px: float = field(metadata=_level(0.1, 1e-3, 1e3))
+    wheel_rad_per_sqrt_rad: float = field(metadata=_level(0.004, 1e-5, 1.0))
+    encoder_rad: float = field(metadata=_level(0.0, 0.0, 1.0))
+    joint_rad: float = field(metadata=_level(math.radians(0.03), 1e-6, 1.0))
+    floor_rad: float = field(metadata=_level(math.radians(0.1), 1e-6, 0.1))
+    floor_m: float = field(metadata=_level(0.0005, 1e-6, 0.1))
+    stamp_s: float = field(metadata=_level(0.0005, 1e-6, 0.1))
+    wheel_share: float = field(metadata=_level(0.001, 1e-6, 0.1))
+    floor_length_m: float = field(metadata=_level(0.3, 1e-3, 1e3))
+    wheel_length_m: float = field(metadata=_level(1.0, 1e-3, 1e3))
+    sway_rad: float = field(metadata=_level(math.radians(0.02), 1e-6, 0.1))
+    sway_m: float = field(metadata=_level(0.0001, 1e-6, 0.1))
+    pose_scale: float = field(metadata=_level(1.0, 1e-3, 1e3))
+    wider: Mapping[str, float]
+
+    @classmethod
+    def limits(cls, of: Literal["guess", "least", "most"]) -> dict[str, float]:
+        """Name → guess or limit of each level."""
+        return {each.name: each.metadata[of] for each in fields(cls) if of in each.metadata}
+
+    @classmethod
+    def exact(cls, **levels: float) -> Noise:
+        """Some levels, the others of measurements without noise."""
+        known = {"encoder_rad": 0.0, "floor_length_m": 0.3, "wheel_length_m": 1.0, "pose_scale": 1.0}
+        return cls(**{**dict.fromkeys(cls.limits("guess"), EXACT), **known, **levels}, wider={})
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """Name → level of each kind of measurement."""
+        return {name: getattr(self, name) for name in Noise.limits("guess")}
+
+    @property
+    def all_levels(self) -> dict[str, float]:
+        """`levels` and `wider`."""
+        return self.levels | dict(self.wider)
+
+    def with_levels(self, changed: Mapping[str, float]) -> Noise:
+        """With some of `all_levels` changed."""
+        names = Noise.limits("guess").keys()
+        own = {name: level for name, level in changed.items() if name in names}
+        others = {name: factor for name, factor in changed.items() if name not in names}
+        return replace(self, **own, wider={**self.wider, **others})
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevels(Noise):
+    """Standard deviations of the measurements.
+
+    Attributes:
         estimated: names of the levels that were estimated from the residuals; the others were given.
         redundancy: estimated level → number of redundant residuals.
     """
 
-    pixel_px: float
-    wheel_rad_per_sqrt_rad: float
-    encoder_rad: float
-    joint_rad: float
-    floor_rad: float
-    floor_m: float
-    stamp_s: float
-    wheel_share: float
-    floor_length_m: float
-    wheel_length_m: float
-    sway_rad: float
-    sway_m: float
-    pose_scale: float
-    wider: Mapping[str, float]
     estimated: tuple[str, ...]
     redundancy: Mapping[str, float]
 

@@ -13,7 +13,6 @@ from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import encoder_steps_rad, head_jacobian, head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.noise import Noise
 from mobilecal_cli.model import Extraction, FloatArray, Solution
 
 
@@ -88,8 +87,7 @@ def _wheel_covariance(solution: Solution, extraction: Extraction) -> FloatArray:
     assert solution.uncertainty is not None
     data, wheels = dataset_of(extraction), solution.parameters.wheels
     noise = solution.uncertainty.noise
-    levels = Noise(**{name: getattr(noise, name) for name in Noise.__dataclass_fields__ if name != "wider"})
-    every = sum(leg_covariances(data.steps(), wheels, levels).values())
+    every = sum(leg_covariances(data.steps(), wheels, noise).values())
     number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
     covariance = np.asarray(every)[[number[a, b] for a, b in solution.residuals.legs.tolist()]]
     if noise.encoder_rad:

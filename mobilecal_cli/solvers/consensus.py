@@ -12,9 +12,9 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_jacobian, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
-from mobilecal_cli.likelihood.legs import leg_covariance
-from mobilecal_cli.likelihood.noise import Inliers, Noise, own_sigmas
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Parameters
+from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise, Parameters
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
 _DRAWN_LEGS = 4
@@ -71,7 +71,8 @@ def leg_spread(data: Dataset, parameters: Parameters, noise: Noise) -> FloatArra
     by_leg[:, 2, 2] = 1.0
     by_leg[:, 3:5, :2] = np.swapaxes(T_vi_vj[:, :2, :2], 1, 2)
     by_leg = to_camera @ by_leg
-    of_wheels = by_leg @ leg_covariance(data, parameters.wheels, noise) @ np.swapaxes(by_leg, 1, 2)
+    covariance = np.asarray(sum(leg_covariances(data.steps(), parameters.wheels, noise).values()))
+    of_wheels = by_leg @ covariance @ np.swapaxes(by_leg, 1, 2)
     spread: FloatArray = of_station[i] + Ad @ of_station[j] @ np.swapaxes(Ad, 1, 2) + of_wheels
     return spread
 

@@ -15,7 +15,6 @@ from mobilecal_cli.model import (
     Evaluation,
     Extraction,
     FloatArray,
-    IntArray,
     Parameters,
     Solution,
     WheelGeometry,
@@ -117,7 +116,7 @@ def _drift(
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     path, turned = covered
     place_m, heading_rad, path_m, turned_rad = [], [], [], []
-    for legs in _logs(pairs):
+    for legs in (np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)):
         stations = np.concatenate([pairs.legs[legs, 0], pairs.legs[legs[-1:], 1]])
         so_far = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
         kept = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_STATIONS)).astype(int))
@@ -132,11 +131,6 @@ def _drift(
         _over(np.concatenate(place_m), np.concatenate(path_m), _LEAST_M),
         _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),
     )
-
-
-def _logs(pairs: MotionPairs) -> list[IntArray]:
-    """Indices of the legs of each log."""
-    return [np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)]
 
 
 def _heading(T: FloatArray) -> FloatArray:

@@ -41,7 +41,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior, few_rounds, ratios_of
+from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.refine import refine_lm
 from mobilecal_cli.solvers.transfer import base_motion, residuals_m, rms_m
 
@@ -216,7 +216,7 @@ class _Scorer:
         for ratios in self._starts if full else [np.zeros(2)]:
             try:
                 parameters = (
-                    few_rounds(pairs, ratios, _ROUNDS)
+                    Rounds(pairs).after(ratios, _ROUNDS)
                     if full
                     else initial_with_prior(pairs, self._prior, readings.motion)
                 )

@@ -15,7 +15,6 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
-from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
 
 FEW_ROUNDS = 3  # from parameters that are nearly right
 _PAIRS_PER_STATION = 40
@@ -25,6 +24,30 @@ _LEG_RAD, _LEG_M = 0.003, 0.003
 _NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
 _NO_SIZE_M = 1e-12
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
+_NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
+
+
+def head_eye_rotation(R_hi_hj: FloatArray, R_ci_cj: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least-squares solution of R_hi_hj R_X = R_X R_ci_cj.
+
+    With ``P = 2 sin(theta/2) n`` eq. 5 reads ``skew(P_H + P_C) P' = P_C - P_H``, where ``P' = v/w`` for the
+    unit quaternion (v, w) of R_X. Multiplied by w it is homogeneous in (v, w). The singular vector of the smallest
+    singular value is the solution, also for a head-eye rotation by a half turn (w = 0), where eq. 5 is undefined.
+
+    Args:
+        R_hi_hj: (P, 3, 3) rotations of the head.
+        R_ci_cj: (P, 3, 3) rotations of the camera over the same pairs.
+
+    Returns:
+        R_X = R_h_c (3, 3) and the (4,) singular values in decreasing order, divided by the square root of P. The last
+        is the residual. The last but one is zero if all rotation axes are parallel, and the solution undetermined.
+    """
+    q_h, q_c = se3.quaternion_xyzw(R_hi_hj), se3.quaternion_xyzw(R_ci_cj)
+    P_h, P_c = 2 * q_h[:, :3], 2 * q_c[:, :3]
+    rows = np.concatenate([se3.skew(P_h + P_c), (P_h - P_c)[:, :, None]], axis=2)
+    rows[(q_h[:, 3] < _NEAR_HALF_TURN) | (q_c[:, 3] < _NEAR_HALF_TURN)] = 0
+    _, singular, Vt = np.linalg.svd(rows.reshape(-1, 4), full_matrices=False)
+    return se3.from_quaternion_xyzw(Vt[-1]), singular / np.sqrt(len(rows))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,13 +210,9 @@ class Rounds:
                 weight[3] = _LEG_M / (_NOMINAL_SHARE * mean[3])
         return mean, weight
 
-    def turns(self, ratios: FloatArray) -> FloatArray:
-        """Psi of each leg (eq. 10), rad."""
-        return self._Phi @ ratios
-
     def once(self, ratios: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Rotation and wheel ratios after one round; None where the ratios are of no use."""
-        psi = self.turns(ratios)
+        psi = self._Phi @ ratios  # eq. 10
         R_h_c = self.rotation(psi)
         ratios = self.ratios(R_h_c, psi)
         if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < 1e-9:
@@ -233,12 +252,3 @@ class Rounds:
 def _without_size(wheels: WheelGeometry) -> bool:
     """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
     return bool(np.abs(wheels.vector).min() < _NO_SIZE_M)
-
-
-def few_rounds(pairs: MotionPairs, ratios: FloatArray, rounds: int) -> Parameters:
-    """The iterative linear solution of a few legs from wheel ratios that are nearly right.
-
-    Raises:
-        SolveError: the iteration breaks down.
-    """
-    return Rounds(pairs).after(ratios, rounds)

@@ -11,59 +11,11 @@ import numpy as np
 from mobilecal_cli.likelihood.dataset import STAMP
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import EXACT, Noise
 from mobilecal_cli.likelihood.nuisance import family
 from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
-from mobilecal_cli.model import NINE, FloatArray
+from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
 
-# Where nothing else is known: a good corner fit, wheels that roll on a firm floor, a servo's encoder, a tiled floor, a
-# base that hardly sways on its wheels.
-GUESS = Noise(
-    pixel_px=0.1,
-    wheel_rad_per_sqrt_rad=0.004,
-    encoder_rad=0.0,
-    joint_rad=float(np.radians(0.03)),
-    floor_rad=float(np.radians(0.1)),
-    floor_m=0.0005,
-    stamp_s=0.0005,
-    wheel_share=0.001,
-    floor_length_m=0.3,
-    wheel_length_m=1.0,
-    sway_rad=float(np.radians(0.02)),
-    sway_m=0.0001,
-    pose_scale=1.0,
-)
-LEAST = Noise(
-    1e-3,
-    1e-5,
-    0.0,
-    1e-6,
-    1e-6,
-    1e-6,
-    1e-6,
-    1e-6,
-    floor_length_m=1e-3,
-    wheel_length_m=1e-3,
-    sway_rad=1e-6,
-    sway_m=1e-6,
-    pose_scale=1e-3,
-)
-# Beyond these a level says that the model is wrong, not how noisy a measurement is.
-MOST = Noise(
-    1e3,
-    1.0,
-    1.0,
-    1.0,
-    0.1,
-    0.1,
-    0.1,
-    0.1,
-    floor_length_m=1e3,
-    wheel_length_m=1e3,
-    sway_rad=0.1,
-    sway_m=0.1,
-    pose_scale=1e3,
-)
+_LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).
 _LENGTH_FACTOR = 3.0
 _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
@@ -212,7 +164,7 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
         before, supposed = getattr(noise, name), getattr(guess, name)
         factor = np.clip(component.factor((supposed / before) ** 2), 1e-4, 1e4)
         level = before * float(np.sqrt(factor))
-        changes[name] = min(max(level, getattr(LEAST, name)), getattr(MOST, name))
+        changes[name] = min(max(level, _LEAST[name]), _MOST[name])
     return noise.with_levels(changes)
 
 
@@ -271,10 +223,9 @@ class LevelSearch:
         step = np.where(kinds, change, step)  # where two explain the same, neither is preferred
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)
-        least, most = LEAST.levels, MOST.levels
         return noise.with_levels(
             {
-                name: min(max(level, least.get(name, 1.0)), most.get(name, _WIDEST))
+                name: min(max(level, _LEAST.get(name, 1.0)), _MOST.get(name, _WIDEST))
                 for name, level in zip(names, np.exp(at + step).tolist(), strict=True)
             }
         )

@@ -1,4 +1,4 @@
-"""Which measurements are outliers: rejected and restored one by one, in long recordings a few at a time."""
+"""Which measurements are outliers: gross corners by themselves, everything else by the statistics of a fit."""
 
 from __future__ import annotations
 
@@ -7,25 +7,33 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.residual_tests import ResidualTests, limit
+from mobilecal_cli import se3
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
+from mobilecal_cli.likelihood.residual_tests import limit
+from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, whitened
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
-from mobilecal_cli.solvers.fit import LONG_RECORDING, Fit, Fitter
+from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.noise import guess_worth
 
-_CONSENSUS_REDUNDANCY = 20.0  # of the noise level that the consensus legs show
+_CORNER_SIGMAS = 5.5
+_BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
+_BAD_BOARD = 6.0  # corner noise of one station against the usual
+_LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
+CONSENSUS_REDUNDANCY = 20.0  # of the noise level that the consensus legs show
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
-_FEWEST_VIEWS = 4
+FEWEST_VIEWS = 4
 _TOO_MANY = 1 / 3  # outliers among the measurements of a kind: that kind's noise is larger than supposed
 # Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
 _APART = 5
+#: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
+#: that their cost does not grow with the recording.
+LONG_RECORDING = 100
 _MUCH = 4.0  # a first fit with statistics beyond this many times their limit calls for a consensus
-
-
 #: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.
 _JUDGED_BY = {
     "views": ("pose_scale", "joint_rad", "wheel_rad_per_sqrt_rad"),
@@ -34,201 +42,174 @@ _JUDGED_BY = {
 }
 
 
-class OutlierSearch:
-    """Judges fits of one extraction."""
+def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
+    """(N,) median over the detected corners, (N, 2, M)."""
+    return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
 
-    def __init__(self, fitter: Fitter) -> None:
-        self._fitter = fitter
-        self._data = fitter.data
 
-    def _worst(self, tests: ResidualTests) -> float:
-        """Largest statistic of an inlier over its limit, for known noise levels."""
-        count = self._data.stations
-        return max(
-            float(getattr(tests, kind).max(initial=0)) / limit(count, dof, _MANY)
-            for kind, dof in _DEGREES.items()
-        )
+def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
+    """(n, 2, M) distance of the corners of some stations from the boards that fit each best, robustly."""
+    seen, T = data.seen[stations], data.T_c_k[stations]
+    for _ in range(_LOCAL_STEPS):
+        residual, J = corner_residuals(data, state, T, stations)
+        W = data.whitening[stations]
+        residual, J = whitened(W, residual), whitened(W, J[:, :6])
+        size = np.linalg.norm(residual, axis=-1)
+        scale = np.maximum(_median(size, seen), 1e-9)
+        # Cauchy's weight, whose pull fades with distance.
+        root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
+        At = (J * root[:, None]).reshape(len(T), 6, -1)
+        r = (residual * root).reshape(len(T), -1)
+        A = np.swapaxes(At, 1, 2)
+        step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
+        T = se3.exp(step) @ T
+        if np.abs(step).max() < _STILL:
+            break
+    residual, _ = corner_residuals(data, state, T, stations)
+    return np.asarray(np.linalg.norm(whitened(data.whitening[stations], residual), axis=-1))
 
-    def plausible(self, fit: Fit) -> bool:
-        """Whether a first fit of everything, with supposed noise, shows no gross outlier."""
-        bound = 1.0 if self._fitter.given >= set(fit.components) else _MUCH
-        return self._worst(fit.lin.tests) < bound and bool(fit.inliers.views.all())
 
-    def _all_consistent(self, fit: Fit) -> bool:
-        """Whether no inlier stands out at the present noise levels."""
-        return self._worst(fit.lin.tests) < 1.0
+def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
+    """Corners and whole boards that fit the board's own shape, each station by itself.
 
-    def restore(self, fit: Fit) -> Fit:
-        """Restore measurements consistent with the inliers: legs first, as a bad station breaks both of its legs."""
-        for _ in range(2 * len(self._data.legs)):
-            out = ~fit.inliers.legs
-            if not out.any():
-                break
-            statistic = np.where(out, fit.lin.tests.predicted_legs, np.inf)
-            legs = self._consistent_legs(fit.inliers, statistic)
-            if legs is None:
-                break
-            fit = self._fitter.refit(fit, replace(fit.inliers, legs=legs))
-        for _ in range(self._data.stations):
-            again = self._restored_views(fit, _CONSENSUS_REDUNDANCY)
-            if again is None:
-                break
-            fit = self._fitter.refit(fit, again)
-        return self._fitter.fit(fit.lin.state, fit.inliers, fit.noise)
+    Args:
+        data: the corners, and a first board pose of each station.
+        state: gives the cameras and the board.
 
-    def _consistent_legs(self, inliers: Inliers, statistic: FloatArray) -> BoolArray | None:
-        """Inlier legs with consistent ones restored; None where there is none.
+    Returns:
+        (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
+    """
+    if data.posed.any():
+        return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
+    if not state.constants:  # as stated: the derivatives by constants would only take time
+        data = data.with_constants(())
+    size = np.concatenate([_own_misfit(data, state, block) for block in blocks_of(data.stations)])
+    # The median length of a two-dimensional normal vector is 1.1774 sigma.
+    own = _median(size, data.seen) / 1.1774
+    common = max(float(np.median(own)), 1e-9)
+    near = size <= _CORNER_SIGMAS * np.maximum(common, np.minimum(own, _BAD_BOARD * common))[:, None, None]
+    inliers = near & data.seen
+    enough = np.all(inliers.sum(axis=2) >= (1 - _BAD_IMAGE) * data.seen.sum(axis=2), axis=1)
+    enough &= inliers.sum(axis=(1, 2)) >= FEWEST_CORNERS
+    return inliers, enough & (own < _BAD_BOARD * common), own
 
-        Along a stretch without a used image, legs agree with anything one by one, until the last of them closes the
-        stretch: only one of them is restored at a time.
-        """
-        legs, one_taken = inliers.legs.copy(), False
-        for leg in np.argsort(statistic):
-            if statistic[leg] > limit(self._data.stations, 3, _CONSENSUS_REDUNDANCY):
-                break
-            blind = not inliers.views[self._data.legs[leg]].all()
-            if not (blind and one_taken):
-                legs[leg], one_taken = True, one_taken or blind
-        return None if np.array_equal(legs, inliers.legs) else legs
 
-    def _usable(self, inliers: Inliers) -> BoolArray:
-        """(N,) stations most of whose corners fit the board's shape."""
-        most = inliers.corners.sum(axis=2) >= 0.5 * self._data.seen.sum(axis=2)
-        return np.asarray(most.all(axis=1), dtype=np.bool_)
+def worst(fit: Fit) -> float:
+    """Largest statistic of an inlier over its limit, for known noise levels."""
+    count = fit.data.stations
+    return max(
+        float(getattr(fit.lin.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+        for kind, dof in _DEGREES.items()
+    )
 
-    def _restored_views(self, fit: Fit, redundancy: float) -> Inliers | None:
-        """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
-        inliers = fit.inliers
-        out = ~inliers.views & self._usable(inliers)
-        if not out.any():
-            return None
-        as_read, freed = fit.lin.tests.predicted_views
-        near = fit.lin.tests.small_views
-        agree = out & (near | (as_read < limit(self._data.stations, 6, redundancy)))
-        if agree.any():
-            return replace(inliers, views=inliers.views | agree)
-        least = np.where(out, freed.min(axis=1, initial=np.inf), np.inf)  # a fixed camera has no joint
-        best = int(np.argmin(least))
-        if least[best] < limit(self._data.stations, 5, redundancy):
-            views, readings = inliers.views.copy(), inliers.readings.copy()
-            views[best], readings[best, int(np.argmin(freed[best]))] = True, False
-            return replace(inliers, views=views, readings=readings)
+
+def plausible(fit: Fit) -> bool:
+    """Whether a first fit of everything, with supposed noise, shows no gross outlier."""
+    bound = 1.0 if fit.given >= set(fit.components) else _MUCH
+    return worst(fit) < bound and bool(fit.inliers.views.all())
+
+
+def consistent_legs(fit: Fit) -> BoolArray | None:
+    """Inlier legs with consistent ones restored; None where there is none.
+
+    Along a stretch without a used image, legs agree with anything one by one, until the last of them closes the
+    stretch: only one of them is restored at a time.
+    """
+    inliers, one_taken = fit.inliers, False
+    legs = inliers.legs.copy()
+    statistic = np.where(~legs, fit.lin.tests.predicted_legs, np.inf)
+    for leg in np.argsort(statistic):
+        if statistic[leg] > limit(fit.data.stations, 3, CONSENSUS_REDUNDANCY):
+            break
+        blind = not inliers.views[fit.data.legs[leg]].all()
+        if not (blind and one_taken):
+            legs[leg], one_taken = True, one_taken or blind
+    return None if np.array_equal(legs, inliers.legs) else legs
+
+
+def usable(fit: Fit) -> BoolArray:
+    """(N,) stations most of whose corners fit the board's shape."""
+    most = fit.inliers.corners.sum(axis=2) >= 0.5 * fit.data.seen.sum(axis=2)
+    return np.asarray(most.all(axis=1), dtype=np.bool_)
+
+
+def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
+    """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
+    inliers = fit.inliers
+    out = ~inliers.views & usable(fit)
+    if not out.any():
         return None
-
-    def _candidates(self, fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
-        """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
-        tests = fit.lin.tests
-        found = []
-        for kind, dof in _DEGREES.items():
-            values = getattr(tests, kind)
-            if not values.size:
-                continue
-            usual = float(chdtri(dof, _STRIKING / values.size))
-            striking = np.argwhere(values > usual)
-            places = self._some(kind, striking[np.argsort(-values[values > usual], kind="stable")])
-            if places:
-                found.append((float(values[places[0]]) / usual, kind, places))
-        return sorted(found, reverse=True)
-
-    def _some(self, kind: str, places: IntArray) -> list[tuple[int, ...]]:
-        """The first of some places of a kind, (n, indices), that are far from one another.
-
-        One of each recording, of long ones a few.
-        """
-        log = self._data.log[self._data.legs[:, 0]] if kind == "legs" else self._data.log
-        left = 1 + np.bincount(self._data.log) // LONG_RECORDING
-        some: dict[int, list[tuple[int, ...]]] = {}
-        for at in places:
-            mine = int(log[at[0]])
-            beside = some.setdefault(mine, [])
-            if left[mine] and all(abs(at[0] - other[0]) > _APART for other in beside):
-                beside.append(tuple(int(k) for k in at))
-                left[mine] -= 1
-        return [at for beside in some.values() for at in beside]
-
-    def _external(self, fit: Fit, kind: str) -> FloatArray:
-        """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-        tests = fit.lin.tests
-        statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
-        beyond = statistic / limit(self._data.stations, _DEGREES[kind], self._known_by(fit, kind))
-        return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
-
-    def _known_by(self, fit: Fit, kind: str) -> float:
-        """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
-        levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
-        if levels[0] in self._fitter.given:
-            return _MANY
-        redundancy = sum(fit.components[level].redundancy for level in levels)
-        return redundancy + guess_worth(redundancy)
-
-    def swapped(self, fit: Fit) -> Fit | None:
-        """A fit with a station's images restored and a leg beside it rejected instead: a slip looks like both."""
-        inliers, legs = fit.inliers, self._data.legs
-        for station in np.flatnonzero(~inliers.views & self._usable(inliers)):
-            beside = np.flatnonzero((legs == station).any(axis=1))
-            neighbors = np.setdiff1d(legs[beside], [station])
-            if len(beside) == 2 and inliers.legs[beside].all() and inliers.views[neighbors].all():
-                continue  # two legs from used stations agree about this one: its images are wrong
-            for slipped in beside:
-                views, driven = inliers.views.copy(), inliers.legs.copy()
-                views[station], driven[beside], driven[slipped] = True, True, False
-                without = replace(inliers, legs=driven)
-                try:
-                    trial = self._fitter.refit(fit, without)
-                    off, _ = trial.lin.tests.predicted_views
-                    if off[station] > limit(self._data.stations, 6, _CONSENSUS_REDUNDANCY):
-                        continue
-                    trial = self._fitter.refit(trial, replace(without, views=views))
-                except SolveError:
-                    continue
-                if self._all_consistent(trial):
-                    return self._fitter.estimate_noise(trial)
-        return None
-
-    def decided(self, fit: Fit) -> Fit | None:
-        """A fit with measurements restored or rejected; None where all are consistent."""
-        inliers = fit.inliers
-        back = self._restored_views(fit, self._known_by(fit, "views"))
-        if back is not None:
-            return self._refitted(fit, back)
-        if not inliers.legs.all():
-            agreeing = self._some("legs", np.argwhere(~inliers.legs & (self._external(fit, "legs") < 1)))
-            if agreeing:
-                return self._refitted(fit, _changed(inliers, kind="legs", places=agreeing, to=True))
-        if not inliers.readings.all():
-            agreeing = self._some(
-                "readings", np.argwhere(~inliers.readings & (self._external(fit, "readings") < 1))
-            )
-            if agreeing:
-                return self._refitted(fit, _changed(inliers, kind="readings", places=agreeing, to=True))
-        for _, kind, places in self._candidates(fit):
-            without = _changed(inliers, kind, places, to=False)
-            if without.views.sum() < _FEWEST_VIEWS:
-                continue
-            try:
-                beyond = self._external(self._fitter.refit_near(fit, without), kind)
-                wrong = [at for at in places if beyond[at] > 1]
-                if not wrong:
-                    continue
-                trial = self._refitted(fit, _changed(inliers, kind, wrong, to=False))
-                beyond = self._external(trial, kind)
-            except SolveError:
-                continue  # the other measurements alone do not determine all parameters
-            if any(beyond[at] > 1 for at in wrong):
-                return trial
-        return None
-
-    def too_many(self, fit: Fit) -> tuple[str, ...]:
-        """Kinds of measurements more than a third of which are outliers."""
-        used = {kind: getattr(fit.inliers, kind) for kind in _DEGREES}
-        return tuple(kind for kind, of in used.items() if np.sum(~of) > _TOO_MANY * of.size)
-
-    def _refitted(self, fit: Fit, inliers: Inliers) -> Fit:
-        """A fit of other inliers, from where an earlier one ended, with noise levels of its own."""
-        return self._fitter.estimate_noise(self._fitter.fit(fit.lin.state, inliers, fit.noise))
+    as_read, freed = fit.lin.tests.predicted_views
+    near = fit.lin.tests.small_views
+    agree = out & (near | (as_read < limit(fit.data.stations, 6, redundancy)))
+    if agree.any():
+        return replace(inliers, views=inliers.views | agree)
+    least = np.where(out, freed.min(axis=1, initial=np.inf), np.inf)  # a fixed camera has no joint
+    best = int(np.argmin(least))
+    if least[best] < limit(fit.data.stations, 5, redundancy):
+        views, readings = inliers.views.copy(), inliers.readings.copy()
+        views[best], readings[best, int(np.argmin(freed[best]))] = True, False
+        return replace(inliers, views=views, readings=readings)
+    return None
 
 
-def _changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:
+def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
+    """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
+    tests = fit.lin.tests
+    found = []
+    for kind, dof in _DEGREES.items():
+        values = getattr(tests, kind)
+        if not values.size:
+            continue
+        usual = float(chdtri(dof, _STRIKING / values.size))
+        striking = np.argwhere(values > usual)
+        places = some_of(fit.data, kind, striking[np.argsort(-values[values > usual], kind="stable")])
+        if places:
+            found.append((float(values[places[0]]) / usual, kind, places))
+    return sorted(found, reverse=True)
+
+
+def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]:
+    """The first of some places of a kind, (n, indices), that are far from one another.
+
+    One of each recording, of long ones a few.
+    """
+    log = data.log[data.legs[:, 0]] if kind == "legs" else data.log
+    left = 1 + np.bincount(data.log) // LONG_RECORDING
+    some: dict[int, list[tuple[int, ...]]] = {}
+    for at in places:
+        mine = int(log[at[0]])
+        beside = some.setdefault(mine, [])
+        if left[mine] and all(abs(at[0] - other[0]) > _APART for other in beside):
+            beside.append(tuple(int(k) for k in at))
+            left[mine] -= 1
+    return [at for beside in some.values() for at in beside]
+
+
+def external(fit: Fit, kind: str) -> FloatArray:
+    """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
+    tests = fit.lin.tests
+    statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
+    beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
+    return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
+
+
+def known_by(fit: Fit, kind: str) -> float:
+    """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
+    levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
+    if levels[0] in fit.given:
+        return _MANY
+    redundancy = sum(fit.components[level].redundancy for level in levels)
+    return redundancy + guess_worth(redundancy)
+
+
+def too_many(fit: Fit) -> tuple[str, ...]:
+    """Kinds of measurements more than a third of which are outliers."""
+    used = {kind: getattr(fit.inliers, kind) for kind in _DEGREES}
+    return tuple(kind for kind, of in used.items() if np.sum(~of) > _TOO_MANY * of.size)
+
+
+def changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:
     """The inliers with some measurements of a kind restored or rejected."""
     values = getattr(inliers, kind).copy()
     for at in places:

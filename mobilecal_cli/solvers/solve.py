@@ -23,13 +23,11 @@ from mobilecal_cli.model import (
     LinearEstimate,
     Method,
     NoiseLevels,
-    Parameters,
     Refinement,
     Solution,
     Uncertainty,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.applied import at_state
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
     at_work_basis,
@@ -38,6 +36,7 @@ from mobilecal_cli.solvers.findings import (
     contradictions_of,
     jackknife_covariance,
     jumps_of,
+    outliers_of,
     over_logs,
     reference_jacobian,
     scale_of,
@@ -48,9 +47,8 @@ from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
-from mobilecal_cli.solvers.outlier_messages import outliers_of
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from mobilecal_cli.solvers.residuals import residuals_of
+from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
@@ -172,20 +170,15 @@ def _different_cameras(
 
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
-    if extraction.motions:  # mistakes are searched for with a target
-        return error if isinstance(error, SolveError) else _undetermined()
-    found = explain(extraction)
-    if found is not None:
-        return _refusal(found)
-    share = misfit(extraction)
-    if share is not None:
-        return _unexplained(share, extraction)
+    if not extraction.motions:  # mistakes are searched for with a target
+        found = explain(extraction)
+        if found is not None:
+            return _refusal(found)
+        share = misfit(extraction)
+        if share is not None:
+            return _unexplained(share, extraction)
     if isinstance(error, SolveError):
         return error
-    return _undetermined()
-
-
-def _undetermined() -> SolveError:
     return SolveError(
         "the measurements do not determine all parameters",
         "record more stations, with the whole board in both images",
@@ -290,12 +283,6 @@ def _solution(
     )
 
 
-def _initial_estimate(pairs: MotionPairs, initial: Parameters) -> LinearEstimate:
-    """The initial estimate of a partly unobservable problem as a `LinearEstimate`."""
-    rms = point_rms_m(pairs, initial)
-    return LinearEstimate(initial, (initial,), 1, rms, ratios_of(initial.wheels), "nominal", math.inf)
-
-
 def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
     pairs = solver.data.pairs
     if solver.full_motion:
@@ -303,15 +290,15 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
             _refuse_gross(extraction)
         _require_positive(linear.parameters.wheels)
-    else:
-        linear = _initial_estimate(
-            pairs, solver.initial()
-        )  # no sign check: an unobservable scale may have any sign
+    else:  # no sign check: an unobservable scale may have any sign
+        start = solver.initial()
+        rms = point_rms_m(pairs, start)
+        linear = LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
     fit = solver.solve(linear.parameters)
     contradictions = contradictions_of(fit)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, solver.fitter, fit)
+    jumps = jumps_of(extraction, fit, solver.jump)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters

@@ -4,9 +4,7 @@ Other packages use only the names exported here.
 """
 
 from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square, square_cure
-from mobilecal_cli.vision.board_size import SizeVote, identify_size
-from mobilecal_cli.vision.boards import find_board
-from mobilecal_cli.vision.detection import detect
+from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering
 from mobilecal_cli.vision.observing import Measured, measure, resolve_square

@@ -1,16 +1,21 @@
-"""Detection of the board in one image: fast search, refinement, and acceptance checks."""
+"""Detection of the board in one image: fast search, refinement, and acceptance checks; and of the board's size."""
 
 from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import FloatArray, GrayImage
+from mobilecal_cli.model import Board, FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, check_grid, check_size, fit_board, off_grid
 from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
 from mobilecal_cli.vision.grid import canonical, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import grow_any
+from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.saddles import saddle_response
 from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
@@ -24,6 +29,8 @@ _ADAPTIVE = (
 FAINTEST = 0.1
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
+# Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
+_ENOUGH = (1, 10_000)
 
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
@@ -200,3 +207,65 @@ def _other_size(grid: FloatArray, open_sides: int, columns: int, rows: int) -> M
     return Miss(
         "board partly occluded or outside the image", f"{numbers}; {open_sides} sides end inside the pattern"
     )
+
+
+def find_board(
+    image: GrayImage, board: Board, thorough: bool = True, alone: bool = False
+) -> Detection | Miss:
+    """Detect the board in one image: see `detect` and `detect_markers`."""
+    if board.markers is not None:
+        return detect_markers(image, board)
+    return detect(image, board.columns, board.rows, thorough, alone)
+
+
+@dataclass(frozen=True, slots=True)
+class SizeVote:
+    """Estimate of the board's size from several images.
+
+    Attributes:
+        size: (columns, rows) inner corners, columns the larger count; None when no image shows a whole board
+            or no size has a majority.
+        votes: size → number of images that show a whole board of this size.
+        pictures: number of images examined.
+    """
+
+    size: tuple[int, int] | None
+    votes: Mapping[tuple[int, int], int]
+    pictures: int
+
+
+def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> SizeVote:
+    """Estimate the board's size from several images.
+
+    A grid is grown from a few corners to the edge of the pattern in each image. The size counts when the
+    detector for boards of known size also accepts it, which includes a check that the pattern ends there. The
+    result needs a majority of the votes.
+
+    Args:
+        images: (height, width) gray images, some of which show the board.
+        enough: stop after this number of votes if they all agree; None examines all images.
+    """
+    votes: Counter[tuple[int, int]] = Counter()
+    pictures = 0
+    for image in images:
+        pictures += 1
+        size = _size_in(image)
+        if size is not None:
+            votes[size] += 1
+        if len(votes) == 1 and votes.total() == enough:
+            break
+    leading = votes.most_common(1)
+    size = leading[0][0] if leading and 2 * leading[0][1] > votes.total() else None
+    return SizeVote(size, dict(votes), pictures)
+
+
+def _size_in(image: GrayImage) -> tuple[int, int] | None:
+    """(columns, rows) of the whole board in an image, None if there is none."""
+    for enough in _ENOUGH:
+        grown = grow_any(image, enough)
+        if grown is None:
+            return None
+        rows, columns = sorted(grown.grid.shape[:2])
+        if isinstance(detect(image, columns, rows), Detection):
+            return columns, rows
+    return None

@@ -11,9 +11,8 @@ import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, check_grid, check_size, fit_board
-from mobilecal_cli.vision.boards import find_board
 from mobilecal_cli.vision.corner_model import FittedCorners
-from mobilecal_cli.vision.detection import FAINTEST
+from mobilecal_cli.vision.detection import FAINTEST, find_board
 from mobilecal_cli.vision.gate import MAX_EDGE_WIDTH
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.refinement import refine_once

@@ -20,8 +20,7 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, conditions, route_of
 from tests.extractions import ideal_extraction

@@ -13,15 +13,15 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise
-from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Parameters, Solution
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Noise, Parameters, Solution
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.imperfect import PRIORS, draw
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers import Constraints, solve
-from mobilecal_cli.solvers.fit import Fitter
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.maximum_likelihood import Solver
 from tests import extractions
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
@@ -125,12 +125,12 @@ def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArr
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
     true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
     extraction = extractions.ideal_extraction(true, route)
-    data = Fitter(extraction, Constraints()).data
+    data = Solver(extraction, Constraints()).data
     parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
-    fitter = Fitter(extraction, Constraints())
-    noise = Noise(encoder_rad=0.0, **given(USUAL).given)
+    solver = Solver(extraction, Constraints())
+    noise = Noise.exact(**given(USUAL).given)
     state = initial_state(data, parameters, everything)
-    lin = Linearization.at(data, state, everything, noise, fitter.priors(state))
+    lin = Linearization.at(data, state, everything, noise, solver.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound
 

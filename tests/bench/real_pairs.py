@@ -13,10 +13,10 @@ import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.noise import EXACT
 from mobilecal_cli.likelihood.nuisance import Constant, camera_change, table
 from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import (
+    EXACT,
     NINE,
     Board,
     Camera,

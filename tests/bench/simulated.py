@@ -19,18 +19,27 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import EXACT, Inliers, Noise
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.model import Corners, Extraction, FloatArray, KnownNoise, Parameters, WheelTrack
+from mobilecal_cli.model import (
+    EXACT,
+    Corners,
+    Extraction,
+    FloatArray,
+    KnownNoise,
+    Noise,
+    Parameters,
+    WheelTrack,
+)
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.vision import Miss, board_pose, triangulate
 from tests import extractions
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
-TRUE_NOISE = Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
+TRUE_NOISE = Noise.exact(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 GIVEN = KnownNoise(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 RUNS_PER_ROUTE = 10
 DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])

@@ -9,7 +9,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
 from tests.bench.simulated import DISTURBED, route_of

@@ -15,8 +15,8 @@ from mobilecal_cli.export.formats import odometry_covariance as odometry
 from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Noise as LegNoise
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
+from mobilecal_cli.model import Noise as LegNoise
 from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.targets import Target
@@ -78,7 +78,10 @@ def test_the_variances_are_those_of_simulated_drives(extraction):
 
 def test_across_is_across_the_drive_forward_and_backward(extraction):
     """Backward, the heading moves the end to the other side of the base, and to the same side of the drive."""
-    data, noise = dataset_of(extraction), LegNoise(0.1, SQRT, 0.0, 0.0)
+    data, noise = (
+        dataset_of(extraction),
+        LegNoise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=SQRT, joint_rad=0.0),
+    )
     step = 2.0 / 50 / TRUE.vector[:2]
     forward, backward = (
         odometry._of_pose(

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mobilecal_cli.likelihood.backlash import approach_direction
+from mobilecal_cli.likelihood.dataset import approach_direction
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route

@@ -8,18 +8,20 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.noise import Inliers, Noise
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals
-from mobilecal_cli.model import Parameters
+from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 
-NOISE = Noise(0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002)
+NOISE = Noise(
+    0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002, 1.0, {}
+)
 STATIONS = 6
 
 

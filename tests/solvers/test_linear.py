@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import MotionPairs
 from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.linear import few_rounds
+from mobilecal_cli.solvers.linear import Rounds
 from tests.solvers.world import WHEELS, make_pairs, relative_errors
 
 EXACT = 1e-9
@@ -139,4 +139,4 @@ def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
     with pytest.raises(SolveError, match=r"found no answer on 11 legs"):
         linear_estimate(same, nominal)
     with pytest.raises(SolveError, match="breaks down"):
-        few_rounds(same, np.array([0.4, -0.4]), 12)
+        Rounds(same).after(np.array([0.4, -0.4]), 12)

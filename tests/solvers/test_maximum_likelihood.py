@@ -15,8 +15,7 @@ from mobilecal_cli.simulate.imperfect import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from mobilecal_cli.solvers.outliers import OutlierSearch
+from mobilecal_cli.solvers.maximum_likelihood import Solver, maximum_likelihood
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise, ideal_extraction
 from tests.solvers.test_several_logs import joined
@@ -282,8 +281,8 @@ def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
         joints = seen[at].joints.copy()
         joints[3] += 0.008  # nine sigma
         seen[at] = replace(seen[at], joints=joints)
-    rounds, decided = [], OutlierSearch.decided
-    monkeypatch.setattr(OutlierSearch, "decided", lambda self, fit: rounds.append(1) or decided(self, fit))
+    rounds, decided = [], Solver.decided
+    monkeypatch.setattr(Solver, "decided", lambda self, fit: rounds.append(1) or decided(self, fit))
     fit = maximum_likelihood(replace(log, observations=tuple(seen)))
     assert [tuple(at) for at in np.argwhere(~fit.inliers.readings)] == [(at, 3) for at in wrong]
     assert len(rounds) == 3  # three, three, and nothing more

@@ -16,9 +16,9 @@ from mobilecal_cli.simulate.actual import ActualRobot
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
-from mobilecal_cli.solvers.corners import gross_corners
-from mobilecal_cli.solvers.initial_state import initial_state
+from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from mobilecal_cli.solvers.outliers import gross_corners
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import (

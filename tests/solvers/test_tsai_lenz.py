@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
-from mobilecal_cli.solvers.tsai_lenz import head_eye_rotation
+from mobilecal_cli.solvers.linear import head_eye_rotation
 
 
 def pairs(R_X, count, random, angle=0.6):

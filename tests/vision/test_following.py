@@ -8,7 +8,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
-from mobilecal_cli.vision.boards import find_board
+from mobilecal_cli.vision.detection import find_board
 from mobilecal_cli.vision.following import follow
 from mobilecal_cli.vision.saddles import saddle_response
 from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig

@@ -16,9 +16,9 @@ from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.noise import EXACT, SLIP_M_PER_SQRT_M, Noise, encoder_sigmas
+from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, encoder_sigmas
 from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
-from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, WheelGeometry
+from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Noise, WheelGeometry
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 
 #: Shorter legs are those between images in motion, or hardly a drive.
@@ -111,8 +111,8 @@ def odometry_covariance(
             "calibrate extraction.npz again with this version and --method ml",
         )
     data = dataset_of(extraction)
-    none = Noise(EXACT, EXACT, 0.0, EXACT)
-    noise = none.with_levels({name: known.noise[name] for name in none.levels.keys() & known.noise.keys()})
+    exact = Noise.exact()
+    noise = exact.with_levels({name: known.noise[name] for name in exact.levels.keys() & known.noise.keys()})
     wheels, C = robot.wheels, known.covariance[6:, 6:]
     moving_s, speed_mps = _motion(data, wheels)
     if moving_s <= 0 or speed_mps <= 0:
