@@ -41,7 +41,7 @@ _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsisten
 
 
 def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
-    """Stated constants that the data contradict, the strongest first.
+    """Stated constants that the data contradict: those with a prior of the user, then the strongest first.
 
     Where the data contradict a kind as a whole, but leave open which part is wrong, it is the likeliest part.
     """
@@ -53,7 +53,9 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
             found[worst.kind, worst.part] = replace(
                 worst, chi2=whole.chi2, dof=whole.dof, sigmas=whole.sigmas
             )
-    ranked = sorted(found.values(), key=lambda e: -e.sigmas)
+    priors = fit.lin.priors
+    by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
+    ranked = sorted(found.values(), key=lambda e: (by_user.isdisjoint(e.values), -e.sigmas))
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 

@@ -50,6 +50,8 @@ _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
+#: Scale of priors beyond which the outliers are decided again.
+_CLEARLY_WIDER = 1.5
 _STILL = 1e-9  # rad, m: a fixed value of the right camera follows the stereo pair no more
 
 
@@ -113,6 +115,7 @@ class Solver:
         if nominal.T_h_reference is not None:
             T_h_c = nominal.T_h_reference @ se3.inverse(extraction.rig.cameras.T_c_reference)
         self.nominal = InitialPrior(T_h_c, nominal.wheels, all(name in fixed for name in NINE[:6]))
+        self._scales_stay = False
         self._levels = extraction.rig.noise.given
         self.given = frozenset(self._levels)
         #: Tolerances while outliers are searched for.
@@ -314,7 +317,8 @@ class Solver:
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
             noise = estimated(lin.noise, found, given, self._guess)
-            noise = replace(noise, **lengths(lin, given, self._guess), wider=widths(lin))
+            wider = lin.noise.wider if self._scales_stay else widths(lin)
+            noise = replace(noise, **lengths(lin, given, self._guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))
@@ -401,13 +405,33 @@ class Solver:
     # -- the recipe -------------------------------------------------------------------------------
 
     def solve(self, start: Parameters | None = None) -> Fit:
-        """Initial fit, noise levels, outliers, and a fine fit at the end."""
+        """Outliers under the stated priors, then the scales of the priors, and a fine fit at the end.
+
+        Where scales are clearly above 1, the outliers are decided again from the beginning under these scales.
+        """
+        self._scales_stay = True  # a gross error of a measurement must not look like a wrong description
+        fit = self._without_outliers(start or self.initial(), {})
+        self._scales_stay = False
+        supposed = self.first_noise(
+            np.array([fit.noise.pixel_px])
+        )  # levels that a wrong description made large
+        fit = self.estimate_noise(self.fit(fit.lin.state, fit.inliers, supposed))
+        wider = fit.noise.wider
+        if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
+            self._scales_stay = True
+            fit = self._without_outliers(fit.lin.state.parameters, wider)
+            self._scales_stay = False
+        noisy = outliers.too_many(fit)
+        fit = self._with_all(fit, noisy) if noisy else fit
+        return replace(self.estimate_noise(fit, FINE), noisy=noisy)
+
+    def _without_outliers(self, initial: Parameters, wider: Mapping[str, float]) -> Fit:
+        """Initial fit, noise levels and outliers, for some scales of the priors."""
         data = self.data
-        initial = start or self.initial()
         everything = Inliers.all_of(data)
         state = initial_state(data, initial, everything)
         corners, boards, own_px = outliers.gross_corners(data, state)
-        noise = self.first_noise(own_px)
+        noise = replace(self.first_noise(own_px), wider=wider)
         inliers = replace(everything, corners=corners, views=boards)
         fit = self._first_fit(initial, noise, inliers)
         fit = self._corners_restored(self.estimate_noise(fit))
@@ -418,9 +442,7 @@ class Solver:
                 break
             before.append(again.inliers)
             fit = again
-        noisy = outliers.too_many(fit)
-        fit = self._with_all(fit, noisy) if noisy else fit
-        return replace(self.estimate_noise(fit, FINE), noisy=noisy)
+        return fit
 
     def _corners_restored(self, fit: Fit) -> Fit:
         """The fit with corners restored that fit the board in the estimated cameras: the stated ones may be wrong."""

@@ -22,7 +22,7 @@ _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that ar
 _WORTH, _FADES_AT = 2.0, 4.0
 # Stated priors may be too narrow: the chance of more than s times falls as this power of 1 / s. What the data show of
 # a kind's constants by less than the second is not used, see `widths`.
-_TOO_NARROW, _SHOWN, _WIDEST = 2.0, 0.01, 1e3
+_TOO_NARROW, _SHOWN, _WIDEST = 1.0, 0.01, 1e3
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
