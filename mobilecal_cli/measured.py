@@ -93,8 +93,11 @@ def from_poses(
         noise: known noise levels.
 
     Raises:
-        ConfigError: a joint of the chain without a reading, or a covariance that is not positive definite.
+        ConfigError: wheels that are not positive, a joint of the chain without a reading, or a covariance that is not
+            positive definite.
     """
+    if not all(math.isfinite(value) and value > 0 for value in wheels_m):
+        raise ConfigError(f"wheels_m {wheels_m}: not positive", "give radii and separation in m")
     chain = chain or HeadChain("base", "base", ())
     observations, tracks = [], []
     for log, drive in enumerate(drives):

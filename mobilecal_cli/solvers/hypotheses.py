@@ -727,10 +727,18 @@ def _other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagn
     if nominal is None:
         return None
     radii_m = wheels.vector[:2]
-    factor = float(np.mean(radii_m / nominal.vector[:2]))
-    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
-        return None
+    ratios = radii_m / nominal.vector[:2]
+    factor = float(np.mean(np.abs(ratios)))
     right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
+    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
+        if ratios[0] * ratios[1] > 0:
+            return None
+        return Diagnosis(
+            f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
+            "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
+            None,
+            None,
+        )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
     return Diagnosis(
         f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",

@@ -100,7 +100,7 @@ def legs(count, seed, wrong=0.0):
     return found
 
 
-@pytest.mark.parametrize("wrong", [0.0, 0.04])
+@pytest.mark.parametrize("wrong", [0.0, pytest.param(0.04, marks=pytest.mark.long)])
 def test_single_legs_with_a_planar_sensor(wrong):
     nominal = T_V_C @ se3.transform(se3.rotation_z(np.array(0.05)), np.array([0.01, 0.01, 0.0]))
     solution = solve(from_motions(legs(150, 1, wrong), (0.02, 0.02, 0.09), nominal))
@@ -142,3 +142,9 @@ def test_measured_poses_and_motions_have_a_report():
         assert "All corner residuals" not in report.html
         assert "NaN" not in report.json
         validated(report.json)
+
+
+@pytest.mark.parametrize("wheels_m", [(0.0, 0.02, 0.09), (-0.02, 0.02, 0.09), (float("nan"), 0.02, 0.09)])
+def test_wheels_that_are_not_positive_are_refused(wheels_m):
+    with pytest.raises(ConfigError, match="not positive"):
+        from_motions(legs(8, 1), wheels_m, T_V_C)
