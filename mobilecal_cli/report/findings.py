@@ -9,7 +9,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import BY_NAME, station_names, std_text, value_text
+from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import SOURCES
 
 #: Further constants of a group are named if they are so many standard deviations off.
@@ -143,7 +143,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
     names, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     sentences = []
     for suggestion in solution.suggestions:
-        shown = BY_NAME[suggestion.worst]
+        shown = parameters_of(extraction.rig)[NINE.index(suggestion.worst)]
         unit = shown.shown_unit
         head = ", ".join(
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
@@ -151,13 +151,14 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
         )
         now, then = suggestion.std_now * shown.factor, suggestion.std_then * shown.factor
         path, worst = _path(suggestion), suggestion.worst
+        called = shown.factor_name or worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
-                f"the standard deviation of {worst} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
+                f"the standard deviation of {called} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            gain = f"{worst}, now unobservable, gets a standard deviation of {then:.2g} {unit}"
+            gain = f"{called}, now unobservable, gets a standard deviation of {then:.2g} {unit}"
         sentences.append(
             f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
             f"Expected result: {gain}."

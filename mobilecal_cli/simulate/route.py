@@ -52,9 +52,9 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
     return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
 
 
-def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]:
-    """Right and left wheel speeds, rad/s, for rolling without slip."""
-    half = wheels.separation_m / 2
+def wheel_speeds(stretch: Stretch, wheels: WheelGeometry, slip: float = 0.0) -> tuple[float, float]:
+    """Right and left wheel speeds, rad/s, for rolling without slip, or with a slip that grows with the turning rate."""
+    half = wheels.separation_m / 2 * (1 + slip * (abs(stretch.w_radps) - _TURN_RADPS))
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
     return right, left
@@ -91,11 +91,11 @@ class Drive:
             ]
         )
 
-    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry) -> FloatArray:
+    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry, slip: float = 0.0) -> FloatArray:
         """(n, 2) rotations of the right and left wheel since the start, rad; linear inside a segment."""
         rolled = [[0.0, 0.0]]
         for stretch in self.stretches:
-            right, left = wheel_speeds(stretch, wheels)
+            right, left = wheel_speeds(stretch, wheels, slip)
             before = rolled[-1]
             rolled.append([before[0] + right * stretch.duration_s, before[1] + left * stretch.duration_s])
         breaks, angles = self.breaks_s, np.array(rolled)
