@@ -161,7 +161,7 @@ def _each_slips(rolled: FloatArray, robot: SimulatedRobot, random: np.random.Gen
     return np.asarray(np.floor((rolled + slip) / robot.encoder_step_rad) * robot.encoder_step_rad)
 
 
-def _odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
+def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
     """(n, 3) x, y and heading that a driver computes from wheel readings, (n, 2), with nominal wheels."""
     right, left = (np.diff(wheels, axis=0, prepend=wheels[:1]) * nominal.vector[:2]).T
     turn, run = (right - left) / nominal.separation_m, (right + left) / 2
@@ -191,7 +191,7 @@ def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
     positions = np.repeat(wheels, each, axis=1)
     if each > 1 and not scenario.exact:
         positions = _each_slips(positions, robot, np.random.default_rng([scenario.seed, 7]))
-    odometry = _odometry(wheels, robot.nominal_wheels)
+    odometry = driver_odometry(wheels, robot.nominal_wheels)
     for time_ns, head, wheel, rolled, pose in zip(
         nanoseconds(times_s), joints, wheels, positions, odometry, strict=True
     ):
