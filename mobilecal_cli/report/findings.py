@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
-from mobilecal_cli.report.use import SOURCES
+from mobilecal_cli.report.use import LEAST_GAIN, SOURCES, cures, recommendation
 
 #: Further constants of a group are named if they are so many standard deviations off.
 _NAMED_SIGMAS = 2.0
@@ -144,26 +144,45 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
     sentences = []
     for suggestion in solution.suggestions:
         shown = parameters_of(extraction.rig)[NINE.index(suggestion.worst)]
-        unit = shown.shown_unit
         head = ", ".join(
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
             for name, at in zip(names, suggestion.joints, strict=True)
         )
-        now, then = suggestion.std_now * shown.factor, suggestion.std_then * shown.factor
+        now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
+        unit = "" if shown.unit == "1" else f" {shown.unit}"
         path, worst = _path(suggestion), suggestion.worst
         called = shown.factor_name or worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
-                f"the standard deviation of {called} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
+                f"the standard deviation of {called} falls from {now} to {then}{unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            gain = f"{called}, now unobservable, gets a standard deviation of {then:.2g} {unit}"
+            gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
         sentences.append(
             f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
             f"Expected result: {gain}."
         )
     return tuple(sentences)
+
+
+def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> tuple[str, ...]:
+    """What limits the result, its cures from the cheapest on, and the stops that improve it by 5 % or more."""
+    sentences = suggestion_sentences(solution, extraction)
+    useful = [
+        text
+        for text, suggestion in zip(sentences, solution.suggestions, strict=True)
+        if suggestion.gain >= LEAST_GAIN
+    ]
+    lines = [*recommendation(solution, extraction, limits)[:1], *cures(solution, extraction, limits)]
+    if useful:
+        lines.append("Additional stop at the end of this recording, most useful first:")
+        lines += [f"{number}. {sentence}" for number, sentence in enumerate(useful, 1)]
+    elif sentences:
+        lines.append("One more stop improves no parameter by 5 % or more.")
+    else:
+        lines.append("No stop near the last one shows the whole board. Move the robot and record again.")
+    return tuple(lines)
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:
