@@ -243,8 +243,7 @@ def figures_of(
 ) -> dict[str, float | None]:
     """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
     found = solution.uncertainty
-    of_odometry = {f"std.odometry.{name}" for name in FACTORS}
-    figures: dict[str, float | None] = {name: None for name in gate_names() if name not in of_odometry}
+    figures: dict[str, float | None] = dict.fromkeys(gate_names())
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
     figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
     if found is not None:
