@@ -35,6 +35,7 @@ from mobilecal_cli.likelihood.effects import (
     OriginShift,
     PrincipalPoint,
     RightTurn,
+    TurnSlip,
     WheelClock,
 )
 from mobilecal_cli.model import NINE, FloatArray, HeadChain, JointLink, Side, StereoRig, WheelGeometry
@@ -89,6 +90,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
     Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
+    Kind("turn_slip", "1", 0.03, "%", 100, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
 )
 # fmt: on
@@ -177,6 +179,7 @@ CONSTANTS: tuple[Constant, ...] = (
     _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
     _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
     _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
+    _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
     _row("time_right", "stereo_clock", "right camera", "delay against the left camera", ImageClock(readout=False)),
     _row("readout", "readout", "both cameras", "time between the first and the last row", ImageClock(readout=True)),
 )

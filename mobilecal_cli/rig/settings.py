@@ -63,8 +63,8 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
     if len(parts) > 1:
         for name in ("topic", "joint", "field", "sign"):
             values = [part[name] for part in parts]
-            settings[f"{name}s"] = values
             if name != "topic" or len(set(values)) > 1:
+                settings[f"{name}s"] = values
                 settings.pop(name)
     return {key: value for key, value in settings.items() if value not in (None, [None] * len(parts))}
 
