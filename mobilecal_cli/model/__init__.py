@@ -37,6 +37,7 @@ from mobilecal_cli.model.rig import (
     Board,
     Camera,
     CameraInfo,
+    CameraRig,
     Distortion,
     FixedLink,
     HeadChain,
@@ -51,9 +52,9 @@ from mobilecal_cli.model.rig import (
     Side,
     Sources,
     StereoLayout,
-    StereoRig,
     WheelGeometry,
     WheelSource,
+    camera_words,
 )
 from mobilecal_cli.model.robot_description import (
     CAMERA_INFO,
@@ -66,7 +67,7 @@ from mobilecal_cli.model.robot_description import (
     RobotDescription,
     TopicInfo,
 )
-from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track, sampled
+from mobilecal_cli.model.signals import PictureIndex, Rejection, Shot, Signals, Station, Track, sampled
 from mobilecal_cli.model.solution import (
     EXACT,
     Drift,

@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
+from mobilecal_cli.model import NINE, CameraRig, Extraction, FloatArray, Parameters, Rejection, Solution
 
 _MOST_DECIMALS = 6
 
@@ -88,18 +88,18 @@ def decimals_of(std: float, otherwise: int = 3) -> int:
 NEAR_LOCK_DEG = 5.0
 
 
-def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
     return T
 
 
-def reference_frame(cameras: StereoRig) -> str:
+def reference_frame(cameras: CameraRig) -> str:
     """Name of the optical frame of the reference camera."""
-    return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
+    return cameras.of_reference.frame_id
 
 
-def lengths_mm(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+def lengths_mm(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Translation of the reference camera, radii and separation, (6,) mm."""
     return 1e3 * np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
 
