@@ -22,6 +22,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.criteria import Check
 from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
 from mobilecal_cli.report.numbers import reference_pose
+from mobilecal_cli.report.use import small_extents
 from mobilecal_cli.report.verdict import Verdict, evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import clock_offsets, solve
@@ -138,4 +139,8 @@ def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedR
         knowledge,
     )
     cure = "; ".join(gap.cure for gap in motion_gaps(extraction))
-    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure)
+    small = {
+        part: " ".join(small_extents(solution.motion, part == "head", part == "base"))
+        for part in ("head", "base")
+    }
+    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure, small)

@@ -22,7 +22,6 @@ from mobilecal_cli.model import (
     StereoLayout,
 )
 from mobilecal_cli.readers import Recording, pictures_near
-from mobilecal_cli.report.checks import SQUARE_LOOK_PERCENT
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 
@@ -30,6 +29,8 @@ from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 PICTURE_MOMENTS = 6
 #: Stereo pairs that measure the squares, for a limit on their stated size.
 _FEWEST_SQUARES = 2
+#: Difference of the stated squares from the measured ones.
+_SQUARE_PERCENT = 1.0
 
 
 def sample_board(
@@ -118,12 +119,12 @@ def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
     if len(squares_m) < _FEWEST_SQUARES:
         return None
     mean, noise = float(np.mean(squares_m)), float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m))
-    if abs(mean - stated_m) <= max(SQUARE_LOOK_PERCENT / 100 * stated_m, 3 * noise):
+    if abs(mean - stated_m) <= max(_SQUARE_PERCENT / 100 * stated_m, 3 * noise):
         return None
     return _lack(
         "square size",
         f"the squares measure {mean * 1e3:.2f} mm in {len(squares_m)} stereo pairs, {stated_m * 1e3:.2f} mm "
-        f"are stated (limit {SQUARE_LOOK_PERCENT:g} %)",
+        f"are stated (limit {_SQUARE_PERCENT:g} %)",
         square_cure(stated_m, mean),
         QualityError,
     )

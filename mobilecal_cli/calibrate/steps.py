@@ -41,12 +41,11 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
-from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.report.findings import advice_on
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import draw_all
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.use import recommendation
 from mobilecal_cli.report.values import build_report
 from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
 from mobilecal_cli.rig.config import load_rig
@@ -416,20 +415,15 @@ def default_output(log: Path) -> Path:
 def suggest(
     logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
 ) -> tuple[str, ...]:
-    """What limits the result, and suggested additional stops as numbered lines, the best first.
+    """What limits the result, its cures from the cheapest on, and additional stops that improve it by 5 % or more.
 
     Raises:
         MobilecalError: see `errors`.
     """
-    extraction, _ = load(logs, load_rig(config_path, flags), progress)
+    config = load_rig(config_path, flags)
+    extraction, _ = load(logs, config, progress)
     solution = fitted(extraction, progress=progress).solution
-    sentences, limiting = suggestion_sentences(solution, extraction), " ".join(recommendation(solution))
-    if not sentences:
-        sentences = ("No stop near the last one shows the whole board. Move the robot and record again.",)
-    else:
-        head = "Additional stop at the end of this recording, most useful first:"
-        sentences = (head, *(f"{number}. {sentence}" for number, sentence in enumerate(sentences, 1)))
-    return (*filter(None, [limiting]), *sentences)
+    return advice_on(solution, extraction, config.gates)
 
 
 def calibrate(

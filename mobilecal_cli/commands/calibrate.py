@@ -38,7 +38,8 @@ def calibrate(
     method: Annotated[
         Literal["linear", "paper", "lm", "ml"],
         typer.Option(
-            help="ml: maximum likelihood; linear: iterative linear; paper: eq. 19; lm: eq. 19, faster."
+            help="ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point "
+            "error by Powell's method; lm: the same, faster."
         ),
     ] = "ml",
     board: Annotated[
@@ -103,7 +104,7 @@ def calibrate(
 
     Example: mobilecal calibrate log.mcap --config rig.yaml --output result
 
-    In CI: mobilecal calibrate log.mcap --gate reprojection_rms_px=0.5 --gate std.wheels.separation_m=0.001 --json
+    In CI: mobilecal calibrate log.mcap --gate predicted.camera_mm=5 --gate std.wheels.separation_m=0.002 --json
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar

@@ -163,7 +163,7 @@ def conclude(
     """Print the verdict on standard output.
 
     Args:
-        level: "PASS", "FAIL" or "NOT ENOUGH".
+        level: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED".
         reason: one or two sentences.
         next_step: what to do now.
         written: the files written.

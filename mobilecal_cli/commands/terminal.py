@@ -17,6 +17,7 @@ from mobilecal_cli.model.text import verdict_lines, visible
 
 _BROWSER_S = 2.0  # a browser that cannot be started is known earlier
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
+_BOLD["GATE FAILED"] = _BOLD["FAIL"]
 _PLAIN = "\x1b[0m"
 
 

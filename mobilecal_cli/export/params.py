@@ -76,7 +76,7 @@ def params_yaml(
         solution: the solution.
         extraction: its measurements.
         provenance: time, version, recordings and settings.
-        verdict: "PASS", "FAIL" or "NOT ENOUGH"; "" to state none.
+        verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" to state none.
         reasons: why it is not PASS, whole sentences.
     """
     cameras, chain = solution.cameras, extraction.rig.chain
@@ -336,7 +336,7 @@ class _Provenance(_Section):
 
 
 class _Verdict(_Section):
-    level: Literal["PASS", "FAIL", "NOT ENOUGH"]
+    level: Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
     reasons: tuple[str, ...] = ()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 #: More than any configuration or metadata.yaml needs; the parser takes seconds for it.
 LARGEST_BYTES = 2**17
@@ -32,6 +32,11 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
         raise ValueError(f"nested deeper than {_DEEPEST} levels")
     try:
         value = YAML(typ="safe", pure=True).load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        said = error.problem or error.context or "not understood"
+        raise ValueError(f"{where}{' '.join(said.split())}") from error
     except (YAMLError, RecursionError, OverflowError, TypeError) as error:
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     _count(value, 0, {})

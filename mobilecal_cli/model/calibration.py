@@ -93,7 +93,7 @@ class CalibratedRobot:
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
         constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
             or as a share; None if the file does not contain them.
-        verdict: "PASS", "FAIL" or "NOT ENOUGH"; "" if the file does not state it.
+        verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" if the file does not state it.
         reasons: why the verdict is not PASS, whole sentences.
     """
 

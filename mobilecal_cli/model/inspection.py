@@ -189,7 +189,7 @@ class FleetRow:
 
     Attributes:
         name: name of the robot, or of the entry.
-        verdict: "PASS", "FAIL", "NOT ENOUGH", "ERROR" without a result, or "SKIPPED" for an entry.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR" without a result, or "SKIPPED" for an entry.
         exit_code: exit code of `mobilecal calibrate`.
         reason: one sentence.
         stations: number of stations used.

@@ -7,12 +7,12 @@ A new criterion is a function with the decorator `criterion`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, Extraction
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
 from mobilecal_cli.report.decomposition import error_parts
@@ -21,6 +21,7 @@ from mobilecal_cli.report.numbers import (
     PARAMETERS,
     board_distance_m,
     encoder_heading_rad,
+    plain_names,
     predicted_point_rms_m,
     rejection_counts,
     station_names,
@@ -31,7 +32,9 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     advice,
+    cures,
     limiting_sentence,
+    missing_motion,
     shares_of,
     small_motion,
     uses,
@@ -42,9 +45,9 @@ MIN_STATIONS = 8
 #: Reprojection error as an angle: depth noise does not affect it, so the limit is the same share as that of the point
 #: error.
 PIXEL_ERROR_BAD = 0.015
-#: Stated square size against the stereo measurement; a difference scales all lengths.
-SQUARE_LOOK_PERCENT = 1.0
 _SHOWN_WIDER = 1.05
+#: Ratios to the nominal values that are the same factor.
+_ALIKE = 0.1
 
 
 @criterion(Metric("mistake", "%"), gated=False)
@@ -134,13 +137,14 @@ def observable(made: Calibration) -> Iterator[Check]:
             if turns and not drives
             else "drive and turn the base between stops"
         )
-    names, within = ", ".join(missing), all(use.within for use in uses(made.solution, made.limits))
+    within = all(use.within for use in uses(made.solution, made.limits))
+    names, because = plain_names(missing, made.extraction), missing_motion(made.solution, missing)
     yield Check(
         "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
         "observable parameters",
-        f"{9 - len(missing)} of 9 (not observable: {names})",
+        f"{9 - len(missing)} of 9 (not observable: {', '.join(missing)})",
         "9 of 9",
-        f"The recording does not determine {names}. The nominal value is kept, with its own uncertainty.",
+        f"{names[0].upper()}{names[1:]} not determined{f': {because}' if because else ''}.",
         f"Record again and {'; '.join(cures)}.",
     )  # fmt: skip
 
@@ -291,18 +295,20 @@ def second_solution(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("wheel_difference", "%"))
 def wheel_difference(made: Calibration) -> Iterator[Check]:
     """Relative difference between the wheel radii. Tires and load make a difference of a few percent."""
-    look, bad = 5.0, 25.0
+    bad = 25.0
     wheels = made.solution.parameters.wheels
     right, left = wheels.radius_right_m, wheels.radius_left_m
     apart = 100 * (max(right, left) / min(right, left) - 1)
-    sizes = f"right {right * 1e3:.1f} mm, left {left * 1e3:.1f} mm"
+    sizes = f"right {right:.4f} m, left {left:.4f} m"
     yield Check(
-        "wheel_difference", apart, bad, graded(apart, look, bad),
+        "wheel_difference", apart, bad, graded(apart, bad),
         "difference between the wheel radii",
         f"{apart:.1f} % ({sizes})",
         f"under {bad:g} %",
         f"The wheel radii differ by {apart:.1f} %: {sizes}.",
-        "Check ticks_per_revolution of both wheels, and the tires.",
+        "Measure both wheels, and check ticks_per_revolution or the gear ratio of each."
+        if any(wheel.ticks_per_revolution for wheel in made.extraction.rig.sources.wheels.values())
+        else "Measure both wheels, and check the gear ratio and the unit of each wheel's positions.",
     )  # fmt: skip
 
 
@@ -312,24 +318,43 @@ def nominal(made: Calibration) -> Iterator[Check]:
 
     A tape measure is good to a few percent; an error above 25 % is a wrong factor (ticks, gear, diameter).
     """
-    look, bad = 5.0, 25.0
+    bad = 25.0
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
-    for parameter in PARAMETERS[6:] if stated is not None else ():
-        name = parameter.label
-        found_m, stated_m = (float(getattr(each, f"{parameter.name}_m")) for each in (wheels, stated))
-        off, mm, nominal_mm = 100 * (found_m / stated_m - 1), found_m * 1e3, stated_m * 1e3
-        ratio = mm / nominal_mm
+    if stated is None:
+        return
+    ratios = dict(zip(NINE[6:], (wheels.vector / stated.vector).tolist(), strict=True))
+    for parameter, found_m, stated_m in zip(PARAMETERS[6:], wheels.vector, stated.vector, strict=True):
+        off, ratio = 100 * (float(found_m / stated_m) - 1), ratios[parameter.name]
         usual = {"about half of": 0.5, "about twice": 2.0}
         times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
         yield Check(
-            f"nominal.{parameter.name}", off, bad, graded(abs(off), look, bad),
-            f"{name} against its nominal value",
-            f"{mm:.1f} mm, {off:+.1f} %",
-            f"within {bad:g} % of {nominal_mm:.1f} mm",
-            f"The {name} is {mm:.1f} mm, {times} the nominal {nominal_mm:.1f} mm.",
-            "Measure the robot with a ruler. Check ticks_per_revolution, and that a diameter was not entered as the "
-            "radius.",
+            f"nominal.{parameter.name}", off, bad, graded(abs(off), bad),
+            f"{parameter.label} against its nominal value",
+            f"{found_m:.4f} m, {off:+.1f} %",
+            f"within {bad:g} % of {stated_m:.4f} m",
+            f"The {parameter.label} is {found_m:.4f} m, {times} the nominal {stated_m:.4f} m.",
+            _nominal_cure(parameter.name, ratios, made.extraction),
         )  # fmt: skip
+
+
+def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction) -> str:
+    """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
+    like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
+    if len(like) == len(ratios):
+        return (
+            "All sizes of the wheels differ by this factor, so the scale is wrong: check the baseline in camera_info "
+            "and board.square_m, then nominal.wheels."
+        )
+    if name == "separation":
+        return "Measure the distance between the contact points of the wheels, and correct nominal.wheels."
+    causes = []
+    if abs(ratios[name] / 0.5 - 1) < _ALIKE:
+        causes.append("that nominal.wheels states radii, not diameters")
+    if extraction.rig.sources.wheels["right" if name == "radius_right" else "left"].ticks_per_revolution:
+        causes.append("ticks_per_revolution")
+    else:
+        causes.append("the unit of the wheel positions (rad at the wheel, not at the motor)")
+    return f"Measure the wheel with a ruler. If it is as stated, check {', and '.join(causes)}."
 
 
 @criterion(Metric("stereo_error", "px"))
@@ -338,13 +363,13 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
 
     Good camera calibrations give 0.1 to 0.3 px.
     """
-    look, bad = 0.6, 1.2
+    bad = 1.2
     found = made.solution.uncertainty
     stated = float(np.median([o.reprojection_px for o in made.extraction.observations]))
     px = stated if found is None else found.noise.pixel_px
     text = std_text(px)
     yield Check(
-        "stereo_error", px, bad, graded(px, look, bad),
+        "stereo_error", px, bad, graded(px, bad),
         "stereo reprojection error of the board",
         f"{text} px (median)" if found is None else f"{text} px (with camera_info as stated: {std_text(stated)} px)",
         f"under {bad:g} px",
@@ -356,13 +381,13 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("square_size", "%"))
 def square_size(made: Calibration) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
-    stated, look, bad = made.extraction.board.square_m, SQUARE_LOOK_PERCENT, 3.0
+    stated, bad = made.extraction.board.square_m, 3.0
     if made.solution.uncertainty is not None or stated is None:
         return
     measured = float(np.median([o.square_m for o in made.extraction.observations]))
     off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3
     yield Check(
-        "square_size", off, bad, graded(abs(off), look, bad),
+        "square_size", off, bad, graded(abs(off), bad),
         "square size: stereo against stated",
         f"{measured_mm:.2f} mm, {off:+.2f} %",
         f"within {bad:g} % of {stated_mm:.2f} mm",
@@ -374,16 +399,16 @@ def square_size(made: Calibration) -> Iterator[Check]:
 def _noise(
     metric: Metric, level: float, limits: tuple[float, float], name: str, cause: str
 ) -> Iterator[Check]:
-    """A noise level, if it is not zero; the estimate allows for it, so its limits (look, bad) are wide."""
-    look, bad = limits
+    """A noise level, if it is not zero; the estimate allows for it, so its limits (usual, bad) are wide."""
+    usual, bad = limits
     if level:
         measured = f"{level:.2g} {metric.unit}"
         yield Check(
-            metric.name, level, bad, graded(level, look, bad),
+            metric.name, level, bad, graded(level, bad),
             f"noise of the {name}",
             measured,
             f"under {bad:g} {metric.unit}",
-            f"The noise of the {name} is {measured} (below {look:g} {metric.unit} is usual).",
+            f"The noise of the {name} is {measured} (below {usual:g} {metric.unit} is usual).",
             f"Check {cause}. Then record again.",
         )  # fmt: skip
 
@@ -411,12 +436,11 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     a share of the distance, in mm or in the image. With coarse encoders, that is more than an error of one step on both
     wheels, with a margin for the joints.
     """
-    least_legs, times, look, bad, encoder_steps = 5, 5.0, 0.004, 0.01, 1.5
+    least_legs, times, bad, encoder_steps = 5, 5.0, 0.01, 1.5
     residuals, names = made.solution.residuals, station_names(made.extraction)
     if len(residuals.legs) < least_legs:
         return
-    excused = encoder_steps * encoder_heading_rad(made.solution, made.extraction)
-    look, bad = max(look, excused), max(bad, excused)
+    bad = max(bad, encoder_steps * encoder_heading_rad(made.solution, made.extraction))
     distance_mm, focal_px = (
         board_distance_m(made.extraction) * 1e3,
         float(made.solution.cameras.first.K[0, 0]),
@@ -431,7 +455,7 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
         far = error > times * median
         yield Check(
             f"leg_outlier.{kind}", error, limit,
-            _at_most(made, graded(error / scale, look, bad)) if far else "pass",
+            _at_most(made, graded(error / scale, bad)) if far else "pass",
             f"largest {kind} error of a leg",
             f"{error:.1f} {unit} (median {median:.1f} {unit})",
             f"under {times:g} times the median, or under {limit:.1f} {unit}",
@@ -439,6 +463,16 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
             f"(median {median:.1f} {unit}).",
             "Check for wheel slip and for a moved board between these stations, and record again.",
         )  # fmt: skip
+
+
+#: Largest part of the error → what to check; "" where the parts are unknown.
+_ERROR_CURES = {
+    "": "Calibrate with --method ml (the default), which names the cause.",
+    "corners": "Calibrate the stereo pair again, and check that the board is flat.",
+    "joints": "Check the head joints for play, and the head chain in the URDF.",
+    "floor": "Record on a flat floor, and check that the base does not rock.",
+    "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
+}
 
 
 @criterion(Metric("point_error", "%"), Metric("reprojection_error", "px"))
@@ -449,33 +483,36 @@ def errors(made: Calibration) -> Iterator[Check]:
     limits of their own. Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the
     distance. 1.5 % is 0.9 degrees of heading, more than a wheel without slip loses on one leg.
     """
-    solution, look, bad = made.solution, 0.8, 1.5
+    solution, bad = made.solution, 1.5
     if not len(solution.residuals.legs):
         return
     error, distance = solution.point_rms_m, board_distance_m(made.extraction)
     predicted = predicted_point_rms_m(made.extraction, solution)
-    parts = [part for name, part in error_parts(solution, made.extraction).items() if name != "corners"]
+    every = error_parts(solution, made.extraction)
+    parts = [part for name, part in every.items() if name != "corners"]
     explained = predicted**2 + sum(part.m**2 for part in parts)
     unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
     error_mm, depth = error * 1e3, f"(depth noise alone: {predicted * 1e3:.1f} mm)"
-    slip = "Check for wheel slip, a moved board, and errors in the head joints or their URDF."
+    cause = max(every, key=lambda name: every[name].px, default="")
+    cure = _ERROR_CURES[cause]
+    of_px = f" The {cause} contribute {std_text(every[cause].px)} px of it." if cause else ""
     yield Check(
-        "point_error", unexplained, bad, graded(unexplained, look, bad),
+        "point_error", unexplained, bad, graded(unexplained, bad),
         "point error",
         f"{error_mm:.1f} mm, {0.1 * error_mm / distance:.2f} % of the distance {depth}",
         f"under {bad:g} % without depth noise and uneven floor",
         f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
-        slip,
+        cure,
     )  # fmt: skip
     error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
     px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts), 0.0))
     yield Check(
-        "reprojection_error", px, limit, graded(px, math.inf, limit),
+        "reprojection_error", px, limit, graded(px, limit),
         "reprojection error",
         f"{error_px:.2f} px",
         f"under {limit:.1f} px",
-        f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px).",
-        slip,
+        f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px).{of_px}",
+        cure,
     )  # fmt: skip
 
 
@@ -593,7 +630,11 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             f"at most {use.limit:g} {figure.unit}",
             f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
             f"{limiting_sentence(shares, figure.meaning)}",
-            " ".join((advice(shares), *small_motion(made.solution, figure))),
+            " ".join(
+                tuple(small_motion(made.solution, figure))
+                or cures(made.solution, made.extraction, made.limits)[:1]
+                or (advice(shares),)
+            ),
         )  # fmt: skip
 
 
@@ -604,12 +645,12 @@ def rejected(made: Calibration) -> Iterator[Check]:
     share, counts = 100 * (1 - used / found), rejection_counts(made.extraction)
     often, lost = next(iter(counts))[1] if counts else "", f"{found - used} of {found}"
     yield Check(
-        "rejected", share, look, graded(share, look, math.inf),
+        "rejected", share, look, "warning" if share > look else "pass",
         "rejected stations",
         lost,
         f"under {look:g} %",
         f"{lost} stations were rejected{f' (most often: {visible(often)})' if often else ''}.",
-        "See the table of rejections in the report, and improve the next recording.",
+        "Open the stations in the report, remove the cause, and record again.",
     )  # fmt: skip
 
 

@@ -101,9 +101,9 @@ class Checks(tuple[Check, ...]):
         return max(self, key=lambda check: _SEVERITY.index(check.outcome))
 
 
-def graded(value: float, look: float, bad: float) -> Outcome:
+def graded(value: float, bad: float) -> Outcome:
     """The outcome of a value that should be small."""
-    return "fail" if value > bad else "warning" if value > look else "pass"
+    return "fail" if value > bad else "pass"
 
 
 def enough(value: float, least: float) -> Outcome:

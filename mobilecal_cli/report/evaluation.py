@@ -7,8 +7,8 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
+from mobilecal_cli.report.numbers import std_text, value_text
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
@@ -45,11 +46,13 @@ class OwnEstimate:
         robot: the nine parameters with their covariance.
         reprojection_px: (L,) station-to-station corner error of each inlier leg.
         cure: the motion that makes the unobservable parameters observable; empty if all are.
+        small: what to do about small motion of "head" and "base"; empty sentences where it is large enough.
     """
 
     robot: CalibratedRobot
     reprojection_px: FloatArray
     cure: str = ""
+    small: Mapping[str, str] = field(default_factory=lambda: {"head": "", "base": ""})
 
 
 def judge_evaluation(
@@ -161,7 +164,10 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
-        needed, measured = _SIGMA_SHARE * limit, f"{size:.2g} ± {sigma:.1g} {unit}"
+        needed, measured = (
+            _SIGMA_SHARE * limit,
+            f"{value_text(size, largest, 2)} ± {std_text(largest)} {unit}",
+        )
         outcome: Outcome = "pass"
         why = cure = ""
         if size > max(limit, _SIGMAS * sigma):
@@ -170,8 +176,9 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
             cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
         elif largest > needed:
             outcome = "not_enough"
-            why = f"This recording gives the {name} to {largest:.2g} {unit} (1 sigma); {needed:.2g} {unit} are needed."
-            cure = "Record more stations; mobilecal suggest lists the most useful ones."
+            why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
+            missing = own.small["head" if key.startswith("camera") else "base"]
+            cure = missing or "Record more stations; mobilecal suggest lists the most useful ones."
         yield Check(f"agreement.{key}", size, limit, outcome, name, measured, at_most, why, cure, unit=unit)
 
 

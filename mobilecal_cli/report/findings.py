@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import BY_NAME, station_names, std_text, value_text
-from mobilecal_cli.report.use import SOURCES
+from mobilecal_cli.report.use import LEAST_GAIN, SOURCES, cures, recommendation
 
 #: Further constants of a group are named if they are so many standard deviations off.
 _NAMED_SIGMAS = 2.0
@@ -144,25 +144,43 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
     sentences = []
     for suggestion in solution.suggestions:
         shown = BY_NAME[suggestion.worst]
-        unit = shown.shown_unit
         head = ", ".join(
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
             for name, at in zip(names, suggestion.joints, strict=True)
         )
-        now, then = suggestion.std_now * shown.factor, suggestion.std_then * shown.factor
+        now, then, unit = std_text(suggestion.std_now), std_text(suggestion.std_then), shown.unit
         path, worst = _path(suggestion), suggestion.worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
-                f"the standard deviation of {worst} falls from {now:.2g} to {then:.2g} {unit}, and the least certain "
+                f"the standard deviation of {worst} falls from {now} to {then} {unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            gain = f"{worst}, now unobservable, gets a standard deviation of {then:.2g} {unit}"
+            gain = f"{worst}, now unobservable, gets a standard deviation of {then} {unit}"
         sentences.append(
             f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
             f"Expected result: {gain}."
         )
     return tuple(sentences)
+
+
+def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> tuple[str, ...]:
+    """What limits the result, its cures from the cheapest on, and the stops that improve it by 5 % or more."""
+    sentences = suggestion_sentences(solution, extraction)
+    useful = [
+        text
+        for text, suggestion in zip(sentences, solution.suggestions, strict=True)
+        if suggestion.gain >= LEAST_GAIN
+    ]
+    lines = [*recommendation(solution, extraction, limits)[:1], *cures(solution, extraction, limits)]
+    if useful:
+        lines.append("Additional stop at the end of this recording, most useful first:")
+        lines += [f"{number}. {sentence}" for number, sentence in enumerate(useful, 1)]
+    elif sentences:
+        lines.append("One more stop improves no parameter by 5 % or more.")
+    else:
+        lines.append("No stop near the last one shows the whole board. Move the robot and record again.")
+    return tuple(lines)
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:

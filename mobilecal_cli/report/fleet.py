@@ -126,7 +126,7 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
             for name, value, sigma in zip(NINE, values, sigmas, strict=True)
         ]
         lines.append({"row": row, "cells": cells, "out": out.get(row.name, ())})
-    levels = ("PASS", "FAIL", "NOT ENOUGH", "ERROR")
+    levels = ("PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
         remarks=[line for line in lines if line["out"] or line["row"].verdict != "PASS"],
@@ -149,9 +149,9 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
         if row.verdict == "SKIPPED":
             continue
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
-        lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<10}  {visible(row.reason)}{marks}")
-        if row.verdict == "ERROR" and row.hint:
-            lines.append(f"  {'':<{width}}  {'':<10}  hint: {visible(row.hint)}")
+        lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<11}  {visible(row.reason)}{marks}")
+        if row.hint and row.verdict != "PASS":
+            lines.append(f"  {'':<{width}}  {'':<11}  hint: {visible(row.hint)}")
     skipped = skipped_text(rows)
     return "\n".join([*lines, *([skipped] if skipped else [])]) + "\n"
 

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_steps_rad
+from mobilecal_cli.kinematics import encoder_steps_rad, head_pose
 from mobilecal_cli.model import NINE, CameraRig, Extraction, FloatArray, Parameters, Rejection, Solution
+from mobilecal_cli.model.text import visible
 
 _MOST_DECIMALS = 6
+_LEAST_PROBABILITY = 1e-6
+_VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,11 @@ def value_text(value: float, std: float | None, otherwise: int, sign: str = "") 
 def std_text(std: float) -> str:
     """A standard deviation or an error with two significant digits, never rounded to zero."""
     return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
+
+
+def percent_text(share: float) -> str:
+    """A probability in percent with two digits, or that it is below the smallest one worth a digit."""
+    return f"{100 * share:.2g} %" if share >= _LEAST_PROBABILITY else f"below {100 * _LEAST_PROBABILITY:g} %"
 
 
 def decimals_of(std: float, otherwise: int = 3) -> int:
@@ -198,6 +207,22 @@ def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int
     at = np.floor(pixels / [width, height] * cells).astype(int)
     inside = np.all((at >= 0) & (at < cells), axis=-1)
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
+
+
+def plain_names(names: Sequence[str], extraction: Extraction) -> str:
+    """Some of the nine parameters in plain words, with the verb: "the camera's height is"."""
+    chain = extraction.rig.chain
+    axes_v = head_pose(chain, np.stack([o.joints for o in extraction.observations]))[:, 2, :3]
+    upright = np.abs(np.median(axes_v, axis=0))  # how vertical each axis of the head is
+    height = f"t_{'xyz'[int(np.argmax(upright))]}" if upright.max() > _VERTICAL else ""
+    parts = ["the camera's height"] if height in names else []
+    for prefix, word, along in (("r_", "rotation", "about"), ("t_", "position", "along")):
+        axes = [name[-1] for name in names if name.startswith(prefix) and name != height]
+        which = f" {along} {' and '.join(axes)} of {visible(chain.head_frame)}" if len(axes) < 3 else ""
+        parts += [f"the camera's {word}{which}"] if axes else []
+    parts += [f"the {BY_NAME[name].label}" for name in names if name in NINE[6:]]
+    said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"{said} {'is' if len(parts) == 1 else 'are'}"
 
 
 def station_names(extraction: Extraction) -> list[str]:

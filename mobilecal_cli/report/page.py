@@ -19,7 +19,7 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.numbers import std_text, value_text
+from mobilecal_cli.report.numbers import percent_text, std_text, value_text
 from mobilecal_cli.report.plots import Drawings
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.values import ReportData, ResultData
@@ -160,7 +160,7 @@ def _change(change: Change) -> str:
     if change.p_value is not None:
         text += (
             " If the robot did not change, the probability of a difference this large is "
-            f"{100 * change.p_value:.2g} %."
+            f"{percent_text(change.p_value)}."
         )
     return text
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import NINE, AtWork, FloatArray, Solution
+from mobilecal_cli.model import NINE, AtWork, Extraction, FloatArray, Solution
 from mobilecal_cli.report.numbers import std_text
 
 #: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; name; cure.
@@ -95,25 +95,110 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
 
 
 def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
-    """Motion of which the recording has little, and which this figure depends on, as sentences."""
+    """Motion of which the recording has little, and which this figure depends on: what to do, as sentences."""
     of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
     fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
     head = (of_camera or of_point) and not all(fixed[:6])
     base = not of_camera and not all(fixed[6:])
+    yield from small_extents(solution.motion, head, base)
+
+
+def small_extents(motion: Mapping[str, float], head: bool, base: bool) -> Iterator[str]:
+    """What to do about small motion of the head, or of the base, as sentences."""
     for (key, (least, _, cure)), wanted in zip(MOTION.items(), (head, head, base, base), strict=True):
-        now = solution.motion.get(key, least)
+        now = motion.get(key, least)
         if wanted and now < least:
             extent = f"{now:.1f} m" if key.endswith("_m") else f"{now:.0f} degrees"
             yield f"{cure.capitalize()} (now {extent})."
 
 
-def recommendation(solution: Solution, limits: Mapping[str, float] | None = None) -> tuple[str, ...]:
-    """What limits the least certain expected error, and what to do about it; empty where nothing is known."""
+_EXTENTS = {
+    "pan_range_deg": "the head panned by {} only",
+    "tilt_range_deg": "the head tilted by {} only",
+    "turned_deg": "the base turned by {} only",
+    "driven_m": "the base drove {} only",
+}
+
+
+def missing_motion(solution: Solution, names: Sequence[str]) -> str:
+    """Why the recording does not determine these parameters: the motion that it lacks; "" if it lacks none."""
+    wanted = {"head": bool(set(names) & set(NINE[:6])), "base": bool(set(names) & set(NINE[6:]))}
+    said = []
+    for key, (least, name, _) in MOTION.items():
+        now = solution.motion.get(key, least)
+        if wanted[name.rsplit(" ", 1)[1]] and now < least:
+            said.append(_EXTENTS[key].format(f"{now:.2f} m" if key.endswith("_m") else f"{now:.1f} degrees"))
+    return " and ".join(said)
+
+
+#: A cure that improves the least certain expected error by less is not worth a sentence.
+LEAST_GAIN = 0.05
+#: Stated values are taken to be measured this many times better, if the user measures them again.
+_BETTER = 2.0
+
+
+def cures(
+    solution: Solution, extraction: Extraction, limits: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
+    """What improves the expected error that is nearest to its limit by 5 % or more, the cheapest first."""
     worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
     if worst is None or not worst.share > 0:
         return ()
     shares = shares_of(solution, worst.figure.field)
-    return limiting_sentence(shares, worst.figure.meaning), advice(shares)
+    return cures_of(worst.figure.meaning, worst.value, worst.figure.unit, shares, solution, extraction)
+
+
+def cures_of(
+    meaning: str,
+    value: float,
+    unit: str,
+    shares: Sequence[tuple[float, str]],
+    solution: Solution,
+    extraction: Extraction,
+) -> tuple[str, ...]:
+    """What improves an error with these (share, source) by 5 % or more, the cheapest first; to first order."""
+    of = {name: share for share, name in shares}
+    found: list[str] = []
+
+    def add(command: str, removed: float) -> None:
+        """A cure that removes a share of the variance."""
+        left = math.sqrt(max(1 - removed, 0.0))
+        if 1 - left >= LEAST_GAIN:
+            then = f"{std_text(value)} to {std_text(value * left)} {unit}"
+            found.append(f"{command}: the {meaning} improves from {then}.")
+
+    kinds = {kind.name: kind for kind in nuisance.KINDS}
+    scale = solution.constants.get("baseline_scale")
+    if extraction.board.square_m is None and scale is not None and scale.std > 0:
+        ratio = kinds["square_size"].sigma / scale.std
+        removed = (of.get("baseline_length", 0.0) + of.get("square_size", 0.0)) / (1 + ratio**2)
+        add("Measure the squares, and state board.square_m in rig.yaml", removed)
+    stated = max((name for name in of if name in kinds), key=lambda name: of[name], default=None)
+    if stated is not None:
+        command, better = source(stated).advice, 1 - 1 / _BETTER**2
+        add(
+            f"{command[0].upper()}{command[1:]}, and state half of `priors: {stated}` in rig.yaml",
+            of[stated] * better,
+        )
+    noises = [share for share, name in shares if name not in kinds and source(name).family not in _NOT_NOISE]
+    add("Record twice as many stops", sum(noises) / 2)
+    return tuple(found)
+
+
+#: Families that more stops of the same kind do not reduce.
+_NOT_NOISE = frozenset({"nominal values", "other"})
+
+
+def recommendation(
+    solution: Solution, extraction: Extraction, limits: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
+    """What limits the expected error nearest to its limit, and the cheapest cure; empty where nothing is known."""
+    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
+    if worst is None or not worst.share > 0:
+        return ()
+    shares = shares_of(solution, worst.figure.field)
+    cheapest = cures(solution, extraction, limits)[:1]
+    return limiting_sentence(shares, worst.figure.meaning), *(cheapest or (advice(shares),))
 
 
 def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:
@@ -138,18 +223,23 @@ def families(solution: Solution) -> tuple[tuple[str, ...], FloatArray]:
     return tuple(sums), np.array(list(sums.values()))
 
 
-def use_sentence(expected: AtWork) -> str:
-    """The expected errors that have a default limit, in one sentence."""
-    errors = [(figure.of(expected), figure.unit) for figure in FIGURES if figure.limit is not None]
-    camera_m, camera_rad, along, per_m, per_turn = (f"{std_text(value)} {unit}" for value, unit in errors)
-    camera = f"{camera_m} and {camera_rad}" if any(value for value, _ in errors[:2]) else "fixed by the user"
-    wheels = f"{along}, {per_m} and {per_turn} per full turn"
-    if not any(value for value, _ in errors[2:]):
-        wheels = "with wheels fixed by the user"
-    return (
-        f"Expected errors (1 sigma): camera in the base {camera}; dead reckoning {wheels}. "
-        "All are within their limits."
+def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
+    """The expected errors that have a limit, in one sentence, and whose limits they are."""
+    groups: dict[str, list[str]] = {"camera": [], "dead reckoning": []}
+    for figure in FIGURES:
+        if limits.get(figure.name, figure.limit) is not None and figure.of(expected):
+            group = "camera" if figure.name in _OF_CAMERA else "dead reckoning"
+            turn = " per turn" if figure.name.endswith("_per_turn") else ""
+            groups[group].append(f"{std_text(figure.of(expected))} {figure.unit}{turn}")
+    said = "; ".join(
+        f"{group} {', '.join(values)}" if values else f"{group} fixed by the user"
+        for group, values in groups.items()
     )
+    whose = "your limits" if any(figure.name in limits for figure in FIGURES) else "the default limits"
+    return f"Expected errors (1 sigma): {said}. All are within {whose}."
+
+
+_OF_CAMERA = frozenset({"predicted.camera_mm", "predicted.camera_deg", "predicted.point_mm"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -420,7 +420,7 @@ def build_report(case: Case) -> ReportData:
         outliers=solution.outliers,
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
         constants=_constants(solution),
-        error_budget=_budget(solution),
+        error_budget=_budget(case),
         evidence=tuple(like(EvidenceData, found, values=_values(found)) for found in solution.evidence),
         contradictions=tuple(
             _contradiction(found, solution, extraction) for found in solution.contradictions
@@ -538,10 +538,12 @@ def _constants(solution: Solution) -> dict[str, ConstantData]:
     }
 
 
-def _budget(solution: Solution) -> BudgetData | None:
+def _budget(case: Case) -> BudgetData | None:
+    solution = case.solution
     if solution.uncertainty is None:
         return None
-    budget, said = solution.uncertainty.budget, recommendation(solution) or ("", "")
+    said = recommendation(solution, case.extraction, case.verdict.limits) or ("", "")
+    budget = solution.uncertainty.budget
     nine, at_work = (
         {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
         for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())

@@ -20,14 +20,15 @@ from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
-from mobilecal_cli.report.numbers import PARAMETERS, board_distance_m, reference_std
-from mobilecal_cli.report.use import FIGURES, MOTION, use_sentence
+from mobilecal_cli.report.numbers import PARAMETERS, reference_std
+from mobilecal_cli.report.use import FIGURES, MOTION, advice, cures, cures_of, use_sentence
 
-Level = Literal["PASS", "FAIL", "NOT ENOUGH"]
+Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
 LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
 #: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
+_GATE = "gate."  # how the ids of the user's limits begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +43,14 @@ class VerdictData:
 
 @dataclass(frozen=True, slots=True)
 class Verdict(VerdictData):
-    """Whether a calibration can be used, with every criterion, and with every figure that gates can limit."""
+    """Whether a calibration can be used, with every criterion, and with every figure that gates can limit.
+
+    `limits` are the user's on the expected errors in use, by the name of the gate.
+    """
 
     checks: Checks = field(default_factory=Checks)
     metrics: Figures = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,31 +83,29 @@ def judge(
     made = Calibration(solution, extraction, limits, change)
     found = [check for criterion in CRITERIA for check in criterion.checks(made)]
     metrics = figures_of(solution, extraction, trial, found)
-    checks = Checks((*found, *gate_checks(gates, metrics)))
+    checks = Checks((*found, *gate_checks(gates, metrics, lambda name: _gate_cure(name, made))))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
-        return decided_by(decisive, checks, metrics)
-    point_mm = solution.point_rms_m * 1e3
-    reason = (
-        f"The point error over {len(extraction.observations)} stations is {point_mm:.1f} mm, "
-        f"{0.1 * point_mm / board_distance_m(extraction):.1f} % of the distance to the board. "
-    )
+        return replace(decided_by(decisive, checks, metrics), limits=limits)
     if solution.uncertainty is None:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
-        reason += f"The method {solution.method} {unknown}."
+        reason = (
+            f"The point error is {solution.point_rms_m * 1e3:.1f} mm. The method {solution.method} {unknown}."
+        )
         next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
     else:
-        reason += use_sentence(solution.uncertainty.at_work)
+        reason = use_sentence(solution.uncertainty.at_work, limits)
         next_step = "Use params.yaml on the robot."
     look = next((check for check in checks if check.outcome == "warning"), None)
     if look is not None:
         next_step += f" Check first: {look.why} {look.next_step}"
-    return Verdict("PASS", reason, next_step, checks, metrics)
+    return Verdict("PASS", reason, next_step, checks, metrics, limits)
 
 
 def decided_by(check: Check, checks: Checks, metrics: Figures | None = None) -> Verdict:
     """The verdict where one check decides."""
-    return Verdict(LEVELS[check.outcome], check.why, check.next_step, checks, metrics or {})
+    level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
+    return Verdict(level, check.why, check.next_step, checks, metrics or {})
 
 
 def reasons_of(verdict: Verdict) -> tuple[str, ...]:
@@ -258,8 +261,26 @@ def evaluated_figures(found: Evaluation) -> Figures:
     return {metric.name: of(found) for metric, of in _EVALUATED.items()}
 
 
-def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
-    """Each gate as a criterion of the verdict; an unknown figure fails.
+def _gate_cure(name: str, made: Calibration) -> str:
+    """What improves a figure: for a standard deviation by its error budget, else by the expected errors' one."""
+    found, names = made.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
+    if found is None:
+        return "Calibrate with --method ml (the default), which estimates standard deviations."
+    if name in names:
+        column = found.budget.nine[:, names.index(name)].tolist()
+        pairs = zip(column, found.budget.sources, strict=True)
+        shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
+        k = names.index(name)
+        value, label = float(reference_std(made.solution)[k] or 0.0), f"sigma of the {PARAMETERS[k].label}"
+        found_cures = cures_of(label, value, PARAMETERS[k].unit, shares, made.solution, made.extraction)
+        return (found_cures or (advice(shares),))[0]
+    return " ".join(cures(made.solution, made.extraction, made.limits)[:1])
+
+
+def gate_checks(
+    gates: Sequence[Gate], figures: Figures, cure: Callable[[str], str] = lambda _: ""
+) -> Iterator[Check]:
+    """Each gate as a criterion of the verdict, with a cure by its name; an unknown figure fails.
 
     Known expected errors in use are left out: `judge` compares them with the limits of their gates.
     """
@@ -271,12 +292,12 @@ def gate_checks(gates: Sequence[Gate], figures: Figures) -> Iterator[Check]:
         passes = value is not None and (value >= gate.limit if metric.at_least else abs(value) <= gate.limit)
         measured = "unknown" if value is None else _rounded(value, gate.limit)
         yield Check(
-            f"gate.{gate.name}", value, gate.limit, "pass" if passes else "fail",
+            f"{_GATE}{gate.name}", value, gate.limit, "pass" if passes else "fail",
             f"gate {gate.name}",
             measured,
             f"at {'least' if metric.at_least else 'most'} {gate.limit:g}",
-            f"Gate failed: {gate.name} = {measured} (limit {gate.limit:g}).",
-            "See the report for the cause. `mobilecal suggest` lists stops that improve the result.",
+            f"{gate.name} = {measured} (limit {gate.limit:g}).",
+            cure(gate.name) or "Record again, or change the limit.",
             unit=metric.unit,
             at_least=metric.at_least,
         )  # fmt: skip

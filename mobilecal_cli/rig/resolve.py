@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     Sources,
     StereoLayout,
     WheelSource,
+    camera_words,
 )
 from mobilecal_cli.rig.cameras import (
     camera_rig,
@@ -33,7 +34,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of
 from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
-from mobilecal_cli.rig.wheels import wheel_sources
+from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
 
 T = TypeVar("T")
 _Lack = RecordingError | ConfigError
@@ -96,9 +97,11 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
     if survey.lacks or not (images and cameras and wheels and head) or joints is None:
         raise survey.lacks[0][1]
     infos, chain, drawn, given = survey.infos, head.chain, head.drawn, nominal_of(config)
+    sources = Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config))
+    assumed = sources.assumed_wheels
     nominal = Nominal(
         drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
-        given.wheels or drawn.wheels,
+        assumed or given.wheels or drawn.wheels,
     )
 
     def source_of(key: str, otherwise: str = "log") -> str:
@@ -116,24 +119,33 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         "board size": source_of("board.columns", "images"),
         "board square_m": source_of("board.square_m", "stereo"),
         **{f"{name} images {topic}": source_of(f"cameras.{name}.image") for name, topic in images.items()},
-        **{f"{name} camera info {topic}": source_of(f"cameras.{name}.info") for name, topic in infos.items()},
+        **{
+            f"{camera_words(name)} info {topic}": source_of(f"cameras.{name}.info")
+            for name, topic in infos.items()
+        },
         f"images are {'rectified' if survey.rectified else 'raw'}": source_of(
             "cameras.rectified", "topic name"
         ),
-        f"reference camera {cameras.reference}": source_of("cameras.reference", "default"),
+        **(
+            {f"reference camera {cameras.reference}": source_of("cameras.reference", "default")}
+            if len(images) > 1
+            else {}
+        ),
         **head_sources,
         **{
-            f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
+            f"{side} wheel {source.topic} {source.where}": source_of(f"wheels.{side}")
             for side, source in wheels.items()
         },
-        "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
+        "nominal wheels": source_of(
+            "nominal.wheels", "assumed" if assumed else "URDF" if drawn.wheels else "none"
+        ),
         "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
     rig = Rig(
         cameras,
         chain,
         nominal,
-        Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
+        sources,
         setting_sources,
         KnownNoise(**config.noise.model_dump()),
         prior_sigmas(config.priors, cameras, chain),
@@ -184,6 +196,8 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
             "camera infos", lambda: camera_rig(infos, rectified, config, partial(fixed_pose, urdf))
         )
         lacks += own
+    if wheels is not None and head is not None and head.urdf is not None:
+        wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:

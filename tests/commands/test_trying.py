@@ -60,7 +60,7 @@ def test_evaluate_with_gates(made):
     broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
     assert broken.code == 6
     assert "fail        gate rotation_rms_deg" in broken.out
-    assert "FAIL: Gate failed: rotation_rms_deg = " in broken.out
+    assert "GATE FAILED: rotation_rms_deg = " in broken.out
     assert broken.err == ""
     assert ET.parse(junit).getroot().get("failures") == "1"
     again = run("evaluate", npz, params, "--junit", junit)

@@ -27,8 +27,10 @@ def test_a_robot_drawn_from_the_priors_passes():
     solution, extraction = drawn()
     verdict = judge(solution, extraction)
     assert verdict.level == "PASS", verdict.reason
-    assert "All are within their limits." in verdict.reason
-    assert verdict.next_step.startswith("Use params.yaml on the robot.")
+    assert "All are within the default limits." in verdict.reason
+    assert verdict.next_step == "Use params.yaml on the robot."
+    mine = judge(solution, extraction, gates_of(["predicted.camera_mm=15"], {}))
+    assert "All are within your limits." in mine.reason
 
 
 def test_the_limits_are_those_of_the_page():
@@ -64,8 +66,8 @@ def test_a_gate_on_an_unknown_expected_error_fails():
     gates = gates_of(["predicted.camera_mm=10"], {})
     verdict = judge(make_solution(extraction), extraction, gates)
     assert (verdict.level, verdict.reason) == (
-        "FAIL",
-        "Gate failed: predicted.camera_mm = unknown (limit 10).",
+        "GATE FAILED",
+        "predicted.camera_mm = unknown (limit 10).",
     )
 
 
@@ -87,8 +89,10 @@ def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
     assert verdict.level == "NOT ENOUGH"
     assert "The stated geometry of the head limits the camera rotation in the base" in verdict.reason
-    assert "More stations will not help much" in verdict.next_step
-    assert verdict.next_step.endswith("`priors: joint_zero` in rig.yaml.")
+    assert verdict.next_step.startswith(
+        "Measure the zeros of the head joints, and state half of `priors: joint_zero`"
+    )
+    assert "improves from 0.5" in verdict.next_step
 
 
 def test_a_base_at_rest_is_not_enough_for_the_wheels():
@@ -115,22 +119,20 @@ def test_the_words_know_every_source():
 
 
 def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
-    solution, _ = drawn()
+    solution, extraction = drawn()
     worst = max(uses(solution, {}), key=lambda use: use.share)
-    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62))
+    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62), extraction)
     assert limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
 
 
 def test_more_stations_do_not_help_against_stated_values():
-    solution, _ = drawn()
-    _, advice = recommendation(with_share(solution, "square_size", 0.8))
-    assert advice.startswith("More stations will not help much: ")
-    assert "the stated size of the squares 80 %" in advice
-    assert advice.endswith(
-        "Measure the board (ten squares, with a caliper). Then state a smaller `priors: square_size` in rig.yaml."
+    solution, extraction = drawn()
+    _, advice = recommendation(with_share(solution, "square_size", 0.8), extraction)
+    assert advice.startswith(
+        "Measure the board (ten squares, with a caliper), and state half of `priors: square_size`"
     )
-    _, advice = recommendation(with_share(solution, "floor_rad", 0.9))
-    assert advice == "Record on a flat floor, or record more stops."
+    _, advice = recommendation(with_share(solution, "floor_rad", 0.9), extraction)
+    assert advice.startswith("Record twice as many stops: ")
 
 
 def test_the_sentence_and_the_chart_group_the_sources_alike():
@@ -148,5 +150,5 @@ def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     at_work = replace(solution.uncertainty.at_work, camera_m=0.0, camera_rad=0.0)
     fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
     verdict = judge(fixed, extraction)
-    assert "camera in the base fixed by the user; dead reckoning" in verdict.reason
+    assert "camera fixed by the user; dead reckoning" in verdict.reason
     assert verdict.checks["predicted.camera_mm"].measured_text == "fixed by the user"

@@ -50,7 +50,7 @@ def test_a_sound_calibration_passes(solution, extraction):
     verdict = judge(solution, extraction)
     assert verdict.level == "PASS"
     assert verdict.reason == (
-        f"The point error over 12 stations is {1e3 * solution.point_rms_m:.1f} mm, 0.7 % of the distance to the board. "
+        f"The point error is {1e3 * solution.point_rms_m:.1f} mm. "
         "The method lm gives no standard deviations, so the expected errors in use are unknown."
     )
     assert verdict.next_step == NO_SIGMAS
@@ -124,13 +124,32 @@ def test_wheels_far_from_their_nominal_sizes(solution, extraction):
     failing(
         solution,
         with_nominal(extraction, Nominal(wheels=double)),
-        "left wheel radius is 81.7 mm, about half of",
+        "left wheel radius is 0.0817 m, about half of",
     )
     verdict = judge(solution, with_nominal(extraction, Nominal(wheels=replace(WHEELS, separation_m=0.37))))
     assert verdict.level == "PASS"
-    found = solution.parameters.wheels.separation_m
-    said = f"Check first: The wheel separation is {1e3 * found:.1f} mm, {found / 0.37:.2f} times"
-    assert said in verdict.next_step
+    assert verdict.next_step == NO_SIGMAS  # inside its limit a check is no warning
+
+
+@pytest.mark.parametrize(
+    ("factors", "said", "unsaid"),
+    [
+        (
+            (0.5, 0.5, 1.0),
+            "Measure the wheel with a ruler. If it is as stated, check ticks_per_revolution.",
+            "diameters",
+        ),
+        ((2.0, 2.0, 1.0), "not diameters, and ticks_per_revolution.", "unit of the wheel"),
+        ((1.0, 1.0, 1.4), "distance between the contact points", "ticks"),
+        ((1.5, 1.5, 1.5), "the scale is wrong: check the baseline in camera_info", "ticks"),
+    ],
+)
+def test_a_hint_names_only_what_the_ratio_can_be(solution, extraction, factors, said, unsaid):
+    """The robot's wheels have tick counters."""
+    nominal = Nominal(wheels=WheelGeometry(*(WHEELS.vector * factors)))
+    step = judge(solution, with_nominal(extraction, nominal)).next_step
+    assert said in step
+    assert unsaid not in step
 
 
 def test_a_stereo_pair_that_does_not_fit(solution, extraction):
@@ -165,7 +184,7 @@ def test_one_leg_that_stands_out(solution, extraction):
     errors[4] = 0.011  # five times the others, but a small share of the distance
     verdict = judge(with_legs(solution, errors), extraction)
     assert verdict.level == "PASS"
-    assert "The point error between stations 4 and 5 is 11.0 mm (median 2.0 mm)." in verdict.next_step
+    assert verdict.next_step == NO_SIGMAS
     errors[4] = 0.022
     failing(with_legs(solution, errors), extraction, "between stations 4 and 5 is 22.0 mm (median 2.0 mm)")
     errors[4] = 0.009
@@ -185,7 +204,7 @@ def test_wheels_of_two_sizes(solution, extraction):
     failing(
         replace(solution, refinement=None, parameters=odd),
         extraction,
-        "left 40.8 mm",
+        "left 0.0408 m",
     )
 
 
@@ -319,7 +338,8 @@ def test_an_unevenness_of_the_floor_is_told():
     noise = replace(solution.uncertainty.noise, floor_rad=np.radians(0.5))
     verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, noise=noise)), extraction)
     assert verdict.level == "PASS"
-    assert "The noise of the floor (roll and pitch of the base) is 0.5 degrees" in verdict.next_step
+    assert verdict.next_step == "Use params.yaml on the robot."
+    assert verdict.checks["noise.floor"].measured_text == "0.5 degrees"
     rows = rows_of(made(solution, extraction), "uncertainty", "Measurement noise")
     assert rows["floor: roll and pitch under the base"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
