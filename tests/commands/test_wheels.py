@@ -69,6 +69,9 @@ def test_odometry_alone(made):
         assert data["parameters"]["odometry"]["factors"][name]["value"] == pytest.approx(value)
     assert data["metrics"]["std.odometry.angular_scale"] == pytest.approx(found.factors_std[4], rel=1e-6)
     assert data["metrics"]["std.wheels.separation_m"] is None
+    assert {name for name in data["metrics"] if "odometry" in name} == {
+        f"std.odometry.{name}" for name in FACTORS
+    }
 
 
 def test_factors_are_exported(made):
