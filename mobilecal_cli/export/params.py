@@ -32,6 +32,7 @@ from mobilecal_cli.model import (
     SIDES,
     AssumedOdometry,
     CalibratedRobot,
+    CameraRig,
     EstimatedConstant,
     Extraction,
     FloatArray,
@@ -41,8 +42,8 @@ from mobilecal_cli.model import (
     Provenance,
     Side,
     Solution,
-    StereoRig,
     WheelGeometry,
+    camera_words,
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.rig.config import WheelsNominal, checked_settings
@@ -84,7 +85,7 @@ def params_yaml(
     """
     cameras, chain = solution.cameras, extraction.rig.chain
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
-    frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
+    frame = cameras.of_reference.frame_id
     wheels, odometry = solution.parameters.wheels, extraction.rig.sources.assumed_odometry
     kind = "rectified" if cameras.rectified else "raw"
     blocks = [
@@ -93,7 +94,8 @@ def params_yaml(
         "",
         *(_verdict_lines(verdict, reasons) if verdict else []),
         "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
-        f"# Child: the optical frame of the {cameras.reference} camera ({kind} images): x right, y down, z forward.",
+        f"# Child: the optical frame of the {camera_words(cameras.reference)} ({kind} images): "
+        "x right, y down, z forward.",
         "head_eye:",
         *_transform_lines(chain.head_frame, frame, T_h_reference),
         "",
@@ -216,8 +218,8 @@ def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
     ]
 
 
-def _raw_block(cameras: StereoRig, head_frame: str, frame: str, T_h_rectified: FloatArray) -> list[str]:
-    R_rect_raw = cameras.R_rect_c if cameras.reference == "left" else cameras.R_rect_r
+def _raw_block(cameras: CameraRig, head_frame: str, frame: str, T_h_rectified: FloatArray) -> list[str]:
+    R_rect_raw = cameras.R_rect[cameras.names.index(cameras.reference)]
     T_h_raw = T_h_rectified @ se3.transform(R_rect_raw, np.zeros(3))
     return [
         "# The raw optical frame of the same camera: x_rectified = R x_raw with R from camera_info.",

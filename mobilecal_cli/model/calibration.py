@@ -24,7 +24,7 @@ class Parameters:
     the translation (m, in the head's frame), the two radii and the separation (m).
 
     Attributes:
-        T_h_c: (4, 4) head-eye transform: left camera coordinates to head coordinates, m.
+        T_h_c: (4, 4) head-eye transform: first camera coordinates to head coordinates, m.
         wheels: radii and separation.
     """
 

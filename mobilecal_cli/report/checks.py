@@ -491,7 +491,10 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     if len(residuals.legs) < least_legs:
         return
     bad = max(bad, encoder_steps * encoder_heading_rad(made.solution, made.extraction))
-    distance_mm, focal_px = board_distance_m(made.extraction) * 1e3, float(made.solution.cameras.left.K[0, 0])
+    distance_mm, focal_px = (
+        board_distance_m(made.extraction) * 1e3,
+        float(made.solution.cameras.first.K[0, 0]),
+    )
     for kind, unit, errors, scale in (
         ("point", "mm", residuals.leg_point_rms_m * 1e3, distance_mm),
         ("reprojection", "px", residuals.leg_reprojection_px, focal_px),
@@ -551,7 +554,7 @@ def errors(made: Calibration) -> Iterator[Check]:
         f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
         cure,
     )  # fmt: skip
-    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
+    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
     px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts), 0.0))
     yield Check(
         "reprojection_error", px, limit, graded(px, limit),

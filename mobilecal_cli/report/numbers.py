@@ -17,13 +17,13 @@ from mobilecal_cli.kinematics import encoder_steps_rad, head_pose
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
+    CameraRig,
     Extraction,
     FloatArray,
     Parameters,
     Rejection,
     Rig,
     Solution,
-    StereoRig,
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
@@ -137,19 +137,19 @@ def decimals_of(std: float, otherwise: int = 3) -> int:
 NEAR_LOCK_DEG = 5.0
 
 
-def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
     return T
 
 
-def reference_frame(cameras: StereoRig) -> str:
+def reference_frame(cameras: CameraRig) -> str:
     """Name of the optical frame of the reference camera."""
-    return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
+    return cameras.of_reference.frame_id
 
 
 def shown_lengths(
-    parameters: Parameters, cameras: StereoRig, shown: Sequence[Parameter] = PARAMETERS
+    parameters: Parameters, cameras: CameraRig, shown: Sequence[Parameter] = PARAMETERS
 ) -> FloatArray:
     """Translation of the reference camera, radii and separation, (6,), in the units of `shown`: mm, or factors."""
     lengths = np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])

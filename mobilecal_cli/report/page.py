@@ -40,7 +40,7 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     script, style = _asset("page.js"), _asset("page.css") + STYLE
     said, shares = _sentences(report), report.image_coverage.items()
     filled = {"linear": report.linear, "refinement": said["refinement"]}
-    filled |= {side: f"{100 * share:.0f} %" for side, share in shares}
+    filled["coverage"] = " and ".join(f"{100 * share:.0f} %" for _, share in shares)
     figures = [
         {
             "section": figure.section,

@@ -338,8 +338,8 @@ def inputs(case: Case) -> Rows:
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
     rows = [
-        ("images", ", ".join(sources.image[side] for side in SIDES)),
-        ("camera calibration", ", ".join(sources.info[side] or "not from the recording" for side in SIDES)),
+        ("images", ", ".join(sources.image.values())),
+        ("camera calibration", ", ".join(info or "not from the recording" for info in sources.info.values())),
         ("head joints", ", ".join((*sources.joints, *elsewhere))),
     ]
     for side in SIDES:

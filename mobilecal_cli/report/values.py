@@ -17,6 +17,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     NINE,
     AtWork,
+    CameraRig,
     Evidence,
     Extraction,
     LogSource,
@@ -25,7 +26,6 @@ from mobilecal_cli.model import (
     Parameters,
     Rejection,
     Solution,
-    StereoRig,
 )
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.decomposition import error_parts
@@ -120,7 +120,7 @@ class ResultData(ParametersData):
     euler_zyx_std_deg: Three | None
     parent_frame: str
     child_frame: str
-    camera: Literal["left", "right"]
+    camera: str
     rectified: bool
     odometry: OdometryData | None
 
@@ -293,10 +293,8 @@ class StationData:
     time_ns: int
     at_rest: bool
     joints: ByName
-    images_left: int
-    images_right: int
-    corner_sigma_left_px: float
-    corner_sigma_right_px: float
+    images: ByName
+    corner_sigma_px: ByName
     stereo_reprojection_px: float
     square_mm: float
     board_distance_m: float
@@ -359,7 +357,7 @@ class ProvenanceData:
 class ReportData:
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     verdict: VerdictData
     metrics: Mapping[str, Number]
     parameters: ResultData
@@ -401,7 +399,7 @@ def build_report(case: Case) -> ReportData:
     alone = extraction.rig.sources.assumed_wheels is not None
     legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
     return ReportData(
-        schema_version=5,
+        schema_version=6,
         verdict=verdict_data(case.verdict),
         metrics=case.verdict.metrics,
         parameters=ResultData(
@@ -496,7 +494,7 @@ def build_report(case: Case) -> ReportData:
     )
 
 
-def _nine(parameters: Parameters, cameras: StereoRig, odometry: bool = False) -> dict[str, Any]:
+def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) -> dict[str, Any]:
     T, lengths = reference_pose(parameters, cameras), shown_lengths(parameters, cameras)
     lock_deg = se3.gimbal_margin_deg(T[:3, :3])
     names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
@@ -623,15 +621,16 @@ def _suggestions(solution: Solution, extraction: Extraction) -> tuple[Suggestion
 
 def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, ...]:
     joints, residuals = extraction.rig.chain.joints, solution.residuals
+    cameras = extraction.rig.cameras.names
     return tuple(
         like(
             StationData,
             o,
             joints=dict(zip(joints, o.joints.tolist(), strict=True)),
-            images_left=o.left.pictures,
-            images_right=o.right.pictures,
-            corner_sigma_left_px=o.left.sigma_px,
-            corner_sigma_right_px=o.right.sigma_px,
+            images={name: view.pictures for name, view in zip(cameras, o.views, strict=True)},
+            corner_sigma_px={
+                name: view.sigma_px for name, view in zip(cameras, o.views, strict=True) if view.pictures
+            },
             stereo_reprojection_px=o.reprojection_px,
             square_mm=o.square_m * 1e3,
             board_distance_m=float(np.linalg.norm(o.points_c, axis=-1).mean()),
@@ -657,11 +656,10 @@ def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
 
 
 def _coverage(extraction: Extraction) -> dict[str, float]:
-    """Side → share of its image in which corners were detected, 0 to 1."""
+    """Camera → share of its image in which corners were detected, 0 to 1."""
     cameras, seen = extraction.rig.cameras, extraction.observations
     shares = {}
-    for side, camera in (("left", cameras.left), ("right", cameras.right)) if seen else ():
-        corners = [getattr(o, side) for o in seen]
-        pixels = np.concatenate([c.pixels[c.seen] for c in corners])
-        shares[side] = image_coverage(pixels, camera.width, camera.height)
+    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True) if seen else ()):
+        pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
+        shares[name] = image_coverage(pixels, camera.width, camera.height)
     return shares

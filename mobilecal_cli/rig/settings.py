@@ -16,6 +16,7 @@ from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import (
     SIDES,
     Board,
+    CameraRig,
     Extraction,
     FixedLink,
     FloatArray,
@@ -23,7 +24,6 @@ from mobilecal_cli.model import (
     Nominal,
     Rig,
     Side,
-    StereoRig,
     Track,
     WheelGeometry,
     WheelSource,
@@ -52,6 +52,17 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
             joint["kind"] = link.kind
         links.append(joint)
     return links
+
+
+def _camera(rig: Rig, name: str) -> dict[str, Any]:
+    settings: dict[str, Any] = {"image": rig.sources.image[name], "info": rig.sources.info[name]}
+    if not rig.cameras.calibrated and name != rig.cameras.names[0]:
+        T = rig.cameras.T_c_each[rig.cameras.names.index(name)]
+        settings["pose"] = {
+            "translation_m": _numbers(T[:3, 3]),
+            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
+        }
+    return settings
 
 
 def _wheel(source: WheelSource) -> dict[str, Any]:
@@ -92,7 +103,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "board": _board(board, [o.square_m for o in extraction.observations]),
         "cameras": {
-            **{side: {"image": rig.sources.image[side], "info": rig.sources.info[side]} for side in SIDES},
+            **{name: _camera(rig, name) for name in rig.cameras.names},
             **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,
@@ -131,7 +142,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
 ALL = "all"
 
 
-def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: HeadChain) -> dict[str, float]:
+def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: CameraRig, chain: HeadChain) -> dict[str, float]:
     """Name of each constant that the configuration mentions → its prior sigma, see `Rig.prior_sigmas`.
 
     An entry for one constant overrides that of its kind, which overrides that of all. An entry is one standard
@@ -159,7 +170,7 @@ def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: He
     return sigmas
 
 
-def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadChain) -> dict[str, PriorEntry]:
+def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadChain) -> dict[str, PriorEntry]:
     """The inverse of `prior_sigmas`: name → standard deviation in the kind's unit for people, "fixed" or "free"."""
     entries: dict[str, PriorEntry] = {}
     for row in table(cameras, chain):
@@ -217,7 +228,7 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
     rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
-    if "cameras.reference" in given:
+    if config.cameras.reference is not None and "cameras.reference" in given:
         rig = _seen_from(rig, config.cameras.reference)
     if any(key.startswith("nominal") for key in given):
         rig = _with_nominal(rig, config)
@@ -229,8 +240,12 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     return replace(extraction, rig=rig, wheels=tracks)
 
 
-def _seen_from(rig: Rig, reference: Side) -> Rig:
+def _seen_from(rig: Rig, reference: str) -> Rig:
     """The rig with another reference camera; the nominal head-eye transform is converted."""
+    if reference not in rig.cameras.names:
+        raise ConfigError(
+            f"cameras.reference: {reference!r} is not one of the cameras", ", ".join(rig.cameras.names)
+        )
     cameras, nominal = replace(rig.cameras, reference=reference), rig.nominal
     if nominal.T_h_reference is not None:
         T_h_c = nominal.T_h_reference @ se3.inverse(rig.cameras.T_c_reference)

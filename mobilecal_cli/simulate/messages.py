@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import SIDES, CameraInfo, FloatArray, WheelGeometry
+from mobilecal_cli.model import CameraInfo, FloatArray, WheelGeometry
 from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
     START_NS,
@@ -234,23 +234,21 @@ def _picture_messages(
     scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 4])
     rig, shape = world.actual.rig_cameras, world.actual.shape(route.board)
-    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in (rig.left, rig.right)]
+    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in rig.each]
     times_s = np.array(scenario.picture_times_s(route))
     floor, jitter_s = _floor_and_jitter(world, times_s)
     stamps = nanoseconds(times_s + scenario.camera_late_s + jitter_s)
     topics = robot.topics(compressed=scenario.pictures != "mono8")
     for i, T_w_c in enumerate(camera_in_world(world.actual, route, times_s, floor)):
         stamp = int(stamps[i])
-        for side, info, renderer, T_c_x in zip(
-            SIDES, robot.infos, renderers, (np.eye(4), rig.T_c_r), strict=True
-        ):
+        for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
             grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k)
             if not scenario.exact:
                 grey = grey + scenario.pixel_noise_grey * random.normal(size=grey.shape)
             kind, message = publisher.picture(grey, info.frame_id, stamp, scenario)
-            yield Published(stamp, topics.image[side], kind, message)
+            yield Published(stamp, topics.image[name], kind, message)
             kind = "sensor_msgs/msg/CameraInfo"
-            yield Published(stamp, topics.info[side], kind, publisher.camera_info(info, stamp))
+            yield Published(stamp, topics.info[name], kind, publisher.camera_info(info, stamp))
         drawn(i + 1, len(stamps))
 
 
@@ -266,7 +264,7 @@ def published(
     Args:
         scenario, robot, route: what to record.
         publisher: for ROS 1 or 2.
-        drawn: called with the number of rendered stereo pairs and their total.
+        drawn: called with the number of rendered moments and their total.
     """
     constants, noise = scenario.imperfections(robot)
     world = World(scenario, route, ActualRobot(robot, constants), noise)

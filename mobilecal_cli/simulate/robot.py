@@ -6,7 +6,7 @@ kinematics are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
@@ -19,6 +19,7 @@ from mobilecal_cli.model import (
     SIDES,
     Camera,
     CameraInfo,
+    CameraRig,
     FixedLink,
     FloatArray,
     HeadChain,
@@ -27,7 +28,6 @@ from mobilecal_cli.model import (
     Rig,
     Side,
     Sources,
-    StereoRig,
     WheelGeometry,
     WheelSource,
 )
@@ -78,16 +78,18 @@ def stereo_infos(
     return left, right
 
 
-def stereo_rig(left: CameraInfo, right: CameraInfo) -> StereoRig:
-    """Stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+def camera_rig(infos: Sequence[CameraInfo]) -> CameraRig:
+    """One camera, or a stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+    cameras = [
+        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion) for info in infos
+    ]
+    if len(infos) == 1:
+        return CameraRig(("camera",), (cameras[0],), (np.eye(4),), False, (infos[0].R,), "camera")
+    left, right = infos
     T_c_r = np.eye(4)
     T_c_r[:3, :3] = left.R.T @ right.R
     T_c_r[:3, 3] = left.R.T @ np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
-    cameras = [
-        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
-        for info in (left, right)
-    ]
-    return StereoRig(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
+    return CameraRig.pair(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
 
 
 def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
@@ -199,8 +201,8 @@ class SimulatedRobot:
         name: of the robot.
         joints: from base to head.
         pan, tilt: names of the pan and the tilt joint, "" for none.
-        infos: CameraInfo of the left and right camera.
-        T_h_c: (4, 4) true head-eye transform: left camera to head coordinates, m.
+        infos: CameraInfo of the left and right camera, or of a single one.
+        T_h_c: (4, 4) true head-eye transform: first camera to head coordinates, m.
         wheels: true wheel radii and separation.
         nominal_wheels: nominal values, used in the URDF.
         T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
@@ -218,7 +220,7 @@ class SimulatedRobot:
     joints: tuple[RobotJoint, ...]
     pan: str
     tilt: str
-    infos: tuple[CameraInfo, CameraInfo]
+    infos: tuple[CameraInfo, ...]
     T_h_c: FloatArray
     wheels: WheelGeometry
     nominal_wheels: WheelGeometry
@@ -247,9 +249,9 @@ class SimulatedRobot:
         return tuple(joint.name for joint in self.joints if joint.name)
 
     @property
-    def rig_cameras(self) -> StereoRig:
-        """The stereo pair, for raw images."""
-        return stereo_rig(*self.infos)
+    def rig_cameras(self) -> CameraRig:
+        """The cameras, for raw images."""
+        return camera_rig(self.infos)
 
     @property
     def chain(self) -> HeadChain:
@@ -274,9 +276,11 @@ class SimulatedRobot:
     def topics(self, compressed: bool = False) -> Sources:
         """The topics of this robot's recordings."""
         suffix = "/compressed" if compressed else ""
+        names = self.rig_cameras.names
+        places = {name: f"/stereo/{name}" for name in SIDES} | {"camera": "/camera/color"}
         return Sources(
-            image={side: f"/stereo/{side}/image_raw{suffix}" for side in SIDES},
-            info={side: f"/stereo/{side}/camera_info" for side in SIDES},
+            image={name: f"{places[name]}/image_raw{suffix}" for name in names},
+            info={name: f"{places[name]}/camera_info" for name in names},
             joints=("/joint_states",),
             wheels={side: self._wheel_source(side) for side in SIDES},
         )
@@ -417,11 +421,34 @@ def odometry_only_robot() -> SimulatedRobot:
     )
 
 
+@cache
+def rgbd_robot() -> SimulatedRobot:
+    """Small robot with the color camera of an RGB-D camera on its base."""
+    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    T_h_c = pose(
+        (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * optical
+    )
+    color = replace(stereo_infos("camera_color", focal_px=605.0)[0], frame_id="camera_color_optical_frame")
+    return SimulatedRobot(
+        name="rgbd",
+        joints=(),
+        pan="",
+        tilt="",
+        infos=(replace(color, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
+        T_h_c=T_h_c,
+        wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
+        nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
+        T_h_c_nominal=T_h_c @ _NOMINAL,
+        encoder_step_rad=2 * np.pi / 4096,
+    )
+
+
 #: Name, as in `targets.ROBOTS` → the robot.
 ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
     "paper": paper_robot,
     "tick": tick_robot,
     "fixed_camera": fixed_camera_robot,
+    "rgbd": rgbd_robot,
     "skid_steer": skid_steer_robot,
     "odometry_only": odometry_only_robot,
 }

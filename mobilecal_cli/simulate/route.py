@@ -197,10 +197,10 @@ class Planner:
         self._aim = [(k, names.index(name)) for k, name in enumerate((robot.pan, robot.tilt)) if name]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
-        """Whether both images show the whole board, with squares large enough for detection."""
+        """Whether all images show the whole board, with squares large enough for detection."""
         rig = self._robot.rig_cameras
         T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
-        for camera, T_c_x in ((rig.left, np.eye(4)), (rig.right, rig.T_c_r)):
+        for camera, T_c_x in zip(rig.each, rig.T_c_each, strict=True):
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
             points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
             if points[:, 2].min() < 0.3:
@@ -215,7 +215,7 @@ class Planner:
         return True
 
     def look_at(self, base: Pose, point_w: FloatArray, resting_rad: FloatArray) -> FloatArray:
-        """Joint angles, (J,), that point the left camera at a point by pan and tilt."""
+        """Joint angles, (J,), that point the first camera at a point by pan and tilt."""
         if not self._aim:
             return np.array(resting_rad)
         T_v_w = np.linalg.inv(base_in_world(np.array([base]))[0])

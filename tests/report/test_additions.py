@@ -22,9 +22,10 @@ def case():
 def test_a_plot_is_one_function(case, monkeypatch):
     monkeypatch.setattr(plots, "_PLOTS", [*plots._PLOTS])
 
-    @plots.plot("coverage", "Nothing at all. Good: nothing.", each="side")
-    def emptiness(solution, extraction, side):
-        return Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg
+    @plots.plot("coverage", "Nothing at all. Good: nothing.", each="camera")
+    def emptiness(solution, extraction, k):
+        name = extraction.rig.cameras.names[k]
+        return Canvas(100.0, 50.0, f"emptiness of the {name} camera").svg
 
     page = page_of(*case)
     section = page[page.index("Coverage of the recording") :].partition("</section>")[0]

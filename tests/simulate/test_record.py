@@ -252,7 +252,7 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     expected = imperfect_extraction(robot, route, Imperfection(constants))
     stated = imperfect_extraction(robot, route, Imperfection())
     for i, o in enumerate(expected.observations):
-        for side, corners in (("left", o.left), ("right", o.right)):
+        for side, corners in (("left", o.views[0]), ("right", o.views[1])):
             grey = pictures[f"{side} {signals.images[side].time_ns[i]}"]
             found = cv2.cornerSubPix(
                 grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
