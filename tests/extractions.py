@@ -186,7 +186,7 @@ def _wheel_track(
         )
     )
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
-    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels)
+    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels, actual.stated.slip)
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
     if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
         rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))

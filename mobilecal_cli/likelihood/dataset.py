@@ -106,6 +106,7 @@ class Dataset:
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         layout: columns of the parameters that all recordings share.
+        several_wheels: a side has more than one wheel.
     """
 
     cameras: CameraRig
@@ -129,6 +130,7 @@ class Dataset:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     layout: Layout
+    several_wheels: bool = False
 
     @property
     def stations(self) -> int:
@@ -232,7 +234,8 @@ class Dataset:
         for number, track in enumerate(self.tracks):
             times = stamps_ns[self.log == number]
             if len(times) > 1:
-                parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
+                at = np.clip(times, track.time_ns[0], track.time_ns[-1])
+                parts.append(cut_at(track, at, rates=self.several_wheels))
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
     @cached_property
@@ -336,6 +339,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
         encoder_step_rad=steps,
         layout=Layout(tuple(constants)),
+        several_wheels=extraction.rig.sources.several_wheels,
     )
 
 

@@ -539,6 +539,15 @@ class BaseLean(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class TurnSlip(Effect):
+    """Relative change of the effective separation per turning rate over its mean: wheels that slip in turns."""
+
+    def offered(self, data: Dataset) -> bool:
+        """Only several wheels a side slip in every turn."""
+        return data.several_wheels
+
+
+@dataclass(frozen=True, slots=True)
 class WheelClock(Effect):
     """Offset of the wheels' stamps, s: legs are cut at another moment."""
 

@@ -37,6 +37,7 @@ from mobilecal_cli.likelihood.effects import (
     OriginShift,
     PrincipalPoint,
     ReadOut,
+    TurnSlip,
     WheelClock,
 )
 from mobilecal_cli.model import (
@@ -102,6 +103,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
     Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
+    Kind("turn_slip", "1", 0.03, "%", 100, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
 )
 # fmt: on
@@ -228,6 +230,7 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
         _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
         _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
+        _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
         *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}", ImageDelay(k))
           for k, name in enumerate(names[1:], 1)),
         _row("readout", "readout", every, "time between the first and the last row", ReadOut()),

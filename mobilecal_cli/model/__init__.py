@@ -33,7 +33,9 @@ from mobilecal_cli.model.observations import (
     WheelTrack,
 )
 from mobilecal_cli.model.rig import (
+    FACTORS,
     SIDES,
+    AssumedOdometry,
     Board,
     Camera,
     CameraInfo,

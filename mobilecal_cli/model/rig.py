@@ -334,6 +334,7 @@ class WheelSource:
         sign: +1, or -1 for a counter that decreases when the robot drives forward.
         baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
         assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
+        separation_share: relative standard deviation of the separation in `baked_in`, where it is assumed.
         others: further wheels of this side; the side's rotation is the mean of all that agree.
     """
 
@@ -345,6 +346,7 @@ class WheelSource:
     sign: Literal[1, -1] = 1
     baked_in: WheelGeometry | None = None
     assumed: bool = False
+    separation_share: float = 0.0
     others: tuple[WheelSource, ...] = ()
 
     @property
@@ -437,6 +439,19 @@ class Sources:
         """Wheels assumed for odometry whose driver's wheels are unknown: results are factors of them."""
         return next((source.baked_in for source in self.wheels.values() if source.assumed), None)
 
+    @property
+    def assumed_odometry(self) -> AssumedOdometry | None:
+        """`assumed_wheels`, with their topic and the uncertainty of their separation."""
+        source = next((source for source in self.wheels.values() if source.assumed), None)
+        if source is None or source.baked_in is None:
+            return None
+        return AssumedOdometry(source.topic, source.baked_in, source.separation_share)
+
+    @property
+    def several_wheels(self) -> bool:
+        """Whether a side has more than one wheel: the base turns with slip."""
+        return any(source.others for source in self.wheels.values())
+
 
 @dataclass(frozen=True, slots=True)
 class WheelGeometry:
@@ -456,6 +471,56 @@ class WheelGeometry:
     def vector(self) -> FloatArray:
         """(3,) right radius, left radius, separation, m."""
         return np.array([self.radius_right_m, self.radius_left_m, self.separation_m])
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedOdometry:
+    """Odometry of a driver with unknown wheels. It is read as the rotation of assumed wheels, and the result is the
+    factors between these and the wheels that explain the motion.
+
+    With the factors kR, kL and m of the right and left radius and of the separation b, odometry of a run ds and a turn
+    means (kR + kL)/2 ds + (kR - kL) b/4 turn, and a turn of (kR - kL)/(m b) ds + (kR + kL)/(2 m) turn. So distance and
+    rotation do not depend on the assumed wheels. The difference kR - kL is in proportion to the assumed separation:
+    only the drift (kR - kL)/(m b) shows.
+
+    Attributes:
+        topic: of the odometry.
+        wheels: the assumed wheels.
+        separation_share: relative standard deviation of their separation.
+    """
+
+    topic: str
+    wheels: WheelGeometry
+    separation_share: float = 0.0
+
+    def factors(self, wheels: WheelGeometry) -> FloatArray:
+        """(5,) factors for estimated wheels, in the order of `FACTORS`."""
+        right, left, separation = wheels.vector / self.wheels.vector
+        linear = (right + left) / 2
+        return np.array([right, left, separation, linear, linear / separation])
+
+    def covariance(self, wheels: WheelGeometry, of_wheels: FloatArray) -> FloatArray:
+        """(5, 5) covariance of the factors, from that of the wheels, (3, 3) m^2, and of the assumed separation."""
+        right, left, separation, linear, _ = self.factors(wheels)
+        J = np.zeros((5, 3))
+        J[:3] = np.eye(3)
+        J[3] = [0.5, 0.5, 0.0]
+        J[4] = [0.5 / separation, 0.5 / separation, -linear / separation**2]
+        J = J / self.wheels.vector
+        half = (right - left) / 2 * self.separation_share
+        apart = np.array([half, -half, 0.0, 0.0, 0.0])
+        return np.asarray(J @ of_wheels @ J.T + np.outer(apart, apart))
+
+
+#: What odometry is wrong by, in the order of `AssumedOdometry.factors`: as diff_drive_controller takes it, then as
+#: drivers take it that scale distance and rotation.
+FACTORS = (
+    "right_wheel_radius_multiplier",
+    "left_wheel_radius_multiplier",
+    "wheel_separation_multiplier",
+    "linear_scale",
+    "angular_scale",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,9 +30,10 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
-    lengths_mm,
+    parameters_of,
     predicted_point_rms_m,
     reference_pose,
+    shown_lengths,
     station_names,
 )
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
@@ -156,11 +157,15 @@ _OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "
     "Iterations of the linear method. Good: constant after a few iterations. Dashed line: iteration "
     "{linear.iterations_to_tolerance}, after which no parameter changed by more than 0.1 %.",
 )
-def wheel_convergence(solution: Solution, _: Extraction) -> str:
+def wheel_convergence(solution: Solution, extraction: Extraction) -> str:
     """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
-    numbers = np.stack([lengths_mm(parameters, solution.cameras) for parameters in solution.linear.history])
+    nine = parameters_of(extraction.rig)
+    history = solution.linear.history
+    numbers = np.stack([shown_lengths(parameters, solution.cameras, nine) for parameters in history])
     canvas = Canvas(WIDE, 210.0, "wheel radius and separation over the iterations")
-    for k, (column, title) in enumerate(((3, "right wheel radius [mm]"), (5, "wheel separation [mm]"))):
+    for k, (column, title) in enumerate(
+        (column, f"{nine[column + 3].label} [{nine[column + 3].shown_unit}]") for column in (3, 5)
+    ):
         y = Scale.of(numbers[:, column], margin=0.25)
         box = (k * WIDE / 2, 0.0, (k + 1) * WIDE / 2, 210.0)
         _over_rounds(solution, numbers[:, [column]], Axes.of(canvas, _rounds(solution), y, title, box))
@@ -172,16 +177,17 @@ def wheel_convergence(solution: Solution, _: Extraction) -> str:
     "Difference of each parameter from its final value. Good: lines that become smaller, on this logarithmic "
     "scale nearly straight. A line that rises at first is normal.",
 )
-def all_convergence(solution: Solution, _: Extraction) -> str:
+def all_convergence(solution: Solution, extraction: Extraction) -> str:
     """Difference of each of the nine parameters from its final value, over the iterations."""
     history, cameras = solution.linear.history, solution.cameras
-    numbers = np.stack([lengths_mm(parameters, cameras) for parameters in history])
+    nine = parameters_of(extraction.rig)
+    numbers = np.stack([shown_lengths(parameters, cameras, nine) for parameters in history])
     R = np.stack([reference_pose(parameters, cameras)[:3, :3] for parameters in history])
     turned = np.degrees([se3.log_so3(each @ R[-1].T) for each in R])
     apart = np.abs(np.concatenate([turned, numbers - numbers[-1]], axis=1))
     names = (*"xyzxyz", *(parameter.name.removeprefix("radius_") for parameter in PARAMETERS[6:]))
     canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
-    for k, title in enumerate(("rotation [deg]", "translation [mm]", "wheels [mm]")):
+    for k, title in enumerate(("rotation [deg]", "translation [mm]", f"wheels [{nine[-1].shown_unit}]")):
         part = apart[:, 3 * k : 3 * k + 3]
         part = np.where(part > 1e-7, part, np.nan)
         if not np.isfinite(part).any():

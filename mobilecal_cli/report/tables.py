@@ -14,14 +14,15 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.formats import Table
 from mobilecal_cli.report.numbers import (
-    PARAMETERS,
     Parameter,
-    lengths_mm,
+    odometry_factors,
+    parameters_of,
     reference_pose,
     reference_std,
     rejected_station,
     rejection_counts,
     rotation_std_deg,
+    shown_lengths,
     square_size_mm,
     stated_priors,
     std_text,
@@ -57,14 +58,15 @@ def tables(case: Case) -> tuple[Table, ...]:
 @table("parameters", "", "parameter", "number:linear", "strong:refined", "number:1 sigma", "unit")
 def nine(case: Case) -> Rows:
     """Rotation vector, translation and wheels of both solutions, and the point error."""
-    solution, cameras = case.solution, case.solution.cameras
+    solution, cameras, rig = case.solution, case.solution.cameras, case.extraction.rig
+    shown = parameters_of(rig)
     stds, (vector_std, _) = _shown_std(case), rotation_std_deg(solution)
     unknown = ["fixed" if s is None else "–" for s in stds]  # "–": another part of the rotation is fixed
     stds[:3] = [None] * 3 if vector_std is None else vector_std.tolist()
     if solution.uncertainty is None:
         unknown = [""] * 9
     linear, refined = (
-        [*np.degrees(log_so3(reference_pose(p, cameras)[:3, :3])), *lengths_mm(p, cameras)]
+        [*np.degrees(log_so3(reference_pose(p, cameras)[:3, :3])), *shown_lengths(p, cameras, shown)]
         for p in (solution.linear.parameters, solution.parameters)
     )
     both = solution.refinement is not None
@@ -76,9 +78,20 @@ def nine(case: Case) -> Rows:
             instead if s is None else std_text(s),
             p.shown_unit,
         )
-        for p, before, after, s, instead in zip(PARAMETERS, linear, refined, stds, unknown, strict=True)
+        for p, before, after, s, instead in zip(shown, linear, refined, stds, unknown, strict=True)
     ]
     errors = (solution.linear.point_rms_m, solution.point_rms_m)
+    scales = list(odometry_factors(rig, solution).items())[3:]
+    rows += [
+        (
+            name.replace("_", " "),
+            "",
+            value_text(value, s, 5),
+            "" if s is None else std_text(s) if s else "fixed",
+            "factor",
+        )
+        for name, (value, s) in scales
+    ]
     return [
         *rows,
         ("point error", f"{errors[0] * 1e3:.2f}", f"{errors[1] * 1e3:.2f}" if both else "", "", "mm"),
@@ -87,8 +100,12 @@ def nine(case: Case) -> Rows:
 
 def _shown_std(case: Case) -> list[float | None]:
     """Nine standard deviations in deg and mm; None where the parameter is fixed or there are none."""
-    std = reference_std(case.solution) or (None,) * 9
-    return [None if s is None else s * p.factor for s, p in zip(std, PARAMETERS, strict=True)]
+    std, shown = reference_std(case.solution) or (None,) * 9, parameters_of(case.extraction.rig)
+    of_factors = odometry_factors(case.extraction.rig, case.solution)
+    return [
+        None if s is None else of_factors[p.factor_name][1] if p.factor_name else s * p.factor
+        for s, p in zip(std, shown, strict=True)
+    ]
 
 
 @table(
@@ -105,7 +122,7 @@ def sigmas(case: Case) -> Rows:
         return value_text(value, std, digits, "+") if np.isfinite(value) else "–"
 
     rows = []
-    for k, (p, s) in enumerate(zip(PARAMETERS, _shown_std(case), strict=True)):
+    for k, (p, s) in enumerate(zip(parameters_of(case.extraction.rig), _shown_std(case), strict=True)):
         how = " (from the robot description)" if found.described[k] else " (unobservable)"
         std = "fixed" if s is None else std_text(s) + ("" if found.observable[k] else how)
         cells = ["", "", ""]
@@ -117,7 +134,7 @@ def sigmas(case: Case) -> Rows:
                 ]  # fmt: skip
             known = (True, np.isfinite(change.sigmas).any(), np.isfinite(change.percent).any())
             cells = [cell if ok else "" for cell, ok in zip(cells, known, strict=True)]
-        rows.append((p.name, p.meaning, std, cells[0], p.shown_unit, cells[1], cells[2]))
+        rows.append((p.factor_name or p.name, p.meaning, std, cells[0], p.shown_unit, cells[1], cells[2]))
     return rows
 
 
@@ -192,6 +209,7 @@ def separately(case: Case) -> Rows:
     if between is None or found is None:
         return ()
     present = sorted({o.log for o in case.extraction.observations})
+    nine = parameters_of(case.extraction.rig)
     without = ["fixed" if by_user else "unobservable" for by_user in found.fixed]
 
     def one(p: Parameter, shift: float, std: float) -> str:
@@ -202,7 +220,7 @@ def separately(case: Case) -> Rows:
             f"recording {number}",
             *(
                 one(p, s, d) if ok else otherwise
-                for p, s, d, ok, otherwise in zip(PARAMETERS, shift, std, shown, without, strict=True)
+                for p, s, d, ok, otherwise in zip(nine, shift, std, shown, without, strict=True)
             ),
         )
         for number, shift, std, shown in zip(present, between.shift, between.std, between.shown, strict=True)
@@ -210,7 +228,7 @@ def separately(case: Case) -> Rows:
     compared = between.shown.sum(axis=0) > 1
     spread = (
         std_text(s * p.factor) if ok else otherwise
-        for p, s, ok, otherwise in zip(PARAMETERS, between.between_std, compared, without, strict=True)
+        for p, s, ok, otherwise in zip(nine, between.between_std, compared, without, strict=True)
     )
     return [*rows, ("spread between recordings", *spread)]
 
@@ -326,7 +344,7 @@ def inputs(case: Case) -> Rows:
     ]
     for side in SIDES:
         wheel = sources.wheels[side]
-        parts = [f"{wheel.topic} {wheel.joint or wheel.field or ''}"]
+        parts = [f"{wheel.topic} {wheel.where if wheel.joint or wheel.field else ''}"]
         if wheel.ticks_per_revolution is not None:
             parts.append(f"{wheel.ticks_per_revolution:g} ticks per revolution")
         if wheel.sign < 0:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import NINE, FloatArray
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, PARAMETERS, decimals_of, std_text
-from mobilecal_cli.report.values import ReportData
+from mobilecal_cli.report.values import OdometryData, ReportData
 
 _WIDTH = 80
 
@@ -19,14 +19,14 @@ def summary_text(report: ReportData) -> str:
     Names from the recording are escaped, so that they cannot control the terminal.
     """
     found, quality, known = report.parameters, report.quality, report.uncertainty
-    lengths = list(_lengths(report))
+    lengths, odometry = list(_lengths(report)), report.parameters.odometry
     frames = f"{visible(found.child_frame)} in {visible(found.parent_frame)}"
     lines = [
         f"Camera: {frames}" + (" (± 1 sigma)" if known is not None else ""),
         *_rotation(report),
         *lengths[:3],
-        "Wheels",
-        *lengths[3:],
+        "Wheels" if odometry is None else f"Odometry on {visible(odometry.topic)} (factors)",
+        *(lengths[3:] if odometry is None else _factors(report, odometry)),
     ]
     keys = {"time_joints": "Cameras to joints", "time_wheels": "Cameras to wheels"}
     clocks = [(name, report.constants[key]) for key, name in keys.items() if key in report.constants]
@@ -60,6 +60,8 @@ def _lengths(report: ReportData) -> Iterator[str]:
         p.translation_x_mm, p.translation_y_mm, p.translation_z_mm, p.radius_right_mm, p.radius_left_mm, p.separation_mm
     )  # fmt: skip
     for parameter, value in zip(PARAMETERS[3:], values, strict=True):
+        if value is None:
+            continue
         name, label = parameter.name, parameter.label.capitalize()
         if known is None:
             yield _line(label, f"{value:.2f}", "mm")
@@ -68,6 +70,18 @@ def _lengths(report: ReportData) -> Iterator[str]:
         unit = "mm" if known.observable[name] or known.fixed[name] else "mm, unobservable"
         unit = "mm, from the robot description" if known.described[name] else unit
         yield _row(label, value, std, unit, 2)
+
+
+def _factors(report: ReportData, odometry: OdometryData) -> Iterator[str]:
+    """Factors of odometry, as controllers take them."""
+    known = report.uncertainty
+    hidden = known is not None and not all(known.observable[name] or known.fixed[name] for name in NINE[6:])
+    for name, factor in odometry.factors.items():
+        label = name.replace("_", " ").capitalize()
+        if factor.std is None:
+            yield _line(label, f"{factor.value:.5f}", "")
+        else:
+            yield _row(label, factor.value, factor.std or None, "(unobservable)" if hidden else "", 5)
 
 
 def _rotation(report: ReportData) -> Iterator[str]:
@@ -93,8 +107,8 @@ def _angles(name: str, values: FloatArray, stds: FloatArray | None) -> Iterator[
 def _row(name: str, value: float, std: float | None, unit: str, decimals: int) -> str:
     """One parameter; a standard deviation of None means that it is fixed."""
     if std is None:
-        return _line(name, f"{value:.{decimals}f}", f"{unit}, fixed")
-    return _line(name, f"{value:.{decimals_of(std, decimals)}f}", f"± {std_text(std)} {unit}")
+        return _line(name, f"{value:.{decimals}f}", f"{unit}, fixed" if unit else "fixed")
+    return _line(name, f"{value:.{decimals_of(std, decimals)}f}", f"± {std_text(std)} {unit}".rstrip())
 
 
 def _line(name: str, value: str, rest: str) -> str:

@@ -57,12 +57,13 @@ from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
     board_distance_m,
     image_coverage,
-    lengths_mm,
+    odometry_factors,
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
+    shown_lengths,
     square_size_mm,
     stated_priors,
     stations_looked_at,
@@ -85,9 +86,30 @@ class ParametersData:
     translation_x_mm: float
     translation_y_mm: float
     translation_z_mm: float
-    radius_right_mm: float
-    radius_left_mm: float
-    separation_mm: float
+    radius_right_mm: Number
+    radius_left_mm: Number
+    separation_mm: Number
+
+
+@json_value
+class FactorData:
+    """A factor of odometry."""
+
+    value: float
+    std: Number
+
+
+@json_value
+class OdometryData:
+    """Factors of the odometry, of a robot whose recording has no wheels.
+
+    `uncertainty` has them as radii and separation of the assumed wheels, m.
+    """
+
+    topic: str
+    factors: Mapping[str, FactorData]
+    assumed_radius_m: float
+    assumed_separation_m: float
 
 
 @json_value
@@ -100,6 +122,7 @@ class ResultData(ParametersData):
     child_frame: str
     camera: str
     rectified: bool
+    odometry: OdometryData | None
 
 
 @json_value
@@ -373,37 +396,39 @@ def build_report(case: Case) -> ReportData:
     linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
     scale, between, counts = solution.scale, solution.between, extraction.counts
     vector_std_deg, euler_std_deg = rotation_std_deg(solution)
+    alone = extraction.rig.sources.assumed_wheels is not None
     legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
     return ReportData(
         schema_version=6,
         verdict=verdict_data(case.verdict),
         metrics=case.verdict.metrics,
         parameters=ResultData(
-            **_nine(solution.parameters, cameras),
+            **_nine(solution.parameters, cameras, alone),
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
             child_frame=reference_frame(cameras),
             camera=cameras.reference,
             rectified=cameras.rectified,
+            odometry=_odometry(solution, extraction),
         ),
         quality=_quality(solution, extraction),
         linear=LinearData(
-            **_nine(linear.parameters, cameras),
+            **_nine(linear.parameters, cameras, alone),
             point_rms_mm=linear.point_rms_m * 1e3,
             second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
             iterations=linear.rounds,
             iterations_to_tolerance=linear.rounds_to_tolerance,
             initial_ratios=linear.start_ratios,
             initial_from=linear.start_from,
-            history=tuple(ParametersData(**_nine(each, cameras)) for each in linear.history),
+            history=tuple(ParametersData(**_nine(each, cameras, alone)) for each in linear.history),
         ),
         refinement=None
         if refinement is None
         else like(
             RefinementData,
             refinement,
-            **_nine(refinement.parameters, cameras),
+            **_nine(refinement.parameters, cameras, alone),
             point_rms_mm=refinement.point_rms_m * 1e3,
             point_rms_history_mm=refinement.point_rms_history_m * 1e3,
         ),
@@ -469,18 +494,34 @@ def build_report(case: Case) -> ReportData:
     )
 
 
-def _nine(parameters: Parameters, cameras: CameraRig) -> dict[str, Any]:
-    T, lengths = reference_pose(parameters, cameras), lengths_mm(parameters, cameras)
+def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) -> dict[str, Any]:
+    T, lengths = reference_pose(parameters, cameras), shown_lengths(parameters, cameras)
     lock_deg = se3.gimbal_margin_deg(T[:3, :3])
     names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
+    shown: list[float | None] = lengths.tolist()
+    if odometry:  # nobody measured these wheels
+        shown[3:] = [None] * 3
     return {
-        **dict(zip(names, lengths.tolist(), strict=True)),
+        **dict(zip(names, shown, strict=True)),
         "translation_m": T[:3, 3],
         "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
         "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= NEAR_LOCK_DEG else None,
         "gimbal_margin_deg": lock_deg,
     }
+
+
+def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None:
+    assumed = extraction.rig.sources.assumed_odometry
+    if assumed is None:
+        return None
+    factors = odometry_factors(extraction.rig, solution)
+    return OdometryData(
+        topic=assumed.topic,
+        factors={name: FactorData(value=value, std=std) for name, (value, std) in factors.items()},
+        assumed_radius_m=assumed.wheels.radius_right_m,
+        assumed_separation_m=assumed.wheels.separation_m,
+    )
 
 
 def _quality(solution: Solution, extraction: Extraction) -> QualityData:

@@ -68,14 +68,16 @@ def _camera(rig: Rig, name: str) -> dict[str, Any]:
 def _wheel(source: WheelSource) -> dict[str, Any]:
     parts = [asdict(part) for part in source.every]
     settings = parts[0]
-    made_with = "odometry_assumed_with" if settings.pop("assumed") else "odometry_made_with"
+    assumed, share = settings.pop("assumed"), settings.pop("separation_share")
+    made_with = "odometry_assumed_with" if assumed else "odometry_made_with"
+    settings |= {"odometry_separation_share": share} if assumed else {}
     settings[made_with] = settings.pop("baked_in")
     settings.pop("others")
     if len(parts) > 1:
         for name in ("topic", "joint", "field", "sign"):
             values = [part[name] for part in parts]
-            settings[f"{name}s"] = values
             if name != "topic" or len(set(values)) > 1:
+                settings[f"{name}s"] = values
                 settings.pop(name)
     return {key: value for key, value in settings.items() if value not in (None, [None] * len(parts))}
 

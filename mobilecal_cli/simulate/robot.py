@@ -26,12 +26,14 @@ from mobilecal_cli.model import (
     JointLink,
     Nominal,
     Rig,
+    Side,
     Sources,
     WheelGeometry,
     WheelSource,
 )
 
 WIDTH, HEIGHT = 640, 480
+_WHEELBASE_M = 0.262
 BASELINE_M = 0.12
 #: Displaced by 0.4 % of the width: to 1e-8 px, because each round shrinks the error 50 times.
 _DISPLACEMENT_ROUNDS = 5
@@ -206,7 +208,10 @@ class SimulatedRobot:
         nominal_wheels: nominal values, used in the URDF.
         T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
         encoder_step_rad: resolution of the wheel encoders, rad.
-        wheel_signal: wheels as positions in the joint states, or as separate tick counters.
+        wheel_signal: wheels as positions in the joint states, one or two for each side, as separate tick counters, or
+            only as the odometry of a driver with the nominal wheels.
+        slip: relative change of the effective separation with the turning rate, s/rad; `wheels` has that of a turn in
+            place.
         ticks_per_revolution, tick_bits: of the tick counters.
         joint_noise_rad: sigma of one joint reading, rad.
         joint_rate_hz: rate of the joint states (and ticks), Hz.
@@ -223,7 +228,8 @@ class SimulatedRobot:
     nominal_wheels: WheelGeometry
     T_h_c_nominal: FloatArray
     encoder_step_rad: float
-    wheel_signal: Literal["joint_states", "ticks"] = "joint_states"
+    wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
+    slip: float = 0.0
     ticks_per_revolution: int = 4096
     tick_bits: Literal[8, 16, 32, 64] = 16
     joint_noise_rad: float = np.radians(0.01)
@@ -276,18 +282,28 @@ class SimulatedRobot:
         names = self.rig_cameras.names
         places = {name: "/camera/color" if name == "camera" else f"/{name}" for name in names}
         places |= {name: f"/stereo/{name}" for name in SIDES}
-        ticks, per_turn = self.wheel_signal == "ticks", float(self.ticks_per_revolution)
         return Sources(
             image={name: f"{places[name]}/image_raw{suffix}" for name in names},
             info={name: f"{places[name]}/camera_info" for name in names},
             joints=("/joint_states",),
-            wheels={
-                side: WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
-                if ticks
-                else WheelSource("/joint_states", f"wheel_{side}_joint")
-                for side in SIDES
-            },
+            wheels={side: self._wheel_source(side) for side in SIDES},
         )
+
+    def _wheel_source(self, side: Side) -> WheelSource:
+        if self.wheel_signal == "ticks":
+            per_turn = float(self.ticks_per_revolution)
+            return WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
+        if self.wheel_signal == "odometry":
+            return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
+        first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])
+        return replace(first, others=tuple(others))
+
+    @property
+    def wheel_joints(self) -> dict[Side, tuple[str, ...]]:
+        """Names of the wheels' joints."""
+        if self.wheel_signal == "four_joints":
+            return {side: (f"front_{side}_wheel_joint", f"rear_{side}_wheel_joint") for side in SIDES}
+        return {side: (f"wheel_{side}_joint",) for side in SIDES}
 
     def rig(self, nominal: bool = True) -> Rig:
         """Robot description for a calibration.
@@ -385,6 +401,31 @@ def fixed_camera_robot() -> SimulatedRobot:
 
 
 @cache
+def skid_steer_robot() -> SimulatedRobot:
+    """Skid-steered robot with four wheel joints: the effective separation is larger than the geometric one."""
+    return replace(
+        tick_robot(),
+        name="skid_steer",
+        wheels=WheelGeometry(radius_right_m=0.0986, radius_left_m=0.0979, separation_m=0.5612),
+        nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.376),
+        wheel_signal="four_joints",
+        slip=0.02,
+    )
+
+
+@cache
+def odometry_only_robot() -> SimulatedRobot:
+    """Robot with a pan-tilt head whose recording has the odometry of its driver, and neither wheels nor counters."""
+    return replace(
+        tick_robot(),
+        name="odometry_only",
+        wheels=WheelGeometry(radius_right_m=0.0344, radius_left_m=0.0347, separation_m=0.2361),
+        nominal_wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0352, separation_m=0.2300),
+        wheel_signal="odometry",
+    )
+
+
+@cache
 def rgbd_robot() -> SimulatedRobot:
     """Small robot with the color camera of an RGB-D camera on its base."""
     optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -413,6 +454,8 @@ ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
     "tick": tick_robot,
     "fixed_camera": fixed_camera_robot,
     "rgbd": rgbd_robot,
+    "skid_steer": skid_steer_robot,
+    "odometry_only": odometry_only_robot,
 }
 
 
@@ -449,16 +492,18 @@ def urdf_text(robot: SimulatedRobot) -> str:
             "  </joint>",
         ]
     wheels = robot.nominal_wheels
-    for side, y, radius in (
-        ("left", wheels.separation_m / 2, wheels.radius_left_m),
-        ("right", -wheels.separation_m / 2, wheels.radius_right_m),
-    ):
-        lines += [
-            f'  <link name="wheel_{side}_link"><collision><geometry>',
-            f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
-            f'  <joint name="wheel_{side}_joint" type="continuous">',
-            f'    <parent link="base_link"/><child link="wheel_{side}_link"/>',
-            f'    <origin xyz={_numbers((0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
-            "  </joint>",
-        ]
+    for side in SIDES:
+        left, names = side == "left", robot.wheel_joints[side]
+        y = wheels.separation_m / 2 if left else -wheels.separation_m / 2
+        radius = wheels.radius_left_m if left else wheels.radius_right_m
+        for name, x in zip(names, (_WHEELBASE_M / 2, -_WHEELBASE_M / 2), strict=False):
+            link = f"{name.removesuffix('_joint')}_link"
+            lines += [
+                f'  <link name="{link}"><collision><geometry>',
+                f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
+                f'  <joint name="{name}" type="continuous">',
+                f'    <parent link="base_link"/><child link="{link}"/>',
+                f'    <origin xyz={_numbers((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
+                "  </joint>",
+            ]
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -52,9 +52,9 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
     return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
 
 
-def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]:
-    """Right and left wheel speeds, rad/s, for rolling without slip."""
-    half = wheels.separation_m / 2
+def wheel_speeds(stretch: Stretch, wheels: WheelGeometry, slip: float = 0.0) -> tuple[float, float]:
+    """Right and left wheel speeds, rad/s, for rolling without slip, or with a slip that grows with the turning rate."""
+    half = wheels.separation_m / 2 * (1 + slip * (abs(stretch.w_radps) - TURN_RADPS))
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
     return right, left
@@ -91,11 +91,11 @@ class Drive:
             ]
         )
 
-    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry) -> FloatArray:
+    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry, slip: float = 0.0) -> FloatArray:
         """(n, 2) rotations of the right and left wheel since the start, rad; linear inside a segment."""
         rolled = [[0.0, 0.0]]
         for stretch in self.stretches:
-            right, left = wheel_speeds(stretch, wheels)
+            right, left = wheel_speeds(stretch, wheels, slip)
             before = rolled[-1]
             rolled.append([before[0] + right * stretch.duration_s, before[1] + left * stretch.duration_s])
         breaks, angles = self.breaks_s, np.array(rolled)
@@ -119,7 +119,8 @@ MOTIONS: tuple[str, ...] = get_args(Motion)
 
 REST_S = 1.2
 _SPEED_MPS = 0.3
-_TURN_RADPS = 0.7
+#: Rate of turns in place.
+TURN_RADPS = 0.7
 _MARGIN_PX = 22.0
 _SMALLEST_SQUARE_PX = 11.0
 _NEAREST_M, _FARTHEST_M = 1.05, 2.5
@@ -270,8 +271,8 @@ class Planner:
             return [Stretch(abs(run) / _SPEED_MPS, math.copysign(_SPEED_MPS, run))]
         if motion == "spin":
             aim = facing + random.uniform(-0.7, 0.7) - base[2]
-            return [Stretch(abs(aim) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, aim))]
-        first = Stretch(abs(turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, turn))
+            return [Stretch(abs(aim) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, aim))]
+        first = Stretch(abs(turn) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, turn))
         duration = abs(run) / _SPEED_MPS
         arc = Stretch(duration, math.copysign(_SPEED_MPS, run), bend / duration)
         there = moved(moved(base, first, first.duration_s), arc, arc.duration_s)
@@ -285,7 +286,7 @@ class Planner:
             total = there[2] - base[2] + last_turn
             other, most = total - math.copysign(2 * math.pi, total), math.radians(300 if self._aim else 360)
             last_turn = last_turn + other - total if abs(other) <= most else last_turn
-        last = Stretch(abs(last_turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, last_turn))
+        last = Stretch(abs(last_turn) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, last_turn))
         return [s for s in (first, arc, last) if s.duration_s > 0]
 
     def route(

@@ -210,8 +210,8 @@ def test_read_back(extraction, solution):
     ("change", "said"),
     [
         (
-            ("schema_version: 3", "schema_version: 4"),
-            "schema_version: version 4 is not supported, only 1 to 3",
+            ("schema_version: 3", "schema_version: 5"),
+            "schema_version: version 5 is not supported, only 1 to 4",
         ),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
         (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),

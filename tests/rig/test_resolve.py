@@ -338,7 +338,9 @@ def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
     bare = description(extra=odometry("/odom"), joint_names=HEAD_ONLY)
     rig = resolve_rig(RigConfig(), bare)[0]
     drawn = WheelGeometry(0.1, 0.1, 0.5)  # the separation of the URDF
-    assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=drawn, assumed=True)
+    assert rig.sources.wheels["left"] == WheelSource(
+        "/odom", baked_in=drawn, assumed=True, separation_share=0.2
+    )
     assert rig.nominal.wheels == rig.sources.assumed_wheels == drawn
     stated = resolve_rig(config(wheels={"odometry_separation_m": 0.37}), bare)[0]
     assert stated.sources.assumed_wheels.separation_m == 0.37

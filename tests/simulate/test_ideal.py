@@ -45,6 +45,8 @@ def driven(track, wheels, begin_ns, end_ns):
 def test_the_closed_loop_holds_exactly(name, motion):
     """T_V_Hi X T_Ci_Cj = T_Vi_Vj T_V_Hj X (eq. 3), with the base's motion from the wheels alone."""
     robot, _, extraction = world(name, motion)
+    if robot.slip:
+        pytest.skip("its wheels slip")
     X = robot.T_h_c
     for i, j in zip(extraction.observations, extraction.observations[1:], strict=False):
         T_v_hi, T_v_hj = (head_pose(extraction.rig.chain, o.joints) for o in (i, j))

@@ -24,7 +24,7 @@ from tests.extractions import (
 )
 
 JOINT_KEYS = {
-    "tick": {"pan_joint": "pan", "tilt_joint": "tilt"},
+    **{name: {"pan_joint": "pan", "tilt_joint": "tilt"} for name in ("tick", "skid_steer", "odometry_only")},
     "paper": {
         "torso_pitch_joint": "torso_pitch_joint",
         "torso_roll_joint": "torso_roll_joint",
