@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mobilecal_cli.model import SIDES
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.comparison import Change
@@ -40,6 +41,9 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     script, style = _asset("page.js"), _asset("page.css") + STYLE
     said, shares = _sentences(report), report.image_coverage.items()
     filled = {"linear": report.linear, "refinement": said["refinement"]}
+    filled["squares"] = ""
+    if set(report.image_coverage) == set(SIDES):
+        filled["squares"] = ", and the same square size at all distances"
     filled["coverage"] = " and ".join(f"{100 * share:.0f} %" for _, share in shares)
     figures = [
         {
@@ -227,7 +231,7 @@ TERMS = (
          "Standard deviation (1 sigma): the expected size of the error. The true value is within 1 sigma in 68 % of "
          "cases and within 2 sigma in 95 %."),
     Term("station", "Station", "stations?",
-         "A moment at which both cameras see the board, usually while the robot stands still."),
+         "A moment at which the cameras see the board, usually while the robot stands still."),
     Term("corner-error", "Station-to-station corner error", "station-to-station corner errors?",
          "How well the nine parameters predict the board corners of one station from those of the next."),
 )  # fmt: skip
