@@ -334,7 +334,8 @@ class Report:
     def html(self) -> str:
         """Text of report.html."""
         fit = self.fit
-        return report_html(self.values, draw_all(fit.solution, fit.extraction, self.data.snapshots))
+        drawn = draw_all(fit.solution, fit.extraction, self.data.snapshots, self.verdict.limits)
+        return report_html(self.values, drawn)
 
     def _repr_html_(self) -> str:
         """The page in a frame, for notebooks."""

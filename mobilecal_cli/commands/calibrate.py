@@ -136,7 +136,7 @@ def calibrate(
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:
-        typer.echo(summary_text(report.values))
+        typer.echo(summary_text(report.values, verbose))
     if open_report:
         typer.echo(open_page(directory / "report.html"), err=True)
     verdict = report.verdict

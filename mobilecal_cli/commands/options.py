@@ -69,7 +69,12 @@ Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
 NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print each stage and its duration on standard error.")
+    bool,
+    typer.Option(
+        "--verbose",
+        "-v",
+        help="Print every figure and check; on standard error, each stage.",
+    ),
 ]
 OpenReport = Annotated[
     bool,

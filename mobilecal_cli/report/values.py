@@ -55,9 +55,11 @@ from mobilecal_cli.report.formats import (
 )
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
+    NumberData,
     board_distance_m,
     image_coverage,
     lengths_mm,
+    numbers_of,
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
@@ -66,6 +68,7 @@ from mobilecal_cli.report.numbers import (
     square_size_mm,
     stated_priors,
     stations_looked_at,
+    stations_text,
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
@@ -131,6 +134,7 @@ class QualityData:
 
     stations: int
     stations_found: int
+    stations_text: str
     point_rms_mm: float
     point_rms_predicted_by_depth_noise_mm: float
     reprojection_rms_px: float
@@ -338,6 +342,7 @@ class ReportData:
 
     schema_version: Literal[5]
     verdict: VerdictData
+    numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
     parameters: ResultData
     quality: QualityData
@@ -379,6 +384,7 @@ def build_report(case: Case) -> ReportData:
     return ReportData(
         schema_version=5,
         verdict=verdict_data(case.verdict),
+        numbers=numbers_of(solution),
         metrics=case.verdict.metrics,
         parameters=ResultData(
             **_nine(solution.parameters, cameras),
@@ -493,6 +499,7 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
         solution,
         stations=len(extraction.observations),
         stations_found=stations_looked_at(extraction),
+        stations_text=stations_text(extraction),
         point_rms_mm=solution.point_rms_m * 1e3,
         point_rms_predicted_by_depth_noise_mm=predicted_point_rms_m(extraction, solution) * 1e3,
         reprojection_parts_px=parts,
