@@ -1,4 +1,4 @@
-"""Export formats and paper sizes, in a module that imports nothing heavy, for the command line."""
+"""Export formats, paper sizes and simulated robots, in a module that imports nothing heavy, for the command line."""
 
 from __future__ import annotations
 
@@ -30,3 +30,19 @@ class Paper(StrEnum):
     ansi_d = "ansi_d"
     ansi_e = "ansi_e"
     exact = "exact"
+
+
+#: Robots of `mobilecal simulate`: name → what is special about it. `simulate.robot.ROBOTS` makes them.
+ROBOTS: dict[str, str] = {
+    "paper": "the robot of the paper",
+    "tick": "pan-tilt head, tick counters",
+    "fixed_camera": "stereo pair fixed to the base",
+}
+
+
+class Robot(StrEnum):
+    """A robot of `mobilecal simulate`."""
+
+    _ignore_ = "_name"
+    for _name in ROBOTS:
+        vars()[_name] = _name

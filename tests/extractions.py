@@ -121,6 +121,8 @@ class OutsideRobot(ActualRobot):
 
     def positions(self, route: Route, times_s: FloatArray) -> FloatArray:
         position = ActualRobot.positions(self, route, times_s)
+        if not self.stated.tilt:
+            return position
         tilt = self.stated.joint_names.index(self.stated.tilt)
         beyond = np.zeros(position.shape)
         beyond[:, tilt] = self.outside.sag_rad * np.sin(position[:, tilt])

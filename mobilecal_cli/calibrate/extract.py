@@ -12,6 +12,7 @@ from typing import NoReturn
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.describe import describe
 from mobilecal_cli.calibrate.detect import (
     DetectionWorkers,
     StationDetections,
@@ -38,9 +39,9 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
-from mobilecal_cli.readers import Recording, join_splits, open_recording, read_description, sha256_of
+from mobilecal_cli.readers import Recording, join_splits, open_recording, sha256_of
 from mobilecal_cli.rig.config import RigConfig, read_urdf
-from mobilecal_cli.rig.resolve import resolve_rig
+from mobilecal_cli.rig.resolve import complete_rig, resolve_rig
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.vision import (
     Detection,
@@ -80,8 +81,9 @@ def _extracted(
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    description, urdf = read_description(recording), read_urdf(config)
-    rig, rig_notes = resolve_rig(config, description, urdf)
+    urdf = read_urdf(config)
+    description, survey = describe(recording, config, urdf)
+    rig, rig_notes = complete_rig(survey, config)
     everything = config.stations == "all"
     if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()

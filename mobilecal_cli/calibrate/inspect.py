@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.describe import describe
 from mobilecal_cli.calibrate.extract import board_of, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
@@ -49,7 +50,6 @@ from mobilecal_cli.readers import (
     Recording,
     join_splits,
     open_recording,
-    read_description,
     read_signals,
     sha256_of,
 )
@@ -57,7 +57,7 @@ from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.joints import outside_chain
-from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout, survey_rig
+from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
 #: At most so much of a recording is decompressed for the motion.
@@ -126,8 +126,7 @@ def inspect(
             findings.miss("gates", error)
         rig, survey, board, motion, covered = None, None, None, None, None
         try:
-            description = read_description(recording)
-            survey = survey_rig(config, description, read_urdf(config))
+            description, survey = describe(recording, config, read_urdf(config))
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:

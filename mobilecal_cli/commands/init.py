@@ -72,24 +72,17 @@ def draft(
         RecordingError: the recording cannot be read.
         ConfigError: the URDF cannot be read.
     """
+    from mobilecal_cli.calibrate.describe import describe
     from mobilecal_cli.calibrate.sample import sample_board
-    from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING, TRANSFORMS
-    from mobilecal_cli.readers import number_fields, open_recording, read_description
+    from mobilecal_cli.readers import open_recording
     from mobilecal_cli.rig.config import RigConfig, read_urdf
     from mobilecal_cli.rig.draft import draft_rig
-    from mobilecal_cli.rig.names import may_be_a_reading
-    from mobilecal_cli.rig.resolve import survey_rig
 
-    # Read by their meaning, not by field paths.
-    known = {*IMAGES, CAMERA_INFO, JOINT_STATE, STRING, TRANSFORMS}
     config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
     text = read_urdf(config)
     with open_recording(logs) as recording:
         progress("topics", 0, None)
-        description = read_description(recording)
-        survey = survey_rig(config, description, text)
-        others = [topic.name for topic in description.topics if topic.type not in known]
-        numbers = () if not survey.lacks else number_fields(recording, others, may_be_a_reading)
+        description, survey = describe(recording, config, text, joints_too=True)
         board = None
         if survey.images is not None:
             progress("images", 0, None)
@@ -101,6 +94,5 @@ def draft(
             urdf_text=text,
             urdf_path=None if urdf is None else os.path.relpath(urdf, beside or Path()),
             board=board,
-            numbers=numbers,
         )
         return replace(made, notes=(*made.notes, *recording.damage))

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from mobilecal_cli.commands.options import Force, Quiet, written_line
+from mobilecal_cli.targets import ROBOTS, Robot
 
 Container = Literal[
     "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
@@ -16,6 +17,7 @@ Container = Literal[
 Motion = Literal[
     "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
 ]
+_PAPER = Robot("paper")
 _BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 
 
@@ -24,9 +26,9 @@ def simulate(
         Path, typer.Argument(readable=False, help="Recording to write: a file, or a directory for rosbag2.")
     ],
     robot: Annotated[
-        Literal["paper", "tick"],
-        typer.Option(help="paper: the robot of the paper; tick: pan-tilt head, tick counters."),
-    ] = "paper",
+        Robot,
+        typer.Option(help=f"{'; '.join(f'{name}: {meaning}' for name, meaning in ROBOTS.items())}."),
+    ] = _PAPER,
     motion: Annotated[Motion, typer.Option(help="Motion of the base and the head.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     stations: Annotated[
@@ -66,7 +68,7 @@ def simulate(
     from mobilecal_cli.simulate.scenario import Scenario
 
     scenario = Scenario(
-        robot=robot,
+        robot=robot.value,
         motion=motion,
         seed=seed,
         stations=stations,

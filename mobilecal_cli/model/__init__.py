@@ -60,6 +60,7 @@ from mobilecal_cli.model.robot_description import (
     CAMERA_INFO_CHANGES,
     IMAGES,
     JOINT_STATE,
+    ODOMETRY,
     STRING,
     TRANSFORMS,
     NumberField,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -264,6 +264,8 @@ class WheelSource:
         bits: width of a counter that wraps around; None: it does not wrap.
         sign: +1, or -1 for a counter that decreases when the robot drives forward.
         baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
+        assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
+        others: further wheels of this side; the side's rotation is the mean of all that agree.
     """
 
     topic: str
@@ -273,6 +275,18 @@ class WheelSource:
     bits: Literal[8, 16, 32, 64] | None = None
     sign: Literal[1, -1] = 1
     baked_in: WheelGeometry | None = None
+    assumed: bool = False
+    others: tuple[WheelSource, ...] = ()
+
+    @property
+    def every(self) -> tuple[WheelSource, ...]:
+        """All wheels of the side, each by itself."""
+        return (replace(self, others=()), *self.others)
+
+    @property
+    def where(self) -> str:
+        """Part of the messages that is read, for people."""
+        return ", ".join(one.joint or one.field or "odometry" for one in self.every)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -346,8 +360,13 @@ class Sources:
     @property
     def motion(self) -> frozenset[str]:
         """The topics with the motion of base and head."""
-        apart = [*self.wheels.values(), *self.elsewhere.values()]
-        return frozenset({*self.joints, *(source.topic for source in apart)})
+        wheels = (wheel for source in self.wheels.values() for wheel in source.every)
+        return frozenset({*self.joints, *(source.topic for source in (*wheels, *self.elsewhere.values()))})
+
+    @property
+    def assumed_wheels(self) -> WheelGeometry | None:
+        """Wheels assumed for odometry whose driver's wheels are unknown: results are factors of them."""
+        return next((source.baked_in for source in self.wheels.values() if source.assumed), None)
 
 
 @dataclass(frozen=True, slots=True)

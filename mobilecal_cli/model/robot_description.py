@@ -15,6 +15,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 CAMERA_INFO_CHANGES = "the camera calibration changes"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
+ODOMETRY = "nav_msgs/msg/Odometry"
 STRING = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
@@ -47,6 +48,9 @@ class RobotDescription:
         urdfs: topic → URDF text.
         transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only without a
             URDF.
+        odometry_frames: odometry topic → frames of its first message, parent and child.
+        numbers: numbers in other messages that may be the readings of wheels or head joints; read only where joint
+            states lack them.
     """
 
     topics: tuple[TopicInfo, ...]
@@ -56,6 +60,8 @@ class RobotDescription:
     urdfs: Mapping[str, str]
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
     unusable: Mapping[str, RecordingError] = field(default_factory=dict)
+    odometry_frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    numbers: tuple[NumberField, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from mobilecal_cli.model import (
     CAMERA_INFO,
     IMAGES,
     JOINT_STATE,
+    ODOMETRY,
     STRING,
     TRANSFORMS,
     CameraInfo,
@@ -68,6 +69,11 @@ def read_description(recording: Recording) -> RobotDescription:
         JOINT_MESSAGES,
         lambda message: [str(name) for name in message.name],
     )
+    frames = _first(
+        recording,
+        names.get(ODOMETRY, []),
+        lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
+    )
     transforms: dict[tuple[str, str], FloatArray] = {}
     if not urdfs:
         try:
@@ -84,6 +90,7 @@ def read_description(recording: Recording) -> RobotDescription:
         },
         urdfs=urdfs,
         transforms=transforms,
+        odometry_frames=frames,
     )
 
 

@@ -178,21 +178,34 @@ class JointsConfig(_Section):
 
 
 class WheelConfig(_Section):
-    """Source of one wheel's rotation."""
+    """Source of one side's rotation: one wheel, or several that are averaged."""
 
     topic: Text | None = None
     joint: Text | None = None
+    joints: tuple[Text, ...] = Field((), description="several wheels of the side, which are averaged")
     field: Text | None = None
+    fields: tuple[Text, ...] = Field((), description="several counters of the side, which are averaged")
+    topics: tuple[Text, ...] = Field((), description="topic of each of fields, if not all are on topic")
     ticks_per_revolution: Ticks | None = None
     bits: Literal[8, 16, 32, 64] | None = None
     sign: Literal[1, -1] = 1
+    signs: tuple[Literal[1, -1], ...] = Field((), description="sign of each of joints or fields")
 
     @model_validator(mode="after")
     def _joint_or_field(self) -> WheelConfig:
-        if self.joint is not None and self.field is not None:
-            raise ValueError("give joint or field, not both")
+        if sum(bool(given) for given in (self.joint, self.joints, self.field, self.fields)) > 1:
+            raise ValueError("give only one of joint, joints, field and fields")
         if self.field is not None and self.topic is None:
             raise ValueError("field requires topic")
+        if self.fields and (self.topic is None) == (not self.topics):
+            raise ValueError("fields requires topic, or topics with one for each")
+        several = self.joints or self.fields
+        if len(set(zip(self.topics or several, several, strict=False))) < len(several):
+            raise ValueError("the same wheel is named twice")
+        for name in ("topics", "signs"):
+            each = getattr(self, name)
+            if each and len(each) != len(several):
+                raise ValueError(f"{name} has {len(each)} entries for {len(several)} wheels")
         if self.bits is not None and self.ticks_per_revolution is None:
             raise ValueError("bits requires ticks_per_revolution")
         return self
@@ -209,7 +222,11 @@ class WheelsConfig(_Section):
     left: WheelConfig = WheelConfig()
     right: WheelConfig = WheelConfig()
     odometry: Text | None = Field(
-        None, description="topic of a nav_msgs/Odometry computed with nominal.wheels"
+        None, description="topic of a nav_msgs/Odometry, computed with nominal.wheels if these are given"
+    )
+    odometry_separation_m: Separation | None = Field(
+        None,
+        description="wheel separation in the driver that computes the odometry, if nominal.wheels are not given",
     )
 
 

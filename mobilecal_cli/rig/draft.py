@@ -16,6 +16,7 @@ from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import (
     IMAGES,
+    ODOMETRY,
     SIDES,
     BoardView,
     FixedLink,
@@ -25,6 +26,7 @@ from mobilecal_cli.model import (
     NumberField,
     RobotDescription,
     Side,
+    WheelSource,
 )
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.rig.config import (
@@ -39,9 +41,9 @@ from mobilecal_cli.rig.config import (
     WheelsConfig,
 )
 from mobilecal_cli.rig.joints import pan_and_tilt
-from mobilecal_cli.rig.names import joint_state_names, named_as, wheel_pairs
+from mobilecal_cli.rig.names import counters, joint_state_names, named_as
 from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
-from mobilecal_cli.rig.wheels import ODOMETRY, nominal_wheels, wheel_distance_m
+from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
 
 _WIDTH = 100
 #: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
@@ -140,7 +142,6 @@ class _Page:
     urdf_text: str | None
     urdf_path: str | None
     board: BoardView | None
-    numbers: Sequence[NumberField]
     lines: list[str] = field(default_factory=list)
     filled: list[Filled] = field(default_factory=list)
     todo: list[Todo] = field(default_factory=list)
@@ -177,7 +178,6 @@ def draft_rig(
     urdf_text: str | None = None,
     urdf_path: str | None = None,
     board: BoardView | None = None,
-    numbers: Sequence[NumberField] = (),
 ) -> Draft:
     """Draft of a rig.yaml.
 
@@ -190,10 +190,9 @@ def draft_rig(
         urdf_text: text of the URDF to use in place of the one in the recording.
         urdf_path: its path, as it is written to the file.
         board: the board in some images.
-        numbers: numbers that may be the readings of wheels or head joints.
     """
     survey = survey or survey_rig(RigConfig(), description, urdf_text)
-    page = _Page(description, survey, urdf_text, urdf_path, board, numbers)
+    page = _Page(description, survey, urdf_text, urdf_path, board)
     page.add(
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
         "# The comment of a value says where it comes from. Fill in or delete what is marked TODO, then test the file",
@@ -295,20 +294,28 @@ def _cameras(page: _Page) -> None:
 
 def _wheels(page: _Page) -> None:
     page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
-    if page.survey.wheels is not None:
+    sources = page.survey.wheels
+    if sources is not None and sources["left"].assumed:
+        topic = sources["left"].topic
         page.add("wheels:")
-        for side in SIDES:
-            source = page.survey.wheels[side]
-            entry = f"{{topic: {_quoted(source.topic)}, joint: {_quoted(source.joint or '')}, sign: {source.sign}}}"
-            why = "recording: the only pair of joints named as wheels"
-            page.fill(f"wheels.{side}", entry, why, f"{source.joint} on {source.topic}")
+        why = "recording: no wheels, and the only odometry that is named as theirs"
+        page.fill("wheels.odometry", _quoted(topic), why, topic)
+        page.add(
+            "  # odometry_separation_m: 0.4  # wheel_separation in the driver; it only scales the difference of the",
+            "  # multipliers of the left and right radius",
+        )
         return
-    pairs = wheel_pairs(page.numbers)
-    counters = [pair for pair in pairs if all(n.integer and n.jump is None for n in pair.values())]
-    if len(pairs) == 1 and counters:
+    if sources is not None:
         page.add("wheels:")
         for side in SIDES:
-            _counter(page, side, counters[0][side])
+            _wheel(page, side, sources[side])
+        return
+    sets = counters(page.description.numbers)
+    whole = [one for one in sets if all(n.integer and n.jump is None for side in SIDES for n in one[side])]
+    if len(sets) == 1 and whole:
+        page.add("wheels:")
+        for side in SIDES:
+            _counter(page, side, whole[0][side])
         page.ask(
             "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
             "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
@@ -319,27 +326,60 @@ def _wheels(page: _Page) -> None:
     page.ask_for(
         "wheels",
         "wheels",
-        *(f"candidate: {_described(number)}" for pair in pairs for number in pair.values()),
+        *(f"candidate: {_described(number)}" for one in sets for side in SIDES for number in one[side]),
         *_example("wheels", WheelsConfig),
     )
     odometry = [topic.name for topic in page.description.topics if topic.type == ODOMETRY]
     if odometry:
-        page.add(
-            f"# or, with nominal.wheels exactly as in the driver: wheels: {{odometry: {_quoted(odometry[0])}}}"
+        page.add(f"# or: wheels: {{odometry: {_quoted(odometry[0])}}}")
+
+
+def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
+    """The wheels of one side that the survey found."""
+    parts = source.every
+    where = ", ".join(f"{one.joint or one.field} on {one.topic}" for one in parts)
+    if source.joint is not None:
+        joints = ", ".join(_quoted(one.joint or "") for one in parts)
+        named = f"joint: {joints}" if len(parts) == 1 else f"joints: [{joints}]"
+        topic = f"topic: {_quoted(source.topic)}, " if len({one.topic for one in parts}) == 1 else ""
+        kind = "pair of joints" if len(parts) == 1 else "set of joints"
+        page.fill(
+            f"wheels.{side}",
+            f"{{{topic}{named}, sign: {source.sign}}}",
+            f"recording: the only {kind} named as wheels",
+            where,
         )
+        return
+    entry = f"ticks_per_revolution: {source.ticks_per_revolution:g}"
+    entry += f", bits: {source.bits}" if source.bits is not None else ""
+    value = f"{{{_fields([(one.topic, one.field or '') for one in parts])}, {entry}}}"
+    page.fill(f"wheels.{side}", value, "recording: counters of a known driver", where)
 
 
-def _counter(page: _Page, side: Side, number: NumberField) -> None:
-    width, said = None, "it did not start again"
+def _fields(places: Sequence[tuple[str, str]]) -> str:
+    """Topics and fields of counters, as in a `wheels.left`."""
+    topics = [_quoted(topic) for topic, _ in places]
+    paths = [_quoted(path) for _, path in places]
+    if len(places) == 1:
+        return f"topic: {topics[0]}, field: {paths[0]}"
+    alike = len(set(topics)) == 1
+    where = f"topic: {topics[0]}" if alike else f"topics: [{', '.join(topics)}]"
+    return f"{where}, fields: [{', '.join(paths)}]"
+
+
+def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
+    number = numbers[0]
+    width, said = counter_width(number), "it did not start again"
     if number.wraps is not None:
-        width, said = number.wraps, f"bits: it starts again after 2^{number.wraps} steps"
-    elif number.bits in (8, 16):
-        width, said = number.bits, "bits: width of its type"
+        said = f"bits: it starts again after 2^{number.wraps} steps"
+    elif width is not None:
+        said = "bits: width of its type"
     bits = "" if width is None else f", bits: {width}"
-    topic, path = _quoted(number.topic), _quoted(number.path)
-    entry = f"{{topic: {topic}, field: {path}, ticks_per_revolution: {TODO}{bits}}}"
-    source = f"recording: the only pair of whole numbers named as counters; {said}"
-    page.fill(f"wheels.{side}", entry, source, f"{number.path} on {number.topic}{bits}")
+    fields = _fields([(one.topic, one.path) for one in numbers])
+    kind = "pair" if len(numbers) == 1 else "set"
+    source = f"recording: the only {kind} of whole numbers named as counters; {said}"
+    shown = ", ".join(f"{one.path} on {one.topic}" for one in numbers)
+    page.fill(f"wheels.{side}", f"{{{fields}, ticks_per_revolution: {TODO}{bits}}}", source, f"{shown}{bits}")
 
 
 def _described(number: NumberField) -> str:
@@ -365,7 +405,7 @@ def _joints(page: _Page) -> None:
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
         page.fill(f"joints.{key}", _quoted(value), source, value)
     missing = () if survey.head is None else [n for n in survey.head.chain.joints if n not in names]
-    named = [number for name in missing for number in named_as(name, page.numbers)]
+    named = [number for name in missing for number in named_as(name, page.description.numbers)]
     template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
     if not keys:
         template = ["joints:", *(f"  {line}" for line in template)]

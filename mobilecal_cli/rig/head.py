@@ -17,7 +17,6 @@ from mobilecal_cli.kinematics.urdf import (
     head_chain,
     parse_urdf,
     vehicle_frame,
-    wheel_centres,
 )
 from mobilecal_cli.model import (
     FixedLink,
@@ -33,7 +32,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.config import ChainLink, RigConfig
 from mobilecal_cli.rig.joints import pan_and_tilt
 from mobilecal_cli.rig.names import joint_state_names
-from mobilecal_cli.rig.wheels import nominal_wheels, urdf_wheels
+from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
 
 _MIDWAY_M = 1e-6
 #: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
@@ -190,10 +189,12 @@ def _chain_from_urdf(
     wheels = urdf_wheels(urdf, sources)
     if len(wheels) < 2:
         return head_chain(urdf, base, head, pan, tilt), []
-    T_base_v = vehicle_frame(*wheel_centres(urdf, base, wheels["left"], wheels["right"]))
+    T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
     notes = []
     moving = [
-        joint.name for joint in urdf.path(base, urdf.joints[wheels["left"]].parent) if joint.kind != "fixed"
+        joint.name
+        for joint in urdf.path(base, urdf.joints[wheels["left"][0]].parent)
+        if joint.kind != "fixed"
     ]
     if moving:  # as on a robot that steers its axle
         notes.append(

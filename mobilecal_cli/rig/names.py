@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-from mobilecal_cli.model import NumberField, RobotDescription, Side
+from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side
 
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
@@ -50,24 +50,105 @@ def joint_state_names(description: RobotDescription) -> list[str]:
 #: Words of commands, which are no measurements.
 _COMMANDS = {"cmd", "command", "commands", "target", "setpoint", "goal", "desired", "reference"}
 _HEAD_JOINT_WORDS = PAN_WORDS | TILT_WORDS
-_WHEEL_WORDS = {*COUNTER_WORDS, "wheel", "wheels"}
+_WHEEL_WORDS = {*COUNTER_WORDS, "wheel"}
 
 
 def may_be_a_reading(topic: str, path: str) -> bool:
     """Whether the names of a topic and a field suggest the reading of a wheel or of a head joint."""
-    found = {*words(topic), *words(path)}
+    found = {*words(topic), *words(path), *_wheel_words(topic), *_wheel_words(path)}
     return bool(found & (_WHEEL_WORDS | _HEAD_JOINT_WORDS)) and not found & _COMMANDS
 
 
-def wheel_pairs(fields: Iterable[NumberField]) -> list[dict[Side, NumberField]]:
-    """Pairs of whole numbers, or of other numbers, that are named as counters of a left and a right wheel."""
-    halves: dict[tuple[tuple[str, ...], bool], dict[Side, NumberField]] = {}
-    for field in fields:
-        name = f"{field.topic} {field.path}"
-        side = side_of(name)
-        if side is not None and _WHEEL_WORDS & set(words(name)):
-            halves.setdefault((mirrored(name), field.integer), {}).setdefault(side, field)
-    return [pair for pair in halves.values() if len(pair) == 2]
+#: Words of the place of a wheel on its side; numbers count as such too.
+_PLACES = {"front", "rear", "back", "middle", "mid", "center", "centre", "fore", "aft"}
+#: Side and place in one word: fl is front left, lr is left rear.
+_CORNERS: dict[str, tuple[Side, str]] = {
+    word: (side, place)
+    for place in "frbm"
+    for side in SIDES
+    for word in (f"{place}{side[0]}", f"{side[0]}{place}")
+}
+#: Wheels that no motor drives, and joints that are no wheels.
+_NOT_DRIVEN = {
+    "caster", "castor", "casters", "castors", "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
+    "steering", "suspension", "rocker", "bogie", "flywheel",
+}  # fmt: skip
+_STEERING = {"steer", "steering"}
+_CASTERS = {"caster", "castor", "casters", "castors"}
+#: Drives that are no differential drive, by the words of their topics, types and joints.
+OTHER_DRIVES = {"ackermann": "Ackermann", "mecanum": "mecanum", "omni": "omnidirectional", "swerve": "swerve"}
+
+
+def _wheel_words(name: str) -> list[str]:
+    """`words`, also of names that are written together: "/lwheel_ticks" → ["l", "wheel", "ticks"]."""
+    return [part for word in words(name) for part in re.sub("wheels?", " wheel ", word).split()]
+
+
+def is_wheel(name: str) -> bool:
+    """Whether a joint is named as a driven wheel."""
+    return "wheel" in "".join(words(name)) and not _NOT_DRIVEN & {*words(name)}
+
+
+def wheel_place(name: str) -> tuple[tuple[str, ...], Side, tuple[str, ...]] | None:
+    """What is left of a wheel's name without side and place, then its side and its place; None without one side."""
+    rest: list[str] = []
+    place: list[str] = []
+    sides: set[Side] = set()
+    for word in _wheel_words(name):
+        if word in _CORNERS:
+            side, corner = _CORNERS[word]
+            sides.add(side)
+            place.append(corner)
+        elif word in _SIDES:
+            sides.add(_SIDES[word])
+        else:
+            (place if word in _PLACES or word.isdigit() else rest).append(word)
+    return (tuple(rest), sides.pop(), tuple(sorted(place))) if len(sides) == 1 else None
+
+
+def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
+    """Sets of wheels whose names differ only by side and place; each wheel of a side has one opposite to it."""
+    sets: dict[tuple[str, ...], dict[tuple[str, ...], dict[Side, str]]] = {}
+    for name in sorted(names):
+        found = wheel_place(name)
+        if found is not None:
+            rest, side, place = found
+            sets.setdefault(rest, {}).setdefault(place, {}).setdefault(side, name)
+    whole = [[pair for pair in places.values() if len(pair) == 2] for places in sets.values()]
+    return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
+
+
+def steered(names: Iterable[str]) -> list[str]:
+    """Joints that steer wheels, except those of casters."""
+    return [name for name in names if _STEERING & {*words(name)} and not _CASTERS & {*words(name)}]
+
+
+def other_drive(description: RobotDescription) -> str:
+    """A drive that is no differential drive, by the names of topics, types and joints; "" if nothing names one."""
+    names = [name for topic in description.topics for name in (topic.name, topic.type)]
+    found = {word for name in (*names, *joint_state_names(description)) for word in words(name)}
+    return next((drive for word, drive in OTHER_DRIVES.items() if word in found), "")
+
+
+def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField, ...]]]:
+    """Sets of whole numbers, or of other numbers, that are named as counters of the left and the right wheels.
+
+    Fields named as counters are preferred to those that are only named as something of a wheel.
+    """
+    by_name = {f"{field.topic} {field.path}": field for field in fields}
+    found: list[list[dict[Side, tuple[NumberField, ...]]]] = []
+    for wanted in (COUNTER_WORDS, _WHEEL_WORDS):
+        named = [
+            name for name in by_name if wanted & {*_wheel_words(name)} and not _NOT_DRIVEN & {*words(name)}
+        ]
+        found.append(
+            [
+                {side: tuple(by_name[name] for name in one[side]) for side in SIDES}
+                for integer in (True, False)
+                for one in wheel_sets(name for name in named if by_name[name].integer is integer)
+            ]
+        )
+    return next((sets for sets in found if sets), [])
 
 
 def named_as(joint: str, fields: Sequence[NumberField]) -> list[NumberField]:

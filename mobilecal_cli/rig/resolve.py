@@ -27,7 +27,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import Head, head_of
 from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
-from mobilecal_cli.rig.wheels import wheel_sources
+from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
 
 T = TypeVar("T")
 _Lack = RecordingError | ConfigError
@@ -88,9 +88,11 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
     if survey.lacks or not (images and cameras and wheels and head) or joints is None:
         raise survey.lacks[0][1]
     infos, chain, drawn, given = survey.infos, head.chain, head.drawn, nominal_of(config)
+    sources = Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config))
+    assumed = sources.assumed_wheels
     nominal = Nominal(
         drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
-        given.wheels or drawn.wheels,
+        assumed or given.wheels or drawn.wheels,
     )
 
     def source_of(key: str, otherwise: str = "log") -> str:
@@ -117,17 +119,19 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
         **head_sources,
         **{
-            f"{side} wheel {source.topic} {source.joint or source.field}": source_of(f"wheels.{side}")
+            f"{side} wheel {source.topic} {source.where}": source_of(f"wheels.{side}")
             for side, source in wheels.items()
         },
-        "nominal wheels": source_of("nominal.wheels", "URDF" if drawn.wheels else "none"),
+        "nominal wheels": source_of(
+            "nominal.wheels", "assumed" if assumed else "URDF" if drawn.wheels else "none"
+        ),
         "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     }
     rig = Rig(
         cameras,
         chain,
         nominal,
-        Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config)),
+        sources,
         setting_sources,
         KnownNoise(**config.noise.model_dump()),
         prior_sigmas(config.priors, cameras, chain),
@@ -170,6 +174,8 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
     wheels = tried("wheels", lambda: wheel_sources(config, description))
     frame = infos[reference].frame_id if reference in infos else ""
     head = tried("head chain", lambda: head_of(config, description, urdf_text, wheels or {}, frame))
+    if wheels is not None and head is not None and head.urdf is not None:
+        wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:

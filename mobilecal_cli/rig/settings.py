@@ -55,9 +55,18 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
 
 
 def _wheel(source: WheelSource) -> dict[str, Any]:
-    settings = asdict(source)
-    settings["odometry_made_with"] = settings.pop("baked_in")
-    return {key: value for key, value in settings.items() if value is not None}
+    parts = [asdict(part) for part in source.every]
+    settings = parts[0]
+    made_with = "odometry_assumed_with" if settings.pop("assumed") else "odometry_made_with"
+    settings[made_with] = settings.pop("baked_in")
+    settings.pop("others")
+    if len(parts) > 1:
+        for name in ("topic", "joint", "field", "sign"):
+            values = [part[name] for part in parts]
+            settings[f"{name}s"] = values
+            if name != "topic" or len(set(values)) > 1:
+                settings.pop(name)
+    return {key: value for key, value in settings.items() if value not in (None, [None] * len(parts))}
 
 
 def _board(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:
@@ -101,7 +110,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         "setting_sources": dict(rig.setting_sources),
     }
     nominal = rig.nominal
-    if nominal.wheels is not None:
+    if nominal.wheels is not None and rig.sources.assumed_wheels is None:
         sizes = asdict(nominal.wheels)
         settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
@@ -265,6 +274,6 @@ def _rescaled(
         own: Track = getattr(track, side)
         turned = Track(own.time_ns, own.value * (after / before))
         scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
-    name = f"{side} wheel {old.topic} {old.joint or old.field}"
+    name = f"{side} wheel {old.topic} {old.where}"
     sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
     return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)

@@ -2,54 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal, cast
 
 import numpy as np
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
-from mobilecal_cli.model import SIDES, RobotDescription, Side, WheelGeometry, WheelSource, listed
+from mobilecal_cli.model import (
+    ODOMETRY,
+    SIDES,
+    FloatArray,
+    NumberField,
+    RobotDescription,
+    Side,
+    WheelGeometry,
+    WheelSource,
+    listed,
+)
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
-from mobilecal_cli.rig.names import COUNTER_WORDS, joint_state_names, pairs, side_of, words
+from mobilecal_cli.rig.names import (
+    COUNTER_WORDS,
+    counters,
+    is_wheel,
+    joint_state_names,
+    other_drive,
+    steered,
+    wheel_place,
+    wheel_sets,
+    words,
+)
 
-ODOMETRY = "nav_msgs/msg/Odometry"
-_AS_THE_DRIVER = "nominal.wheels in rig.yaml to the exact values of the robot's driver"
+#: Wheels that stand for odometry whose driver's wheels are unknown.
+ASSUMED = WheelGeometry(0.1, 0.1, 0.4)
+#: Message type without its package's ROS release → counter steps per turn of the wheel, and width of the counter, as
+#: the drivers of these robots have them.
+KNOWN_COUNTERS: dict[str, tuple[float, Literal[16] | None]] = {
+    "turtlebot3_msgs/msg/SensorState": (4096.0, None),
+    "kobuki_msgs/msg/SensorState": (2578.33, 16),
+    "kobuki_ros_interfaces/msg/SensorState": (2578.33, 16),
+}
+_SERVED = (
+    "mobilecal serves robots with differential drive or skid steering that record wheel joints "
+    "(sensor_msgs/JointState), tick counters, or wheel odometry (nav_msgs/Odometry)"
+)
+#: Words of odometry that is not from wheels alone, and of odometry that is not from wheels at all.
+_FUSED = {
+    "filtered",
+    "ekf",
+    "ukf",
+    "fused",
+    "fusion",
+    "combined",
+    "localization",
+    "imu",
+    "gyro",
+    "map",
+    "amcl",
+}
+_NOT_WHEELS = {
+    "visual", "vo", "vio", "svo", "camera", "cam", "stereo", "rgbd", "t265", "zed", "realsense", "oak", "rtabmap",
+    "orb", "slam", "vins", "okvis", "lidar", "laser", "velodyne", "ouster", "livox", "lio", "loam", "scan", "icp",
+    "rf2o", "mavros", "gps", "gnss", "utm", "truth", "gt", "ground", "groundtruth", "mocap", "vicon",
+    "optitrack", "optical",
+}  # fmt: skip
+_OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
 
 
 def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
-    """Source of each wheel's rotation: as configured, or the pair of joints named as wheels.
+    """Source of each side's rotation: as configured, or found by names: wheel joints, tick counters, or odometry.
 
     Raises:
         RecordingError: no wheel is found; the hint lists what is present.
-        ConfigError: several pairs match, or a counter lacks its ticks per revolution.
+        ConfigError: several sets match, or a counter lacks its ticks per revolution.
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
-    wheel_joints = pairs(name for name in joint_state_names(description) if _is_wheel(name))
-    sources: dict[Side, WheelSource] = {}
-    for side in SIDES:
-        wheel: WheelConfig = getattr(config.wheels, side)
-        counted = (wheel.ticks_per_revolution, wheel.bits, wheel.sign)
-        if wheel.field is not None and wheel.topic is not None:
-            if wheel.topic not in {topic.name for topic in description.topics}:
+    stated = {side: _stated(side, getattr(config.wheels, side), description) for side in SIDES}
+    sources: dict[Side, WheelSource] = {side: source for side, source in stated.items() if source is not None}
+    if len(sources) < len(SIDES):
+        sources = {**_found(config, description), **sources}
+    read = {side: {(one.topic, one.joint, one.field) for one in sources[side].every} for side in SIDES}
+    if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
+        topic, joint, field = min(both, key=str)
+        raise ConfigError(
+            f"wheels.left and wheels.right are both read from {joint or field} on {topic}",
+            "set wheels.left and wheels.right to different joints or fields",
+        )
+    return sources
+
+
+def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
+    """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
+    wheels = config.wheels
+    told = (
+        wheel.joint or wheel.joints or wheel.field or wheel.fields for wheel in (wheels.left, wheels.right)
+    )
+    return wheels.odometry is None and not all(told) and not _wheel_joints(description)
+
+
+def _joined(parts: Sequence[WheelSource]) -> WheelSource:
+    return replace(parts[0], others=tuple(parts[1:]))
+
+
+def _stated(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource | None:
+    """The wheels of a side as configured; None where no joint or field is configured."""
+    count = len(wheel.joints or wheel.fields) or 1
+    signs = wheel.signs or (wheel.sign,) * count
+    fields = wheel.fields or ((wheel.field,) if wheel.field is not None else ())
+    if fields:
+        present = {topic.name for topic in description.topics}
+        topics = wheel.topics or (wheel.topic or "",) * count
+        for topic in topics:
+            if topic not in present:
                 raise RecordingError(
-                    f"wheels.{side}: no topic {wheel.topic} in this recording",
+                    f"wheels.{side}: no topic {topic} in this recording",
                     f"topics present: {listed(topic.name for topic in description.topics)}",
                 )
-            sources[side] = WheelSource(wheel.topic, None, wheel.field, *counted)
-            continue
-        joint = wheel.joint
-        if joint is None:
-            if len(wheel_joints) > 1:
-                several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in wheel_joints)
-                raise ConfigError(
-                    f"several pairs of joints could be the wheels: {several}",
-                    "set wheels.left.joint and wheels.right.joint in rig.yaml",
-                )
-            if not wheel_joints:
-                raise _no_wheels(side, description)
-            joint = wheel_joints[0][side]
+        return _joined(
+            [
+                WheelSource(topic, None, field, wheel.ticks_per_revolution, wheel.bits, sign)
+                for topic, field, sign in zip(topics, fields, signs, strict=True)
+            ]
+        )
+    joints = wheel.joints or ((wheel.joint,) if wheel.joint is not None else ())
+    if not joints:
+        return None
+    return _of_joints(side, joints, signs, wheel, description)
+
+
+def _of_joints(
+    side: Side,
+    joints: Sequence[str],
+    signs: Sequence[Literal[1, -1]],
+    wheel: WheelConfig,
+    description: RobotDescription,
+) -> WheelSource:
+    parts = []
+    for joint, sign in zip(joints, signs, strict=True):
         topics = [topic for topic, names in description.joint_names.items() if joint in names]
         if wheel.topic:
             topics = [wheel.topic]
@@ -59,14 +151,150 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
                 + (f" of {wheel.topic}" if wheel.topic else ""),
                 f"joints present: {listed(joint_state_names(description))}",
             )
-        sources[side] = WheelSource(topics[0], joint, None, *counted)
-    left, right = sources["left"], sources["right"]
-    if (left.topic, left.joint, left.field) == (right.topic, right.joint, right.field):
+        parts.append(WheelSource(topics[0], joint, None, wheel.ticks_per_revolution, wheel.bits, sign))
+    return _joined(parts)
+
+
+def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, ...]]]:
+    return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
+
+
+def _found(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
+    """Wheels found by names."""
+    _refuse_other_drives(description)
+    sets = _wheel_joints(description)
+    if len(sets) > 1:
+        several = "; ".join(" and ".join(name for side in SIDES for name in one[side]) for one in sets)
         raise ConfigError(
-            f"wheels.left and wheels.right are both read from {left.joint or left.field} on {left.topic}",
-            "set wheels.left and wheels.right to different joints or fields",
+            f"several pairs of joints could be the wheels: {several}",
+            "set wheels.left.joint and wheels.right.joint in rig.yaml",
+        )
+    if sets:
+        return {side: _of_found_joints(side, sets[0][side], config, description) for side in SIDES}
+    counted = counters(description.numbers)
+    if counted:
+        return _of_counters(config, description, counted)
+    return _odometry(config, description, _odometry_topic(description))
+
+
+def _of_found_joints(
+    side: Side, joints: Sequence[str], config: RigConfig, description: RobotDescription
+) -> WheelSource:
+    wheel: WheelConfig = getattr(config.wheels, side)
+    return _of_joints(side, joints, (wheel.sign,) * len(joints), wheel, description)
+
+
+def _refuse_other_drives(description: RobotDescription) -> None:
+    """Refuse robots that steer their wheels or move sideways, as far as their names say so.
+
+    Raises:
+        RecordingError: naming the joints or the drive.
+    """
+    joints = steered(joint_state_names(description))
+    drive, what = other_drive(description), f"; joints that steer: {listed(joints)}" if joints else ""
+    if drive or joints:
+        raise RecordingError(
+            f"the names in the recording are those of {drive or 'a steered'} drive{what}: "
+            "Ackermann, mecanum and other omnidirectional drives are not supported",
+            f"{_SERVED}; if this robot is one, name its wheels in rig.yaml (wheels.left, wheels.right or "
+            "wheels.odometry)",
+        )
+
+
+def _of_counters(
+    config: RigConfig, description: RobotDescription, sets: Sequence[Mapping[Side, Sequence[NumberField]]]
+) -> dict[Side, WheelSource]:
+    """Tick counters found by name, with the steps per turn of the configuration or of a known driver."""
+    types = {topic.name: topic.type for topic in description.topics}
+    shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in one[side]) for one in sets]
+    whole = [one for one in sets if all(n.integer and n.jump is None for side in SIDES for n in one[side])]
+    if len(sets) > 1 or not whole:
+        raise RecordingError(
+            f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
+            if len(sets) > 1
+            else f"no joint is named as a wheel; {shown[0]} may be, but in an unknown unit",
+            "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml"
+            + _or_odometry(description),
+        )
+    sources: dict[Side, WheelSource] = {}
+    for side in SIDES:
+        wheel: WheelConfig = getattr(config.wheels, side)
+        numbers = whole[0][side]
+        ticks, bits = KNOWN_COUNTERS.get(types.get(numbers[0].topic, ""), (None, None))
+        ticks = wheel.ticks_per_revolution or ticks
+        if ticks is None:
+            raise RecordingError(
+                f"{shown[0]}: tick counters; their steps per turn of the wheel are not in the recording",
+                "count them (encoder steps times gear ratio) and add to rig.yaml: "
+                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}"
+                + _or_odometry(description),
+            )
+        sources[side] = _joined(
+            [
+                WheelSource(
+                    number.topic,
+                    None,
+                    number.path,
+                    ticks,
+                    wheel.bits or counter_width(number) or bits,
+                    wheel.sign,
+                )
+                for number in numbers
+            ]
         )
     return sources
+
+
+def counter_width(number: NumberField) -> Literal[8, 16, 32, 64] | None:
+    """Bits after which a counter starts again: as seen, or those of a narrow type."""
+    for bits in (8, 16, 32):
+        if number.wraps == bits or (number.bits == bits and bits < 32):
+            return cast("Literal[8, 16, 32, 64]", bits)
+    return None
+
+
+def _or_odometry(description: RobotDescription) -> str:
+    try:
+        return f"; or use the odometry: wheels: {{odometry: {_odometry_topic(description)}}}"
+    except (RecordingError, ConfigError):
+        return ""
+
+
+def odometry_words(topic: str, description: RobotDescription) -> set[str]:
+    """Words of an odometry topic and of its child frame."""
+    _, child = description.odometry_frames.get(topic, ("", ""))
+    return {*words(topic), *words(child)}
+
+
+def _odometry_topic(description: RobotDescription) -> str:
+    """The odometry that is from the wheels alone, by its topic and frames.
+
+    Raises:
+        RecordingError: there is none.
+        ConfigError: several are equal candidates, or all are filtered.
+    """
+    every = [t.name for t in description.topics if t.type == ODOMETRY and (t.count is None or t.count)]
+    told = {topic: odometry_words(topic, description) for topic in every}
+    parents = {topic: words(description.odometry_frames.get(topic, ("", ""))[0]) for topic in every}
+    own = [topic for topic in every if not told[topic] & _NOT_WHEELS]
+    raw = [topic for topic in own if not told[topic] & _FUSED and "map" not in parents[topic]]
+    named = [topic for topic in raw if told[topic] & _OF_WHEELS]
+    best = named or raw
+    if len(best) == 1:
+        return best[0]
+    if best:
+        raise ConfigError(
+            f"no joint is named as a wheel, and several topics could be the wheel odometry: {listed(best)}",
+            f"add the one of the wheel driver to rig.yaml: wheels: {{odometry: {best[0]}}}",
+        )
+    if own:
+        raise ConfigError(
+            f"no joint is named as a wheel, and the odometry on {listed(own)} is named as fused with other sensors: "
+            "its rotation may be that of a gyro, which says nothing of the wheels",
+            "record the wheels or the odometry of the wheel driver; to calibrate this odometry nevertheless, add to "
+            f"rig.yaml: wheels: {{odometry: {own[0]}}}",
+        )
+    raise _no_wheels(description, every)
 
 
 def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> dict[Side, WheelSource]:
@@ -79,74 +307,98 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
             f"topics with odometry: {others}",
         )
     wheels = config.nominal.wheels
-    if wheels is None:
-        raise ConfigError(
-            f"wheels.odometry: the poses on {topic} depend on the driver's wheel radii and separation, which are "
-            "not given",
-            f"set {_AS_THE_DRIVER}",
-        )
-    baked_in = WheelGeometry(**wheels.model_dump())
-    return {side: WheelSource(topic, baked_in=baked_in) for side in SIDES}
+    if wheels is not None:
+        baked_in = WheelGeometry(**wheels.model_dump())
+        return {side: WheelSource(topic, baked_in=baked_in) for side in SIDES}
+    assumed = replace(ASSUMED, separation_m=config.wheels.odometry_separation_m or ASSUMED.separation_m)
+    return {side: WheelSource(topic, baked_in=assumed, assumed=True) for side in SIDES}
 
 
-def _no_wheels(side: Side, description: RobotDescription) -> RecordingError:
-    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
-    counters = [t.name for t in description.topics if COUNTER_WORDS & set(words(t.name)) and side_of(t.name)]
-    if odometry and not counters:
+def with_drawn_separation(
+    sources: Mapping[Side, WheelSource], config: RigConfig, urdf: Urdf, base: str
+) -> dict[Side, WheelSource]:
+    """Sources of assumed wheels with the separation of the URDF, unless the configuration states it."""
+    drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, sources, base)
+    if drawn is None or drawn not in ranges.WHEEL_SEPARATION:
+        return dict(sources)
+    return {
+        side: replace(source, baked_in=replace(source.baked_in, separation_m=drawn))
+        if source.assumed and source.baked_in is not None
+        else source
+        for side, source in sources.items()
+    }
+
+
+def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> RecordingError:
+    present = f"topics present: {listed(topic.name for topic in description.topics)}"
+    if odometry:
         return RecordingError(
-            f"wheels.{side}: no joint is named as a wheel; odometry is present on {listed(odometry)}",
-            f"set wheels.odometry to {odometry[0]}, and {_AS_THE_DRIVER}",
+            f"no joint is named as a wheel, and the odometry on {listed(odometry)} is not named as that of wheels",
+            f"{_SERVED}; record one of them, or name the topic in rig.yaml: wheels: {{odometry: {odometry[0]}}}",
         )
-    if counters:
+    named = [t.name for t in description.topics if wheel_place(t.name) and COUNTER_WORDS & {*words(t.name)}]
+    if named:
         return RecordingError(
-            f"wheels.{side}: no joint is named as a wheel; {listed(counters)} look like tick counters",
+            f"no joint is named as a wheel; {listed(named)} look like tick counters, but no numbers can be read there",
             "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
         )
     if not description.joint_names:
         return RecordingError(
-            f"wheels.{side}: no joint states (sensor_msgs/JointState), odometry or tick counters were recorded",
-            "record /joint_states, or set topic and field of wheels.left and wheels.right in rig.yaml; topics present: "
-            f"{listed(topic.name for topic in description.topics)}",
+            "no joint states (sensor_msgs/JointState), odometry or tick counters of wheels were recorded",
+            f"{_SERVED}; record one of them, or set topic and field of wheels.left and wheels.right in rig.yaml; "
+            f"{present}",
         )
     return RecordingError(
-        f"wheels.{side}: no pair of joints is named as left and right wheel",
-        f"set wheels.left and wheels.right in rig.yaml; joints present: {listed(joint_state_names(description))}; "
-        f"topics present: {listed(topic.name for topic in description.topics)}",
+        "no joints are named as left and right wheel",
+        f"{_SERVED}; set wheels.left and wheels.right in rig.yaml; joints present: "
+        f"{listed(joint_state_names(description))}; {present}",
     )
 
 
-def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, str]:
-    """Wheel joints of the URDF: those that are read, otherwise a pair found by name."""
-    named = {side: source.joint for side, source in sources.items() if source.joint in urdf.joints}
-    if len(named) == 2:
-        return {side: joint for side, joint in named.items() if joint}
-    by_name = pairs(name for name in urdf.joints if _is_wheel(name))
+def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...]]:
+    """Wheel joints of the URDF: those that are read, otherwise the set found by name."""
+    read = {side: tuple(one.joint or "" for one in source.every) for side, source in sources.items()}
+    if len(read) == 2 and all(name in urdf.joints for names in read.values() for name in names):
+        return read
+    by_name = wheel_sets(name for name in urdf.joints if is_wheel(name))
     return by_name[0] if len(by_name) == 1 else {}
 
 
-def wheel_distance_m(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> float | None:
+def side_centres(
+    urdf: Urdf, base: str, wheels: Mapping[Side, Sequence[str]]
+) -> tuple[FloatArray, FloatArray]:
+    """Mean center of the left and of the right wheels in base coordinates, (3,) each, m."""
+    pairs = [
+        wheel_centres(urdf, base, left, right)
+        for left, right in zip(wheels["left"], wheels["right"], strict=True)
+    ]
+    left, right = (np.mean(centres, axis=0) for centres in zip(*pairs, strict=True))
+    return left, right
+
+
+def wheel_distance_m(urdf: Urdf, sources: Mapping[Side, WheelSource], base: str) -> float | None:
     """Distance of the URDF's wheel joints, m; None if it has no pair of them."""
     wheels = urdf_wheels(urdf, sources)
     if len(wheels) < 2:
         return None
-    left, right = wheel_centres(urdf, base, wheels["left"], wheels["right"])
+    left, right = side_centres(urdf, base, wheels)
     return float(np.linalg.norm(left - right)) or None
 
 
-def nominal_wheels(urdf: Urdf, sources: dict[Side, WheelSource], base: str) -> WheelGeometry | None:
+def nominal_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource], base: str) -> WheelGeometry | None:
     """Nominal wheels of the URDF: separation from the wheel joints, radii from the wheels' cylinders."""
     wheels, separation = urdf_wheels(urdf, sources), wheel_distance_m(urdf, sources, base)
     if separation is None:
         return None
-    radii = {side: urdf.cylinder_radius_m.get(urdf.joints[name].child) for side, name in wheels.items()}
-    if not radii["left"] or not radii["right"]:
-        return None
-    for side, name in wheels.items():
-        where = f"URDF: link {urdf.joints[name].child!r}, cylinder radius"
-        ranges.WHEEL_RADIUS.check(where, radii[side] or 0.0)
-    ranges.WHEEL_SEPARATION.check(f"URDF: distance of {wheels['left']!r} and {wheels['right']!r}", separation)
+    radii = {}
+    for side, names in wheels.items():
+        drawn = [urdf.cylinder_radius_m.get(urdf.joints[name].child) or 0.0 for name in names]
+        if not all(drawn):
+            return None
+        for name, radius_m in zip(names, drawn, strict=True):
+            where = f"URDF: link {urdf.joints[name].child!r}, cylinder radius"
+            ranges.WHEEL_RADIUS.check(where, radius_m)
+        radii[side] = sum(drawn) / len(drawn)
+    left, right = (" and ".join(repr(name) for name in wheels[side]) for side in SIDES)
+    ranges.WHEEL_SEPARATION.check(f"URDF: distance of {left} and {right}", separation)
     return WheelGeometry(radii["right"], radii["left"], separation)
-
-
-def _is_wheel(name: str) -> bool:
-    return "wheel" in "".join(words(name)) and not {"caster", "castor"} & set(words(name))

@@ -196,7 +196,7 @@ class SimulatedRobot:
     Attributes:
         name: of the robot.
         joints: from base to head.
-        pan, tilt: names of the pan and the tilt joint.
+        pan, tilt: names of the pan and the tilt joint, "" for none.
         infos: CameraInfo of the left and right camera.
         T_h_c: (4, 4) true head-eye transform: left camera to head coordinates, m.
         wheels: true wheel radii and separation.
@@ -232,8 +232,8 @@ class SimulatedRobot:
 
     @property
     def head_frame(self) -> str:
-        """Name of the head frame."""
-        return self.joints[-1].link
+        """Name of the head frame: the base's, where no joint moves the camera."""
+        return self.joints[-1].link if self.joints else self.base_frame
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -357,7 +357,31 @@ def tick_robot() -> SimulatedRobot:
     )
 
 
-ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {"paper": paper_robot, "tick": tick_robot}
+@cache
+def fixed_camera_robot() -> SimulatedRobot:
+    """Robot with a stereo pair fixed to its base."""
+    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    T_h_c = pose((0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * optical)
+    return SimulatedRobot(
+        name="fixed_camera",
+        joints=(),
+        pan="",
+        tilt="",
+        infos=stereo_infos("stereo"),
+        T_h_c=T_h_c,
+        wheels=WheelGeometry(radius_right_m=0.0979, radius_left_m=0.0986, separation_m=0.3931),
+        nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.390),
+        T_h_c_nominal=T_h_c @ _NOMINAL,
+        encoder_step_rad=2 * np.pi / 4096,
+    )
+
+
+#: Name, as in `targets.ROBOTS` → the robot.
+ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
+    "paper": paper_robot,
+    "tick": tick_robot,
+    "fixed_camera": fixed_camera_robot,
+}
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -365,7 +389,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def urdf_text(robot: SimulatedRobot) -> str:
-    """URDF with the head's joints and the nominal wheels."""
+    """URDF with the head's joints and the nominal wheels; without joints, with the nominal camera."""
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>", '  <link name="base_link"/>']
     parent = robot.base_frame
     for joint in robot.joints:
@@ -382,6 +406,16 @@ def urdf_text(robot: SimulatedRobot) -> str:
             lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
         lines.append("  </joint>")
         parent = joint.link
+    if not robot.joints:  # a description states where a camera on the base is
+        T = robot.T_h_c_nominal
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+        lines += [
+            f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
+            '  <joint name="camera_fixed" type="fixed">',
+            f'    <parent link="base_link"/><child link={quoteattr(robot.infos[0].frame_id)}/>',
+            f"    <origin xyz={_numbers(T[:3, 3])} rpy={_numbers(rpy)}/>",
+            "  </joint>",
+        ]
     wheels = robot.nominal_wheels
     for side, y, radius in (
         ("left", wheels.separation_m / 2, wheels.radius_left_m),

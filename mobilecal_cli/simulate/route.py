@@ -193,7 +193,7 @@ class Planner:
         self._corners_k = board.grid() * (board.square_m or 0.0)
         self._centre_w = (self.T_w_k @ [*self._corners_k.mean(axis=0), 1.0])[:3]
         names = robot.joint_names
-        self._pan, self._tilt = names.index(robot.pan), names.index(robot.tilt)
+        self._aim = [(k, names.index(name)) for k, name in enumerate((robot.pan, robot.tilt)) if name]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
         """Whether both images show the whole board, with squares large enough for detection."""
@@ -215,6 +215,8 @@ class Planner:
 
     def look_at(self, base: Pose, point_w: FloatArray, resting_rad: FloatArray) -> FloatArray:
         """Joint angles, (J,), that point the left camera at a point by pan and tilt."""
+        if not self._aim:
+            return np.array(resting_rad)
         T_v_w = np.linalg.inv(base_in_world(np.array([base]))[0])
         point_v = T_v_w @ [*point_w, 1.0]
 
@@ -228,7 +230,8 @@ class Planner:
 
     def _aimed(self, resting_rad: FloatArray, aim: FloatArray) -> FloatArray:
         joints = np.array(resting_rad)
-        joints[self._pan], joints[self._tilt] = aim
+        for of_aim, joint in self._aim:
+            joints[joint] = aim[of_aim]
         return joints
 
     def gaze(self, base: Pose) -> FloatArray | None:
@@ -250,7 +253,9 @@ class Planner:
             return self.gaze(base)
         point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
         level = np.zeros(len(self._robot.joint_names))
-        level[self._pan] = self.look_at(base, point, level)[self._pan]
+        for of_aim, joint in self._aim:
+            if of_aim == 0:
+                level[joint] = self.look_at(base, point, level)[joint]
         return level
 
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
@@ -270,14 +275,15 @@ class Planner:
         arc = Stretch(duration, math.copysign(_SPEED_MPS, run), bend / duration)
         there = moved(moved(base, first, first.duration_s), arc, arc.duration_s)
         facing = math.atan2(self._centre_w[1] - there[1], self._centre_w[0] - there[0])
-        spread = {"head_fixed": 0.12, "large_turns": 1.1}.get(motion, 0.6)
+        still = motion == "head_fixed" or not self._aim
+        spread = 0.12 if still else 1.1 if motion == "large_turns" else 0.6
         last_turn = math.remainder(facing - there[2], 2 * math.pi) + random.uniform(-spread, spread)
         if (
             motion == "large_turns"
-        ):  # turn in the opposite direction, if the leg's turn is then at most 300 degrees
+        ):  # turn in the opposite direction, if the leg's turn is then at most 300 degrees (360 without a head)
             total = there[2] - base[2] + last_turn
-            other = total - math.copysign(2 * math.pi, total)
-            last_turn = last_turn + other - total if abs(other) <= math.radians(300) else last_turn
+            other, most = total - math.copysign(2 * math.pi, total), math.radians(300 if self._aim else 360)
+            last_turn = last_turn + other - total if abs(other) <= most else last_turn
         last = Stretch(abs(last_turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, last_turn))
         return [s for s in (first, arc, last) if s.duration_s > 0]
 
@@ -346,7 +352,9 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
     return planner.route(motion, stretches, knots_s, knots, np.array(rests))
 
 
-def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator) -> Route:
+def plan_moving(
+    planner: Planner, duration_s: float, random: np.random.Generator, robot: SimulatedRobot
+) -> Route:
     """Plan a route without rests: the base drives on arcs, and the head follows the board."""
     base: Pose = (0.0, 0.0, 0.0)
     stretches: list[Stretch] = []
@@ -358,7 +366,9 @@ def plan_moving(planner: Planner, duration_s: float, random: np.random.Generator
                 _KNOT_S, random.choice([-1, 1]) * random.uniform(0.08, 0.25), random.uniform(-0.45, 0.45)
             )
             there = moved(base, stretch, _KNOT_S)
-            gaze = planner.gaze(base) if planner.allowed(there) and abs(there[2]) < 0.9 else None
+            # A head follows the board; a camera on the base must still see it when the base has moved.
+            looking = base if robot.joint_names else there
+            gaze = planner.gaze(looking) if planner.allowed(there) and abs(there[2]) < 0.9 else None
             if gaze is not None:
                 break
         else:
@@ -395,7 +405,7 @@ def plan_route(
     random = np.random.default_rng([seed, 1])
     planner = Planner(robot, board or Board(9, 6, 0.08), random)
     if motion == "moving":
-        return plan_moving(planner, 3.0 * stations, random)
+        return plan_moving(planner, 3.0 * stations, random, robot)
     for _ in range(_LARGE_TURN_PLANS):
         route = plan_stops(planner, motion, stations, robot)
         headings_rad = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]

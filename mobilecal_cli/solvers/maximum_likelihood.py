@@ -80,7 +80,8 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
         ConfigError: see `Constraints.check`.
     """
     rig = extraction.rig
-    rows = (*nuisance.table(rig.cameras, rig.chain), *corner_modes(data))
+    described = nuisance.table(rig.cameras, rig.chain)
+    rows = (*described, *corner_modes(data, described))
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:

@@ -49,7 +49,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     log = sample_logs / "tick_robot.mcap"
     text = run("inspect", log, cwd=tmp_path)
     assert text.code == 3, text.err
-    assert "wheels.left: no joint is named as a wheel; /wheel_ticks/left" in text.out
+    assert "data on /wheel_ticks/left, data on /wheel_ticks/right: tick counters" in text.out
     assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
     assert_golden(text.out, "inspect")
     config = sample_logs / "tick_robot.rig.yaml"
@@ -75,7 +75,10 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     ]
     found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
-    assert [text.split(":")[0] for text in said[:2]] == ["no stereo pair", "wheels.left"]
+    assert [text.split(":")[0] for text in said[:2]] == [
+        "no stereo pair",
+        "no joints are named as left and right wheel",
+    ]
     assert any("the head chain is unknown" in text for text in said)
     assert all(lack.cure for lack in found.missing)
 

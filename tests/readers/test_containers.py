@@ -16,6 +16,7 @@ from mobilecal_cli.readers import (
     read_description,
     sha256_of,
 )
+from mobilecal_cli.readers.containers.blocks import Reindex
 
 from . import recordings as r
 
@@ -163,6 +164,13 @@ def test_messages_come_in_log_order_although_chunks_overlap(tmp_path):
             topics = {t.name for t in recording.topics}
             times = [m.log_time_ns for m in recording.messages(topics)]
         assert times == sorted(i.log_ns for i in ITEMS), name
+
+
+def test_a_file_with_a_summary_is_not_scanned(tmp_path, monkeypatch):
+    path = r.write_mcap(tmp_path / "log.mcap", ITEMS)
+    monkeypatch.setattr(Reindex, "run", lambda *_: pytest.fail("scanned"))
+    with open_recording([path]) as recording:
+        check_contents(recording)
 
 
 def test_unasked_chunks_are_not_read(tmp_path, monkeypatch):

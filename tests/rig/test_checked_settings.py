@@ -200,7 +200,7 @@ def test_every_simulated_robot_passes(tmp_path):
         extraction = ideal_extraction(robot(), plan_route(robot()), Noise(pixel_px=0.1), seed=0)
         path = tmp_path / f"{name}.npz"
         path.write_bytes(extraction_to_npz(replace(extraction, logs=make_extraction().logs)))
-        assert read_extraction(path).rig.chain.joints
+        assert read_extraction(path).rig.chain.joints == robot().joint_names
 
 
 def test_the_command(tmp_path, params):

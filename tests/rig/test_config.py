@@ -98,7 +98,7 @@ def test_flags_lie_over_the_file(write):
         ("board: {columns: 9, rows: 6, square_m: .nan}", "board.square_m", ""),
         ("schema_version: 2", "schema_version", ""),
         ("cameras: {reference: middle}", "cameras.reference", ""),
-        ("wheels: {left: {joint: a, field: b, topic: c}}", "joint or field, not both", ""),
+        ("wheels: {left: {joint: a, field: b, topic: c}}", "only one of joint, joints, field and fields", ""),
         ("wheels: {left: {field: data}}", "field requires topic", ""),
         ("wheels: {left: {topic: t, field: data, bits: 16}}", "bits requires ticks_per_revolution", ""),
         ("wheels: {left: {sign: 2}}", "wheels.left.sign", ""),

@@ -11,6 +11,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CameraInfo,
     JointField,
+    NumberField,
     RobotDescription,
     TopicInfo,
     WheelGeometry,
@@ -239,7 +240,12 @@ def test_explicit_chain_needs_no_urdf():
         ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
         ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
         ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
-        ({}, {"joint_names": {"/joint_states": JOINTS[2:]}}, RecordingError, "no pair of joints is named"),
+        (
+            {},
+            {"joint_names": {"/joint_states": JOINTS[2:]}},
+            RecordingError,
+            "no joints are named as left and right wheel",
+        ),
         (
             {},
             {"joint_names": {"/joint_states": (*JOINTS, "front_left_wheel", "front_right_wheel")}},
@@ -319,20 +325,168 @@ def test_joints_in_other_messages_than_joint_states():
         resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), description(extra=[topic]))
 
 
-def test_odometry_needs_the_wheels_that_it_was_made_with():
-    topic = TopicInfo("/odom", "nav_msgs/msg/Odometry", 100)
-    bare = description(extra=[topic], joint_names={"/joint_states": ("head_pan_joint", "head_tilt_joint")})
-    with pytest.raises(RecordingError, match="odometry is present on /odom") as told:
-        resolve_rig(RigConfig(), bare)
-    assert "wheels.odometry to /odom" in told.value.hint
-    with pytest.raises(ConfigError, match="wheel radii and separation, which are not given"):
-        resolve_rig(config(wheels={"odometry": "/odom"}), bare)
+HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+
+
+def odometry(*topics):
+    return [TopicInfo(topic, "nav_msgs/msg/Odometry", 100) for topic in topics]
+
+
+def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
+    bare = description(extra=odometry("/odom"), joint_names=HEAD_ONLY)
+    rig = resolve_rig(RigConfig(), bare)[0]
+    drawn = WheelGeometry(0.1, 0.1, 0.5)  # the separation of the URDF
+    assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=drawn, assumed=True)
+    assert rig.nominal.wheels == rig.sources.assumed_wheels == drawn
+    stated = resolve_rig(config(wheels={"odometry_separation_m": 0.37}), bare)[0]
+    assert stated.sources.assumed_wheels.separation_m == 0.37
     nominal = {"wheels": {"radius_left_m": 0.2, "radius_right_m": 0.21, "separation_m": 0.5}}
     rig = resolve_rig(config(wheels={"odometry": "/odom"}, nominal=nominal), bare)[0]
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
     with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
         resolve_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
     assert told.value.hint == "topics with odometry: /odom"
+
+
+@pytest.mark.parametrize(
+    ("topics", "frames", "chosen"),
+    [
+        (("/odom", "/odometry/filtered"), {}, "/odom"),
+        (
+            ("/husky_velocity_controller/odom", "/odometry/filtered", "/zed/odom"),
+            {},
+            "/husky_velocity_controller/odom",
+        ),
+        (("/odom", "/wheel_odom"), {}, "/wheel_odom"),
+        (("/odom", "/t265"), {"/t265": ("odom", "camera_pose_frame")}, "/odom"),
+        (("/odom", "/where"), {"/where": ("map", "base_link")}, "/odom"),
+    ],
+)
+def test_odometry_of_the_wheels_is_preferred(topics, frames, chosen):
+    log = replace(description(extra=odometry(*topics), joint_names=HEAD_ONLY), odometry_frames=frames)
+    assert resolve_rig(RigConfig(), log)[0].sources.wheels["right"].topic == chosen
+
+
+@pytest.mark.parametrize(
+    ("topics", "said", "cure"),
+    [
+        (
+            ("/odom", "/base/odom"),
+            "several topics could be the wheel odometry: /base/odom, /odom",
+            "odometry: /",
+        ),
+        (
+            ("/odometry/filtered",),
+            "named as fused with other sensors",
+            "wheels: {odometry: /odometry/filtered}",
+        ),
+        (
+            ("/camera/odom/sample",),
+            "is not named as that of wheels",
+            "wheels: {odometry: /camera/odom/sample}",
+        ),
+    ],
+)
+def test_other_odometry_is_a_choice(topics, said, cure):
+    log = description(extra=sorted(odometry(*topics), key=lambda t: t.name), joint_names=HEAD_ONLY)
+    with pytest.raises((RecordingError, ConfigError), match=said) as told:
+        resolve_rig(RigConfig(), log)
+    assert cure in told.value.hint
+    rig = resolve_rig(config(wheels={"odometry": topics[0]}), log)[0]
+    assert rig.sources.wheels["left"].topic == topics[0]
+
+
+FOUR = {
+    "Jackal": ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel"),
+    "corners": ("fl_wheel_joint", "fr_wheel_joint", "rl_wheel_joint", "rr_wheel_joint"),
+    "after the word": ("wheel_fl", "wheel_fr", "wheel_bl", "wheel_br"),
+    "side first": ("left_front_wheel", "right_front_wheel", "left_rear_wheel", "right_rear_wheel"),
+    "numbers": ("left_wheel_1", "right_wheel_1", "left_wheel_2", "right_wheel_2"),
+    "one word": ("lfwheel", "rfwheel", "lrwheel", "rrwheel"),
+}
+
+
+@pytest.mark.parametrize("names", FOUR.values(), ids=FOUR)
+def test_four_wheels_by_their_names(names):
+    others = (
+        "head_pan_joint",
+        "head_tilt_joint",
+        "left_caster_wheel_joint",
+        "right_caster_wheel_joint",
+        "arm_wheel_l",
+    )
+    rig = resolve_rig(RigConfig(), description(joint_names={"/joint_states": (*others, *names)}))[0]
+    found = {side: {one.joint for one in source.every} for side, source in rig.sources.wheels.items()}
+    assert found == {"left": {names[0], names[2]}, "right": {names[1], names[3]}}
+
+
+def test_four_wheels_as_configured():
+    names = ("a", "b", "c", "d", "head_pan_joint", "head_tilt_joint")
+    wheels = {"left": {"joints": ["a", "c"], "signs": [1, -1]}, "right": {"joints": ["b", "d"], "sign": -1}}
+    rig = resolve_rig(config(wheels=wheels), description(joint_names={"/joint_states": names}))[0]
+    assert [(one.joint, one.sign) for one in rig.sources.wheels["left"].every] == [("a", 1), ("c", -1)]
+    assert [(one.joint, one.sign) for one in rig.sources.wheels["right"].every] == [("b", -1), ("d", -1)]
+    wheels["right"]["joints"] = ["c", "d"]
+    with pytest.raises(ConfigError, match="both read from c on /joint_states"):
+        resolve_rig(config(wheels=wheels), description(joint_names={"/joint_states": names}))
+
+
+@pytest.mark.parametrize(
+    ("joints", "topic", "said"),
+    [
+        (
+            ("front_left_steer_joint", "rear_left_wheel", "rear_right_wheel"),
+            "/odom",
+            "joints that steer: front_left",
+        ),
+        (("left_wheel", "right_wheel"), "/ackermann_cmd", "Ackermann drive"),
+        (("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel"), "/mecanum_drive_controller/odom", "mecanum drive"),
+    ],
+)
+def test_other_drives_are_refused(joints, topic, said):
+    log = description(
+        extra=odometry(topic), joint_names={"/joint_states": (*HEAD_ONLY["/joint_states"], *joints)}
+    )
+    with pytest.raises(RecordingError, match=said) as told:
+        resolve_rig(RigConfig(), log)
+    assert "mobilecal serves robots with differential drive or skid steering" in told.value.hint
+    named = {"left": {"joints": joints[-2:-1]}, "right": {"joints": joints[-1:]}}
+    assert resolve_rig(config(wheels=named), log)[0].sources.wheels["left"].joint == joints[-2]
+
+
+def counted(*numbers, kind="my_msgs/msg/Base", topic="/core"):
+    log = description(extra=[TopicInfo(topic, kind, 5)], joint_names=HEAD_ONLY)
+    return replace(log, numbers=tuple(NumberField(topic, path, True) for path in numbers))
+
+
+def test_counters_are_found_and_their_resolution_is_asked_for():
+    log = counted("left_encoder", "right_encoder", "left_pwm", "right_pwm")
+    with pytest.raises(
+        RecordingError, match="left_encoder on /core, right_encoder on /core: tick counters"
+    ) as told:
+        resolve_rig(RigConfig(), log)
+    assert "ticks_per_revolution: N" in told.value.hint
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    left = resolve_rig(config(wheels=stated), log)[0].sources.wheels["left"]
+    assert left == WheelSource("/core", None, "left_encoder", 1000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ticks", "bits"),
+    [("turtlebot3_msgs/msg/SensorState", 4096, None), ("kobuki_msgs/msg/SensorState", 2578.33, 16)],
+)
+def test_counters_of_known_drivers(kind, ticks, bits):
+    right = resolve_rig(RigConfig(), counted("left_encoder", "right_encoder", kind=kind))[0].sources.wheels[
+        "right"
+    ]
+    assert right == WheelSource("/core", None, "right_encoder", ticks, bits)
+
+
+def test_four_counters():
+    log = counted("fl.ticks", "fr.ticks", "rl.ticks", "rr.ticks")
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    left = resolve_rig(config(wheels=stated), log)[0].sources.wheels["left"]
+    assert {one.field for one in left.every} == {"fl.ticks", "rl.ticks"}
 
 
 def test_both_cameras_in_one_topic():

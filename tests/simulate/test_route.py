@@ -91,7 +91,7 @@ def test_large_turns_turn_by_more_than_half_a_turn_and_no_more_than_300_degrees(
     assert 180 < np.degrees(np.abs(np.diff(headings)).max()) <= 300.001
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [name for name, robot in ROBOTS.items() if robot().tilt])
 def test_looking_at_a_point_puts_it_on_the_optical_axis(name):
     robot = ROBOTS[name]()
     planner = Planner(robot, Board(9, 6, 0.08), np.random.default_rng(0))
@@ -114,3 +114,15 @@ def test_the_same_seed_gives_the_same_route_and_another_seed_another():
 def test_a_board_too_large_to_be_seen_is_refused():
     with pytest.raises(ConfigError, match="whole board"):
         plan_route(ROBOTS["paper"](), "standard", 4, Board(9, 6, 0.5))
+
+
+@pytest.mark.parametrize("motion", ["standard", "moving"])
+def test_a_camera_on_the_base_keeps_the_board_in_view(motion):
+    robot = ROBOTS["fixed_camera"]()
+    route = plan_route(robot, motion, stations=6)
+    assert route.joints(np.array([0.0, 1.0])).shape == (2, 0)
+    planner = Planner(robot, route.board, np.random.default_rng(0))
+    times_s = (
+        route.rests_s.mean(axis=1) if len(route.rests_s) else np.arange(0.5, route.duration_s - 0.5, 3.0)
+    )
+    assert all(planner.sees_board(tuple(base), np.zeros(0)) for base in route.drive.poses(times_s))

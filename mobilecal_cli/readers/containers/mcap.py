@@ -80,14 +80,14 @@ class McapStorage(BlockStorage):
 
     def _complete_summary(self) -> Summary | None:
         """The summary, if its index is reliable: most chunks are where it says, and every channel is known."""
+        self._stream.seek(0)
         try:
             summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
         except Exception:  # damage may raise anything; the scan does not need a summary
             return None
-        if summary is None or not summary.chunk_indexes:
+        if summary is None or summary.statistics is None or not summary.chunk_indexes:
             return None
-        statistics = summary.statistics
-        if statistics is not None and statistics.chunk_count != len(summary.chunk_indexes):
+        if summary.statistics.chunk_count != len(summary.chunk_indexes):
             return None
         named = {number for index in summary.chunk_indexes for number in index.message_index_offsets}
         if not named or not named <= summary.channels.keys():
@@ -111,8 +111,8 @@ class McapStorage(BlockStorage):
         self._schemas.update(summary.schemas)
         for channel in summary.channels.values():
             self._register(channel)
-        if summary.statistics is not None:
-            self.counts = dict(summary.statistics.channel_message_counts)
+        assert summary.statistics is not None
+        self.counts = dict(summary.statistics.channel_message_counts)
         for index in summary.chunk_indexes:
             ids = frozenset(index.message_index_offsets)
             if not ids and index.message_end_time == 0:

@@ -39,6 +39,7 @@ from mobilecal_cli.readers.signals.series import (
     order_notes,
     pause_notes,
 )
+from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.wheels import Counter, Odometry, from_positions, from_velocities, gap_notes
 
 #: Takes a message, its time (stamp or log time) and its log time.
@@ -76,7 +77,7 @@ class Subscriptions:
         self._joints: dict[str, JointStates] = {}
         self._decoders: dict[Channel, JointStateDecoder] = {}
         self._elsewhere: dict[str, Quantity] = {}
-        self._wheels: dict[Side, Quantity] = {}
+        self._wheels: dict[tuple[Side, WheelSource], Quantity] = {}
         self._odometry: dict[str, Odometry] = {}
         self._broken: dict[str, int] = {}
 
@@ -139,17 +140,17 @@ class Subscriptions:
                 self._elsewhere[name] = Quantity(series, track, check)
 
     def wheel(self, side: Side, source: WheelSource) -> None:
-        """Collect a wheel's readings."""
+        """Collect the readings of one wheel of a side."""
         topic = source.topic
         if source.joint is not None:
             self.joints(topic, [source.joint], velocity=True)
             return
         if source.baked_in is not None:
             if topic not in self._odometry:
-                self._odometry[topic] = Odometry(topic, source.baked_in)
+                self._odometry[topic] = Odometry(topic, source.baked_in, assumed=source.assumed)
                 self._subscribe(topic, self._odometry[topic].take)
             odometry = self._odometry[topic]
-            self._wheels[side] = Quantity(odometry.series, partial(odometry.track, side))
+            self._wheels[side, source] = Quantity(odometry.series, partial(odometry.track, side))
             return
         if source.field is None:
             raise RecordingError(
@@ -166,7 +167,7 @@ class Subscriptions:
             counter.check()
             field.check(notes)
 
-        self._wheels[side] = Quantity(series, partial(from_positions, source), check)
+        self._wheels[side, source] = Quantity(series, partial(from_positions, source), check)
 
     @property
     def topics(self) -> frozenset[str]:
@@ -243,9 +244,9 @@ class Subscriptions:
         return Quantity(best, _plain_track)
 
     def wheel_quantity(self, side: Side, source: WheelSource, notes: list[str]) -> Quantity:
-        """A wheel, from its own messages or a JointState topic: positions, or velocities if there are none."""
-        if side in self._wheels:
-            return self._checked(self._wheels[side], notes)
+        """One wheel of a side, from its own messages or joint states: positions, or velocities if there are none."""
+        if (side, source) in self._wheels:
+            return self._checked(self._wheels[side, source], notes)
         group, name = self._joints[source.topic], source.joint or ""
         if name not in group.present:
             if not self.clocks[source.topic].messages:
@@ -326,8 +327,10 @@ def read_signals(
     for topic in sources.joints:
         read.joints(topic, [name for name in joints if name not in sources.elsewhere])
     read.joints_elsewhere(sources.elsewhere)
+    wheels = {side: sources.wheels[side].every for side in SIDES}
     for side in SIDES:
-        read.wheel(side, sources.wheels[side])
+        for wheel in wheels[side]:
+            read.wheel(side, wheel)
     infos = InfoChanges(recording, sources.info.values())
     together = extent is EVERYTHING and infos.cheap_with(read.topics)
     read.run(extent, infos if together else None)
@@ -337,9 +340,10 @@ def read_signals(
     notes: list[str] = []
     for side, series in images.items():
         read.check_images(side, series)
-    turning = {side: read.wheel_quantity(side, sources.wheels[side], notes) for side in SIDES}
+    turning = {side: [read.wheel_quantity(side, wheel, notes) for wheel in wheels[side]] for side in SIDES}
     moving = {name: read.joint_quantity(name, sources.joints, notes) for name in joints}
-    every = dict.fromkeys([*images.values(), *(one.series for one in (*moving.values(), *turning.values()))])
+    read_over_time = (*moving.values(), *(one for side in SIDES for one in turning[side]))
+    every = dict.fromkeys([*images.values(), *(one.series for one in read_over_time)])
     samples = [series.samples(notes) for series in every]
     pieces, steps = cut(samples)
     notes = [
@@ -354,7 +358,13 @@ def read_signals(
     def signals_of(samples: Mapping[Series, Samples]) -> Signals:
         some: list[str] = []
         tracks = {name: _track(one, samples, some) for name, one in moving.items()}
-        wheels = {side: _track(one, samples, some) for side, one in turning.items()}
+        wheels = sides_of(
+            {
+                side: [(one.series.label, _track(one, samples, some)) for one in each]
+                for side, each in turning.items()
+            },
+            some,
+        )
         found: dict[Side, PictureIndex] = {}
         for side, series in images.items():
             index = _index(samples[series], series.topic in read.video, some)

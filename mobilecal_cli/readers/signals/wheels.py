@@ -158,6 +158,10 @@ def gap_notes(label: str, track: Track) -> list[str]:
 _SMALL = 1e-6
 #: No wheeled robot moves or turns this far from one message to the next: the driver was reset.
 _JUMP_M, _JUMP_RAD = 0.5, 1.5
+#: Odometry that moves sideways by this much, and by this share of its way ahead, is not of a differential drive.
+_ASIDE_M, _ASIDE_SHARE = 0.1, 0.1
+#: The axle is elsewhere than the base frame if it is this far away.
+_OFFSET_M = 0.01
 
 
 class Odometry:
@@ -166,13 +170,14 @@ class Odometry:
     Args:
         topic: the topic.
         baked_in: the wheels that the driver computed its poses with.
+        assumed: these are assumed.
 
     Attributes:
         series: x, y and heading of each pose.
     """
 
-    def __init__(self, topic: str, baked_in: WheelGeometry) -> None:
-        self.baked_in = baked_in
+    def __init__(self, topic: str, baked_in: WheelGeometry, *, assumed: bool = False) -> None:
+        self.baked_in, self.assumed = baked_in, assumed
         self.series = Series(topic, f"pose on {topic}", width=3)
 
     def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
@@ -183,19 +188,65 @@ class Odometry:
     def track(self, side: Side, samples: Samples, notes: list[str]) -> Track:
         """Rotation of a wheel, rad, starting at zero."""
         time_ns, pose = samples.ordered(notes)
+        notes += check_forward(samples.topic, pose)
         right, left, jumps = rotations(pose[:, :2], pose[:, 2], self.baked_in)
         wheels = self.baked_in
-        notes.append(
-            f"{samples.topic}: wheel rotations are derived from odometry, assuming wheel radii of "
-            f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right) "
-            f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result has "
-            "the same relative error"
-        )
+        if self.assumed:
+            notes.append(
+                f"{samples.topic}: the poses of the odometry are used, its covariance is ignored; the result is the "
+                "factors by which its distance and its rotation are wrong"
+            )
+        else:
+            notes.append(
+                f"{samples.topic}: wheel rotations are derived from odometry, assuming wheel radii of "
+                f"{wheels.radius_left_m * 1e3:g} mm (left) and {wheels.radius_right_m * 1e3:g} mm (right) "
+                f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result "
+                "has the same relative error; the covariance of the odometry is ignored"
+            )
         if jumps:
             notes.append(
                 f"{samples.topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
             )
         return Track(time_ns, right if side == "right" else left)
+
+
+def check_forward(topic: str, pose: FloatArray) -> list[str]:
+    """Check that odometry moves ahead and turns, as a differential drive does.
+
+    A base frame that is not midway between the wheels also moves sideways, but only where the base turns.
+
+    Args:
+        topic: the topic, for the message.
+        pose: (n, 3) x, y, heading.
+
+    Returns:
+        A note on where the axle is, if it is not at the base frame.
+
+    Raises:
+        RecordingError: it moves sideways.
+    """
+    turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
+    step = np.diff(pose[:, :2], axis=0)
+    sound = (np.hypot(*step.T) < _JUMP_M) & (np.abs(turn) < _JUMP_RAD)
+    middle = pose[:-1, 2] + turn / 2
+    ahead = (step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle))[sound]
+    aside = (step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle))[sound]
+    turn = turn[sound]
+    offset_m = float(aside @ turn / max(turn @ turn, 1e-12))
+    aside_m, path_m = float(np.abs(aside - offset_m * turn).sum()), float(np.abs(ahead).sum())
+    if aside_m > _ASIDE_M and aside_m > _ASIDE_SHARE * path_m:
+        raise RecordingError(
+            f"{topic}: the odometry moves sideways, by {aside_m:.2f} m beside {path_m:.2f} m ahead: a differential "
+            "drive cannot",
+            "mecanum and other omnidirectional robots are not supported; name the odometry of the wheels, if this is "
+            "another one",
+        )
+    if abs(offset_m) < _OFFSET_M:
+        return []
+    return [
+        f"{topic}: the base frame of the odometry is {offset_m * 1e3:.0f} mm ahead of the axle, about which the base "
+        "turns; camera poses are given against the axle"
+    ]
 
 
 def rotations(
