@@ -85,6 +85,14 @@ JUnit = Annotated[
     Path | None,
     typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
 ]
+Summary = Annotated[
+    Path | None,
+    typer.Option(
+        "--summary",
+        readable=False,
+        help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
+    ),
+]
 #: Which moments of a recording are used.
 Stations = Literal["auto", "all"]
 

@@ -71,6 +71,25 @@ def write_file(path: Path, content: bytes, force: bool) -> None:
         ) from error
 
 
+def append_text(path: Path, text: str) -> None:
+    """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
+
+    Raises:
+        OutputError: it cannot be written, or is not a regular file.
+    """
+    check_parent(path)
+    if path.exists():
+        recognized_file(path)
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror}",
+            "check free space and permissions, or choose another output path",
+        ) from error
+
+
 def write_synced(path: Path, content: bytes) -> None:
     """Write a new file, and flush it to the disk.
 

@@ -72,7 +72,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import recommendation
+from mobilecal_cli.report.use import LEAST_GAIN, cures, recommendation
 from mobilecal_cli.report.verdict import Case, VerdictData, verdict_data
 
 
@@ -372,6 +372,33 @@ class ReportData:
     setting_sources: Mapping[str, str]
     provenance: ProvenanceData
     tables: tuple[Table, ...]
+
+
+@json_value
+class Advice:
+    """What limits a result, and what improves it by 5 % or more."""
+
+    limiting: str
+    cures: tuple[str, ...]
+    stops: tuple[SuggestionData, ...]
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """For the terminal."""
+        stops: tuple[str, ...] = ("No further stop near the last one improves a parameter by 5 % or more.",)
+        if self.stops:
+            texts = (f"{number}. {stop.text}" for number, stop in enumerate(self.stops, 1))
+            stops = ("Additional stop at the end of this recording, most useful first:", *texts)
+        return (*filter(None, [self.limiting]), *self.cures, *stops)
+
+
+def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> Advice:
+    """What limits a solution, its cures from the cheapest on, and the stops that improve it; limits as for `uses`."""
+    return Advice(
+        limiting="".join(recommendation(solution, extraction, limits)[:1]),
+        cures=cures(solution, extraction, limits),
+        stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
+    )
 
 
 def build_report(case: Case) -> ReportData:
