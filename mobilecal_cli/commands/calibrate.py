@@ -111,13 +111,15 @@ def calibrate(
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
-    from mobilecal_cli.export import append_text, write_file
+    from mobilecal_cli.export import append_text, check_appendable, write_file
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.solvers import constraints_of
 
     began_s = time.perf_counter()
     with errors_to(junit, logs, force, [config, last], output or steps.default_output(logs[0])):
+        if summary is not None:
+            check_appendable(summary)
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, FloatArray, Solution
+from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import std_text
 
 #: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; name; cure.
@@ -32,7 +33,6 @@ class Figure:
         meaning, short: label, and the one in a chart.
         unit: for people.
         factor: how many of it one unit of the field is.
-        limit: default limit in this unit; None for no limit.
     """
 
     field: str
@@ -41,7 +41,11 @@ class Figure:
     short: str
     unit: str
     factor: float
-    limit: float | None = None
+
+    @property
+    def limit(self) -> float | None:
+        """Default limit in this unit; None for no limit."""
+        return ACCURACY.get(self.name)
 
     def of(self, expected: AtWork) -> float:
         """The figure in its unit."""
@@ -51,17 +55,17 @@ class Figure:
 _DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
-    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3, 20.0),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG, 1.0),
+    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "point", "mm", 1e3),
     Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight",
-           "distance per meter", "mm/m", 1e3, 10.0),
+           "distance per meter", "mm/m", 1e3),
     Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
            "lateral position per meter", "mm/m", 1e3),
     Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight",
-           "heading per meter", "deg/m", _DEG, 1.0),
+           "heading per meter", "deg/m", _DEG),
     Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn",
-           "heading per turn", "deg", _DEG, 5.0),
+           "heading per turn", "deg", _DEG),
 )
 # fmt: on
 
