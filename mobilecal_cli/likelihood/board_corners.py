@@ -33,7 +33,7 @@ _ACROSS = 2.0  # sigma across the board, in sigmas in the plane
 _MOST_STATIONS = 100  # that the modes are made from
 _POSE = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm
 _FELT = 0.02  # of these; smaller effects on a station's pose, root mean square, are left out
-_CORRELATED = 0.3  # canonical correlation; a smaller one understates a sigma by less than 5 %
+_CORRELATED = 0.5  # canonical correlation; a smaller one understates a sigma by less than 15 %
 _PIXEL_PX = 0.1  # noise of a usual corner
 _NEW = 0.1  # sine of the angle to all patterns that are there already
 
