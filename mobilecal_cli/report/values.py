@@ -72,7 +72,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import LEAST_GAIN, cures, recommendation
+from mobilecal_cli.report.use import LEAST_GAIN, cures_of, recommendation, worst_error
 from mobilecal_cli.report.verdict import Case, VerdictData, verdict_data
 
 
@@ -394,9 +394,10 @@ class Advice:
 
 def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> Advice:
     """What limits a solution, its cures from the cheapest on, and the stops that improve it; limits as for `uses`."""
+    error = worst_error(solution, limits)
     return Advice(
         limiting="".join(recommendation(solution, extraction, limits)[:1]),
-        cures=cures(solution, extraction, limits),
+        cures=() if error is None else tuple(c.text(error) for c in cures_of(error, solution, extraction)),
         stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
     )
 
