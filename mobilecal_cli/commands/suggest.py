@@ -14,7 +14,7 @@ def suggest(
     as_json: AsJson = False,
     quiet: NoBar = False,
 ) -> None:
-    """Say what limits a calibration, and suggest what improves it by 5 % or more, the cheapest first.
+    """Suggest what improves a calibration most, the cheapest first.
 
     Limits of the expected errors (gates in rig.yaml) say what matters. A stop says where to drive, where to point the
     head, and the standard deviation to expect. Reads recordings or an extraction.npz. Writes nothing.
