@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
-from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters
+from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.model.arrays import freeze
 
 
@@ -33,6 +33,7 @@ class Difference:
         along_m_per_m: change of the distance by dead reckoning per meter of straight driving.
         heading_rad_per_m: change of heading per meter where a drives straight.
         heading_rad_per_turn: change of heading in a full turn in place.
+        assumed: wheels that the radii and the separation are factors of, where both calibrate odometry.
     """
 
     change: FloatArray
@@ -47,6 +48,7 @@ class Difference:
     along_m_per_m: float
     heading_rad_per_m: float
     heading_rad_per_turn: float
+    assumed: WheelGeometry | None = None
 
     def __post_init__(self) -> None:
         freeze(self, change=(9,), std=(9,), nominal_sigmas=(9,))
@@ -79,6 +81,13 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
                 f"the {what} frames of the calibrations differ: {one!r} in one and {other!r} in the other",
                 "compare calibrations of one robot with the same head.head_frame and cameras.reference",
             )
+    if (first.odometry is None) != (second.odometry is None):
+        raise ConfigError(
+            "one calibration has the factors of odometry, the other wheel radii and a wheel separation",
+            "compare calibrations from recordings with the same topics",
+        )
+    if first.odometry is not None:
+        second = second.with_assumed(first.odometry.wheels)
     change = nine_apart(first, second)
     unobservable = _unobservable(first) | _unobservable(second)
     # Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
@@ -114,6 +123,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         along_m_per_m=(right + left) / 2 - 1,
         heading_rad_per_m=(right - left) / b.separation_m,
         heading_rad_per_turn=turned - 2 * math.pi,
+        assumed=None if first.odometry is None else first.odometry.wheels,
     )
 
 

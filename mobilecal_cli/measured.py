@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood.dataset import NOT_MEASURED
 from mobilecal_cli.model import (
     Board,
     Camera,
+    CameraRig,
     Corners,
     Extraction,
     FloatArray,
@@ -27,9 +28,7 @@ from mobilecal_cli.model import (
     Observation,
     Rig,
     SensorMotion,
-    Side,
     Sources,
-    StereoRig,
     WheelGeometry,
     WheelSource,
     WheelTrack,
@@ -106,10 +105,9 @@ def from_poses(
             WheelTrack.at_same_times(times, np.asarray(drive.right_rad), np.asarray(drive.left_rad))
         )
         observations += [_observed(log, k, pose, chain) for k, pose in enumerate(drive.poses)]
-    nowhere: dict[Side, str] = {"left": "", "right": ""}
-    wheel, apart = WheelSource("measured"), se3.transform(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    nowhere, wheel = {"camera": ""}, WheelSource("measured")
     rig = Rig(
-        StereoRig(_NO_CAMERA, _NO_CAMERA, apart, False, np.eye(3), np.eye(3)),
+        CameraRig(("camera",), (_NO_CAMERA,), (np.eye(4),), False, (np.eye(3),), "camera"),
         chain,
         Nominal(T_h_c, WheelGeometry(*(float(value) for value in wheels_m))),
         Sources(nowhere, nowhere, (), {"right": wheel, "left": wheel}),
@@ -185,8 +183,7 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
         at_rest=True,
         joints=joints,
         joints_std=np.zeros(len(joints)),
-        left=nowhere,
-        right=nowhere,
+        views=(nowhere,),
         points_c=points_c,
         points_cov=np.zeros((len(points), 3, 3)),
         T_c_k=pose.T_c_k,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,18 +10,17 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
-    SIDES,
     BoolArray,
     FloatArray,
     IntArray,
     PictureIndex,
     Rejection,
-    Side,
+    Shot,
     Signals,
     Station,
-    StereoPair,
     Track,
     WheelTrack,
+    camera_words,
     sampled,
 )
 
@@ -56,7 +55,7 @@ class Plan:
         stations: in order of time.
         wheels: both wheels.
         joints: the head's joints, in the order of `HeadChain.joints`.
-        images: side → the images of the stations.
+        images: camera → the images of the stations.
         rejections: images that cannot be used, with the reason.
         notes: complete sentences for the report.
     """
@@ -64,7 +63,7 @@ class Plan:
     stations: tuple[Station, ...]
     wheels: WheelTrack
     joints: tuple[Track, ...]
-    images: Mapping[Side, PictureIndex]
+    images: Mapping[str, PictureIndex]
     rejections: tuple[Rejection, ...]
     notes: tuple[str, ...]
 
@@ -84,37 +83,67 @@ def wheel_track(right: Track, left: Track) -> WheelTrack:
     return track
 
 
-def pair_images(left_ns: IntArray, right_ns: IntArray, tolerance_s: float) -> tuple[StereoPair, ...]:
-    """Stereo pairs: each left image with the nearest right image in time. An image is in one pair at most.
+def shots_of(images: Mapping[str, PictureIndex], tolerance_s: float) -> tuple[Shot, ...]:
+    """Each image of one camera alone; of several, each image of the first with the nearest of the others in time.
+
+    An image is in one shot at most. Images of the others without one of the first are grouped likewise, from the second
+    camera on; of a pair, only whole pairs are kept.
 
     Raises:
-        RecordingError: no two images are within the tolerance.
+        RecordingError: no two images of a pair are within the tolerance.
     """
-    after = np.clip(np.searchsorted(right_ns, left_ns), 1, max(len(right_ns) - 1, 1))
-    before, after = after - 1, np.minimum(after, len(right_ns) - 1)
-    nearer_before = np.abs(left_ns - right_ns[before]) <= np.abs(left_ns - right_ns[after])
+    times = [index.time_ns for index in images.values()]
+    if len(times) == 2:
+        pairs = _nearest(times[0], times[1], tolerance_s)
+        if not pairs:
+            left_ns, right_ns = times
+            closest_ns = min(int(np.abs(right_ns - at).min()) for at in left_ns)
+            left, right = images
+            raise RecordingError(
+                f"no stereo pairs: of {len(left_ns)} {left} and {len(right_ns)} {right} images, "
+                f"the closest two are {closest_ns / _NS:.3f} s apart (limit {tolerance_s:g} s)",
+                "check that both cameras use the same clock and are triggered together",
+            )
+        return tuple(Shot((int(times[0][i]), int(times[1][j]))) for i, j in pairs.items())
+    shots: list[Shot] = []
+    unused = [np.ones(len(of_camera), dtype=np.bool_) for of_camera in times]
+    for k, of_camera in enumerate(times):
+        own = np.flatnonzero(unused[k])
+        groups: list[list[int | None]] = [[None] * k + [int(of_camera[i])] for i in own]
+        for other in range(k + 1, len(times)):
+            free = np.flatnonzero(unused[other])
+            found = _nearest(of_camera[own], times[other][free], tolerance_s)
+            unused[other][free[list(found.values())]] = False
+            for i, group in enumerate(groups):
+                group.append(int(times[other][free[found[i]]]) if i in found else None)
+        shots += [Shot(tuple(group)) for group in groups]
+    return tuple(sorted(shots, key=lambda shot: shot.time_ns))
+
+
+def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[int, int]:
+    """Index of each image of one camera → index of the nearest one of another, which is in one pair at most."""
+    if not len(one_ns) or not len(other_ns):
+        return {}
+    after = np.clip(np.searchsorted(other_ns, one_ns), 1, max(len(other_ns) - 1, 1))
+    before, after = after - 1, np.minimum(after, len(other_ns) - 1)
+    nearer_before = np.abs(one_ns - other_ns[before]) <= np.abs(one_ns - other_ns[after])
     nearest = np.where(nearer_before, before, after)
-    distance_ns = np.abs(left_ns - right_ns[nearest])
+    distance_ns = np.abs(one_ns - other_ns[nearest])
     best: dict[int, int] = {}
     for i in np.argsort(distance_ns, kind="stable"):
         if distance_ns[i] <= tolerance_s * _NS:
             best.setdefault(int(nearest[i]), int(i))
-    if not best:
-        raise RecordingError(
-            f"no stereo pairs: of {len(left_ns)} left and {len(right_ns)} right images, "
-            f"the closest two are {distance_ns.min() / _NS:.3f} s apart (limit {tolerance_s:g} s)",
-            "check that both cameras use the same clock and are triggered together",
-        )
-    return tuple(
-        StereoPair(int(left_ns[i]), int(right_ns[r]))
-        for r, i in sorted(best.items(), key=lambda item: item[1])
-    )
+    return {i: j for j, i in sorted(best.items(), key=lambda item: item[1])}
 
 
-def _silences(images: Mapping[Side, PictureIndex]) -> Iterator[str]:
-    """A note where one camera recorded nothing for a while and the other did: a cable, or a full disk."""
-    for side, other in (SIDES, SIDES[::-1]):
-        own, others = np.sort(images[side].time_ns), np.sort(images[other].time_ns)
+def _silences(images: Mapping[str, PictureIndex]) -> Iterator[str]:
+    """A note where one camera recorded nothing for a while and another did: a cable, or a full disk."""
+    most = max(images, key=lambda name: len(images[name].time_ns))
+    for name in images:
+        other = next(k for k in images if k != name) if len(images) == 2 else most
+        if other == name:
+            continue
+        own, others = np.sort(images[name].time_ns), np.sort(images[other].time_ns)
         edges = np.sort(np.concatenate([own, others[[0, -1]]]))
         longest = int(np.argmax(np.diff(edges)))
         begin, end = edges[longest : longest + 2]
@@ -125,8 +154,8 @@ def _silences(images: Mapping[Side, PictureIndex]) -> Iterator[str]:
         if end - begin > _SILENT_S * _NS and missed >= _MISSED_IMAGES:
             since = (begin - min(own[0], others[0])) / _NS
             yield (
-                f"No {side} images for {(end - begin) / _NS:.0f} s, from {since:.0f} s after the first image on, "
-                f"while there are {missed} {other} images. Check the cable and the driver of the {side} camera."
+                f"No {name} images for {(end - begin) / _NS:.0f} s, from {since:.0f} s after the first image on, "
+                f"while there are {missed} {other} images. Check the cable and the driver of the {camera_words(name)}."
             )
 
 
@@ -168,10 +197,10 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
     return joints + wheels
 
 
-def _rests(pairs: list[StereoPair], channels: list[_Channel]) -> list[list[StereoPair]]:
+def _rests(pairs: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
     """Runs of pairs without motion; each pair is still within a window around itself."""
     half = int(REST_WINDOW_S / 2 * _NS)
-    runs: list[list[StereoPair]] = []
+    runs: list[list[Shot]] = []
     for pair in pairs:
         if any(c.wander(pair.time_ns - half, pair.time_ns + half) > c.tolerance for c in channels):
             continue
@@ -193,7 +222,7 @@ def _spread(features: FloatArray, count: int) -> IntArray:
     return np.sort(chosen)
 
 
-def _keyframes(pairs: list[StereoPair], channels: list[_Channel], count: int) -> list[StereoPair]:
+def _keyframes(pairs: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
     """Sharp moments of a recording in motion, spread over head angles, heading and distance driven."""
     if not pairs:
         return []
@@ -212,7 +241,7 @@ def _keyframes(pairs: list[StereoPair], channels: list[_Channel], count: int) ->
     return [pairs[i] for i in picked]
 
 
-def _fewer(pairs: list[StereoPair]) -> list[StereoPair]:
+def _fewer(pairs: list[Shot]) -> list[Shot]:
     """At most `SHOTS_PER_REST` of a rest's pairs, evenly spread."""
     if len(pairs) <= SHOTS_PER_REST:
         return pairs
@@ -220,7 +249,7 @@ def _fewer(pairs: list[StereoPair]) -> list[StereoPair]:
 
 
 def _stations(
-    moments: Sequence[tuple[list[StereoPair], bool]], joints: tuple[str, ...], signals: Signals
+    moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
 ) -> tuple[Station, ...]:
     """Stations from groups of pairs, each with a flag for rest, in order of time."""
     tracks = [signals.joints[name] for name in joints]
@@ -234,7 +263,7 @@ def _stations(
     )
 
 
-def _rest(index: int, pairs: list[StereoPair], tracks: list[Track], at_rest: bool) -> Station:
+def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
     """A station from several pairs: mean readings from the first to the last pair."""
     times = np.array([pair.time_ns for pair in pairs])
     mean, scatter = [], []
@@ -250,34 +279,33 @@ def _rest(index: int, pairs: list[StereoPair], tracks: list[Track], at_rest: boo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """The stereo pairs of a log.
+    """The shots of a log.
 
     Attributes:
         signals: of the log.
         channels: its joints and wheels.
-        pairs: the pairs with readings of all of them, with images that no pair before has.
+        pairs: the shots with readings of all of them, with images that no shot before has.
         rests: those in which nothing moves, by rest.
-        rejections: pairs without readings, or with an image that has not changed since the robot moved.
+        rejections: shots without readings, or with an image that has not changed since the robot moved.
     """
 
     signals: Signals
     channels: list[_Channel]
-    pairs: list[StereoPair]
-    rests: list[list[StereoPair]]
+    pairs: list[Shot]
+    rests: list[list[Shot]]
     rejections: list[Rejection]
 
-    def in_motion(self) -> list[StereoPair]:
+    def in_motion(self) -> list[Shot]:
         """The pairs taken in motion that are simultaneous enough for it."""
         resting = {pair for run in self.rests for pair in run}
         moving = (pair for pair in self.pairs if pair not in resting)
-        return [pair for pair in moving if abs(pair.left_ns - pair.right_ns) <= PAIR_MOVING_S * _NS]
+        return [pair for pair in moving if pair.apart_ns <= PAIR_MOVING_S * _NS]
 
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
-    """Find the stereo pairs of a log, and its rests."""
+    """Find the shots of a log, and its rests."""
     channels = _channels(signals, prismatic)
-    left, right = (signals.images[side].time_ns for side in SIDES)
-    pairs = list(pair_images(left, right, PAIR_AT_REST_S))
+    pairs, what = list(shots_of(signals.images, PAIR_AT_REST_S)), _what(signals.images)
     times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
     covered = np.ones(len(pairs), dtype=bool)
@@ -291,14 +319,14 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     if not covered.any():
         names = ", ".join(dict.fromkeys(r.detail for r in rejections))
         raise RecordingError(
-            f"none of {len(pairs)} stereo pairs has readings of all joints and wheels around it; missing: {names}",
+            f"none of {len(pairs)} {what} has readings of all joints and wheels around it; missing: {names}",
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
     shown = _Shown(signals.images, channels)
     pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok])
     if not pairs:
         raise RecordingError(
-            f"the images of all {len(frozen)} stereo pairs were taken before the last motion of the robot: they do not "
+            f"the images of all {len(frozen)} {what} were taken before the last motion of the robot: they do not "
             "change",
             "check the cameras and their drivers, and record again",
         )
@@ -310,64 +338,72 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     return _Pairs(signals, channels, pairs, rests, [*rejections, *frozen])
 
 
+def _what(images: Collection[str]) -> str:
+    """Name of the shots of some cameras, in texts."""
+    return {1: "images", 2: "stereo pairs"}.get(len(images), "groups of images")
+
+
 class _Shown:
     """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
-    def __init__(self, images: Mapping[Side, PictureIndex], channels: Sequence[_Channel]) -> None:
+    def __init__(self, images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> None:
+        self._names = tuple(images)
         self._since = [
             dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
-            for index in (images[side] for side in SIDES)
+            for index in images.values()
         ]
         self._channels = channels
-        self._used: tuple[set[int], set[int]] = (set(), set())
+        self._used: list[set[int]] = [set() for _ in images]
         self._moved_since: set[tuple[str, int]] = set()
 
-    def _of(self, pair: StereoPair) -> tuple[int, int]:
-        """Times at which the left and the right image were shown first."""
-        return self._since[0][pair.left_ns], self._since[1][pair.right_ns]
+    def _of(self, shot: Shot) -> list[int | None]:
+        """Times at which the images were shown first."""
+        times = zip(self._since, shot.times_ns, strict=True)
+        return [None if time_ns is None else since[time_ns] for since, time_ns in times]
 
-    def current(self, pairs: Sequence[StereoPair]) -> tuple[list[StereoPair], list[Rejection]]:
+    def current(self, pairs: Sequence[Shot]) -> tuple[list[Shot], list[Rejection]]:
         """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
-        kept: list[StereoPair] = []
+        kept: list[Shot] = []
         frozen: list[Rejection] = []
         for pair in pairs:
-            times = (("left", pair.left_ns), ("right", pair.right_ns))
             stale = [
-                (side, time_ns - since_ns)
-                for (side, time_ns), since_ns in zip(times, self._of(pair), strict=True)
-                if self._moved(side, since_ns, time_ns)
+                (name, time_ns - since_ns)
+                for name, time_ns, since_ns in zip(self._names, pair.times_ns, self._of(pair), strict=True)
+                if time_ns is not None and since_ns is not None and self._moved(name, since_ns, time_ns)
             ]
             if not stale:
                 kept.append(pair)
             elif any(age_ns > _FROZEN_S * _NS for _, age_ns in stale):
-                sides = " and ".join(side for side, _ in stale)
-                frozen.append(Rejection("stations", _FROZEN, sides, pair.time_ns))
+                names = " and ".join(name for name, _ in stale)
+                frozen.append(Rejection("stations", _FROZEN, names, pair.time_ns))
         return kept, frozen
 
-    def _moved(self, side: str, since_ns: int, until_ns: int) -> bool:
+    def _moved(self, name: str, since_ns: int, until_ns: int) -> bool:
         """Whether the robot moved while a camera repeated an image."""
         if since_ns == until_ns:
             return False
-        if (side, since_ns) not in self._moved_since:
+        if (name, since_ns) not in self._moved_since:
             if all(c.wander(since_ns, until_ns) <= c.tolerance for c in self._channels):
                 return False
-            self._moved_since.add((side, since_ns))
+            self._moved_since.add((name, since_ns))
         return True
 
-    def new(self, pairs: Sequence[StereoPair]) -> list[StereoPair]:
+    def new(self, pairs: Sequence[Shot]) -> list[Shot]:
         """The pairs, in order of time, with images that no pair has that was passed before."""
         kept = []
         for pair in pairs:
-            left, right = self._of(pair)
-            if left not in self._used[0] and right not in self._used[1]:
+            since = [
+                (used, at) for used, at in zip(self._used, self._of(pair), strict=True) if at is not None
+            ]
+            if not any(at in used for used, at in since):
                 kept.append(pair)
-                self._used[0].add(left)
-                self._used[1].add(right)
+                for used, at in since:
+                    used.add(at)
         return kept
 
 
 def _not_used(log: _Pairs) -> Iterator[str]:
-    """A note on stereo pairs that are not used, for each reason and joint, wheel or camera."""
+    """A note on shots that are not used, for each reason and joint, wheel or camera."""
     first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
     for reason, name in dict.fromkeys((r.reason, r.detail) for r in log.rejections):
         times = [r.time_ns for r in log.rejections if (r.reason, r.detail) == (reason, name)]
@@ -375,7 +411,8 @@ def _not_used(log: _Pairs) -> Iterator[str]:
             continue
         since, until = ((at - first_ns) / _NS for at in (min(times), max(times)))
         yield (
-            f"{len(times)} stereo pairs between {since:.0f} and {until:.0f} s after the first image are not used: "
+            f"{len(times)} {_what(log.signals.images)} between {since:.0f} and {until:.0f} s after the first image "
+            "are not used: "
             f"{_NOT_USED[reason].format(name)}"
         )
 
@@ -442,12 +479,12 @@ def plan_stations(
     return (replace(plans[0], notes=tuple(notes)), *plans[1:])
 
 
-def images_of(stations: Sequence[Station], images: Mapping[Side, PictureIndex]) -> dict[Side, PictureIndex]:
+def images_of(stations: Sequence[Station], images: Mapping[str, PictureIndex]) -> dict[str, PictureIndex]:
     """The images of some stations, of all that were recorded."""
-    pairs = [pair for station in stations for pair in station.pairs]
+    shots = [shot for station in stations for shot in station.shots]
     return {
-        "left": images["left"].at([pair.left_ns for pair in pairs]),
-        "right": images["right"].at([pair.right_ns for pair in pairs]),
+        name: index.at([at for shot in shots if (at := shot.times_ns[k]) is not None])
+        for k, (name, index) in enumerate(images.items())
     }
 
 
@@ -456,40 +493,45 @@ def with_stamps(
     signals: Signals,
     joints: tuple[str, ...],
     prismatic: frozenset[str],
-    stamps: Mapping[Side, Mapping[int, int]],
+    stamps: Mapping[str, Mapping[int, int]],
 ) -> Plan:
     """A plan of `plan_stations` made with approximate stamps, updated to the images' own stamps.
 
     Pairs are dropped if a stamp is missing, if their images are too far apart, or if they lie outside their rest.
-    Stations without pairs are dropped, too. `stamps`: side → log time → own stamp, for the pairs' images.
+    Stations without pairs are dropped, too. `stamps`: camera → log time → own stamp, for the shots' images.
     """
     channels = _channels(signals, prismatic)
-    own_ns: dict[Side, dict[int, int]] = {}
-    images: dict[Side, PictureIndex] = {}
-    for side, index in plan.images.items():
-        stamp_of = stamps[side]
-        own_ns[side] = {
+    own_ns: dict[str, dict[int, int]] = {}
+    images: dict[str, PictureIndex] = {}
+    for name, index in plan.images.items():
+        stamp_of = stamps[name]
+        own_ns[name] = {
             time_ns: stamp_of[log_ns]
             for time_ns, log_ns in zip(index.time_ns.tolist(), index.log_ns.tolist(), strict=True)
             if log_ns in stamp_of
         }
         stamp_ns, first = np.unique(np.array(list(stamp_of.values()), dtype=np.int64), return_index=True)
-        images[side] = PictureIndex(stamp_ns, stamp_ns, np.array(list(stamp_of), dtype=np.int64)[first])
-    taken: dict[Side, set[int]] = {"left": set(), "right": set()}
-    placed: list[tuple[int, StereoPair]] = []
+        images[name] = PictureIndex(stamp_ns, stamp_ns, np.array(list(stamp_of), dtype=np.int64)[first])
+    taken: dict[str, set[int]] = {name: set() for name in images}
+    placed: list[tuple[int, Shot]] = []
     for station in plan.stations:
         tolerance_s = PAIR_AT_REST_S if station.at_rest else PAIR_MOVING_S
-        for pair in station.pairs:
-            left, right = own_ns["left"].get(pair.left_ns), own_ns["right"].get(pair.right_ns)
-            if left is None or right is None or left in taken["left"] or right in taken["right"]:
+        for shot in station.shots:
+            own_stamps = [
+                (name, own_ns[name].get(at))
+                for name, at in zip(images, shot.times_ns, strict=True)
+                if at is not None
+            ]
+            if any(at is None or at in taken[name] for name, at in own_stamps):
                 continue
-            if abs(left - right) <= tolerance_s * _NS:
-                taken["left"].add(left)
-                taken["right"].add(right)
-                placed.append((station.index, StereoPair(left, right)))
+            updated = Shot(tuple(dict(own_stamps).get(name) for name in images))
+            if updated.apart_ns <= tolerance_s * _NS:
+                for name, at in own_stamps:
+                    taken[name].add(at or 0)
+                placed.append((station.index, updated))
     times = np.array([pair.time_ns for _, pair in placed], dtype=np.int64)
     covered = np.all([channel.covers(times) for channel in channels], axis=0)
-    own: dict[int, list[StereoPair]] = {}
+    own: dict[int, list[Shot]] = {}
     for (station_index, pair), ok in zip(placed, covered, strict=True):
         if ok:
             own.setdefault(station_index, []).append(pair)

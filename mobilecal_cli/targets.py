@@ -37,6 +37,9 @@ ROBOTS: dict[str, str] = {
     "paper": "the robot of the paper",
     "tick": "pan-tilt head, tick counters",
     "fixed_camera": "stereo pair fixed to the base",
+    "rgbd": "color camera fixed to the base, depth images",
+    "skid_steer": "four wheel joints, which slip in turns",
+    "odometry_only": "odometry, no wheels",
 }
 
 

@@ -32,7 +32,7 @@ from mobilecal_cli.simulate.imperfect import (
 )
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
 from mobilecal_cli.simulate.route import Route, plan_route
-from mobilecal_cli.vision import Miss, board_pose, square_from_points, triangulate
+from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
 
 _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
@@ -186,7 +186,7 @@ def _wheel_track(
         )
     )
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
-    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels)
+    angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels, actual.stated.slip)
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
     if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
         rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))
@@ -214,7 +214,7 @@ class Views:
     """
 
     T_c_k: FloatArray
-    pixels: tuple[FloatArray, FloatArray]
+    pixels: tuple[FloatArray, ...]
 
 
 def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:
@@ -227,7 +227,6 @@ def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatA
     """
     rig, corners_k = actual.rig_cameras, actual.corners_k(route.board)
     half_s = actual.constants.get("readout", 0.0) / 2
-    T_r_c: FloatArray = np.asarray(np.linalg.inv(rig.T_c_r), dtype=np.float64)
     poses: dict[float, FloatArray] = {}
 
     def exposed(camera: Camera, T_x_c: FloatArray | None, late_s: float) -> FloatArray:
@@ -235,19 +234,20 @@ def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatA
             T_w_c = camera_in_world(actual, route, times_s + late_s, floor)
             poses[late_s] = np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
         T_x_k = poses[late_s] if T_x_c is None else np.array([T_x_c @ T for T in poses[late_s]])
-        return np.array([pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3]) for T in T_x_k])
+        points = np.array([corners_k @ T[:3, :3].T + T[:3, 3] for T in T_x_k])
+        ahead = points[..., 2:] > 0.05
+        return np.where(ahead, pixels(camera, np.where(ahead, points, [0.0, 0.0, 1.0])), np.nan)
 
-    both = []
-    for camera, T_x_c, late_s in (
-        (rig.left, None, 0.0),
-        (rig.right, T_r_c, actual.constants.get("time_right", 0.0)),
-    ):
+    every = []
+    for k, (name, camera) in enumerate(zip(rig.names, rig.each, strict=True)):
+        T_x_c = np.asarray(np.linalg.inv(rig.T_c_each[k]), dtype=np.float64) if k else None
+        late_s = actual.constants.get(f"time_{name}", 0.0) if k else 0.0
         at = exposed(camera, T_x_c, late_s)
         if half_s:
             first, last = (exposed(camera, T_x_c, late_s + half) for half in (-half_s, half_s))
             at = _row_by_row(first, at, last, camera.height)
-        both.append(at)
-    return Views(poses[0.0], (both[0], both[1]))
+        every.append(at)
+    return Views(poses[0.0], tuple(every))
 
 
 def _row_by_row(first: FloatArray, middle: FloatArray, last: FloatArray, height: int) -> FloatArray:
@@ -317,6 +317,12 @@ def imperfect_extraction(
     return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
 
 
+def in_view(camera: Camera, pixels: FloatArray) -> bool:
+    """Whether a camera shows the whole board."""
+    inside = (pixels > 0) & (pixels < np.array([camera.width, camera.height]) - 1)
+    return bool(np.all(np.isfinite(pixels)) and np.all(inside))
+
+
 def extraction_of(
     actual: OutsideRobot,
     route: Route,
@@ -347,13 +353,24 @@ def extraction_of(
     observations = []
     for i, time_ns in enumerate(nanoseconds(stamps_s)):
         T_c_k = seen.T_c_k[i]
-        left, right = (at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels)
-        points = triangulate(rig, left, right, sigma, sigma)
-        if isinstance(points, Miss):
-            raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
-        found = board_pose(rig, corners_k, left, right, sigma, sigma, T_c_k)
+        pixels = [at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels]
+        shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
+        own, own_pixels, sigmas = rig.some(shown), [pixels[k] for k in shown], [sigma] * len(shown)
+        found = board_pose(own, corners_k, own_pixels, sigmas, T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         square_m = route.board.square_m or 0.0
+        estimated = corners_k @ found.T_c_k[:3, :3].T + found.T_c_k[:3, 3]
+        points = StereoPoints(estimated, np.zeros((len(corners_k), 3, 3)), 0.0)
+        if len(shown) > 1:
+            points = triangulate(own, own_pixels, sigmas)
+        if isinstance(points, Miss):
+            raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
+        corners = [
+            Corners(at, sigma, 1)
+            if k in shown
+            else Corners(np.zeros_like(at), 1.0, 0, np.zeros(len(at), bool))
+            for k, at in enumerate(pixels)
+        ]
         observations.append(
             Observation(
                 log=0,
@@ -362,8 +379,7 @@ def extraction_of(
                 at_rest=at_rest,
                 joints=readings[i] + noise.joint_rad * random.normal(size=readings.shape[1]),
                 joints_std=np.full(readings.shape[1], noise.joint_rad),
-                left=Corners(left, sigma, 1),
-                right=Corners(right, sigma, 1),
+                views=tuple(corners),
                 points_c=exact_points if exact else points.points_c,
                 points_cov=points.points_cov,
                 T_c_k=T_c_k if exact else found.T_c_k,

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Signals, StereoPair, Track
-from mobilecal_cli.stations import (
-    KEYFRAMES,
-    SHOTS_PER_REST,
-    pair_images,
-    plan_stations,
-    wheel_track,
-    with_stamps,
-)
+from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
+from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track, with_stamps
+from tests.pairs import pair_images
 
 START = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -58,7 +52,7 @@ def test_every_rest_is_one_station():
     for i, station in enumerate(plan.stations):
         assert station.joints == pytest.approx([0.5 * i], abs=1e-12)
         assert 3.0 * i <= (station.time_ns - START) / S <= 3.0 * i + 2
-        assert 5 <= len(station.pairs) <= 10
+        assert 5 <= len(station.shots) <= 10
         assert station.index == i
     assert plan.notes == ()
 
@@ -103,13 +97,13 @@ def test_a_long_rest_gives_few_pictures():
         ("pan",),
     )
     assert len(plan.stations) == 8
-    assert all(len(station.pairs) == SHOTS_PER_REST for station in plan.stations)
+    assert all(len(station.shots) == SHOTS_PER_REST for station in plan.stations)
 
 
 def test_unequal_clocks_of_the_cameras_pair_the_nearest():
     left, right = ns([0, 1, 2, 3]), ns([0.02, 0.98, 1.01, 3.01])
     pairs = pair_images(left, right, 0.1)
-    assert [((s.left_ns - START) / S, (s.right_ns - START) / S) for s in pairs] == [
+    assert [((s.times_ns[0] - START) / S, (s.times_ns[1] - START) / S) for s in pairs] == [
         (0, 0.02),
         (1, 1.01),
         (3, 3.01),
@@ -119,7 +113,7 @@ def test_unequal_clocks_of_the_cameras_pair_the_nearest():
 def test_each_picture_is_in_one_pair_only():
     pairs = pair_images(ns([0, 0.03, 0.06]), ns([0.04]), 0.1)
     assert len(pairs) == 1
-    assert pairs[0].left_ns == ns(0.03)
+    assert pairs[0].times_ns[0] == ns(0.03)
 
 
 def test_left_and_right_never_together():
@@ -164,13 +158,13 @@ def test_wheels_at_different_rates_are_joined():
 def test_everything_is_every_pair_at_rest_and_in_motion():
     log = signals(lambda t: staircase(t, rests=8), lambda t: 3 * staircase(t), image_hz=20.0)
     plan = planned(log, ("pan",), everything=True)
-    pairs = [pair for station in plan.stations for pair in station.pairs]
+    pairs = [pair for station in plan.stations for pair in station.shots]
     assert len(pairs) == len(log.images["left"].time_ns)
     resting = [station for station in plan.stations if station.at_rest]
     assert len(resting) == 8
-    assert max(len(station.pairs) for station in resting) > SHOTS_PER_REST
-    assert all(len(station.pairs) == 1 for station in plan.stations if not station.at_rest)
-    assert [s.left_ns for s in pairs] == sorted(s.left_ns for s in pairs)
+    assert max(len(station.shots) for station in resting) > SHOTS_PER_REST
+    assert all(len(station.shots) == 1 for station in plan.stations if not station.at_rest)
+    assert [s.times_ns[0] for s in pairs] == sorted(s.times_ns[0] for s in pairs)
 
 
 def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
@@ -178,10 +172,10 @@ def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
     plan = planned(approximate, ("pan",))
     stamps = {"left": {}, "right": {}}
     for station in plan.stations:
-        for pair in station.pairs:
-            if pair.left_ns not in lost:
-                stamps["left"][pair.left_ns] = left(pair.left_ns)
-            stamps["right"][pair.right_ns] = right(pair.right_ns)
+        for pair in station.shots:
+            if pair.times_ns[0] not in lost:
+                stamps["left"][pair.times_ns[0]] = left(pair.times_ns[0])
+            stamps["right"][pair.times_ns[1]] = right(pair.times_ns[1])
     return plan, with_stamps(plan, approximate, ("pan",), frozenset(), stamps)
 
 
@@ -190,7 +184,7 @@ AT_REST = signals(staircase, lambda t: 3 * staircase(t))
 
 def test_stamps_that_are_as_planned_change_nothing():
     plan, found = restamped(AT_REST)
-    assert [s.pairs for s in found.stations] == [s.pairs for s in plan.stations]
+    assert [s.shots for s in found.stations] == [s.shots for s in plan.stations]
     assert [s.time_ns for s in found.stations] == [s.time_ns for s in plan.stations]
     assert [s.joints.tolist() for s in found.stations] == [s.joints.tolist() for s in plan.stations]
     assert found.wheels is plan.wheels
@@ -200,8 +194,8 @@ def test_stamps_of_their_own():
     plan, found = restamped(AT_REST, lambda ns: ns + S // 100, lambda ns: ns + S // 50)
     assert len(found.stations) == 8
     for station, planned in zip(found.stations, plan.stations, strict=True):
-        kept = [StereoPair(pair.left_ns + S // 100, pair.right_ns + S // 50) for pair in planned.pairs]
-        assert list(station.pairs) == kept
+        kept = [Shot((pair.times_ns[0] + S // 100, pair.times_ns[1] + S // 50)) for pair in planned.shots]
+        assert list(station.shots) == kept
         assert station.time_ns == pytest.approx(planned.time_ns + 15 * S // 1000, abs=1000)
 
 
@@ -211,7 +205,7 @@ def test_shots_that_lie_outside_their_rest_are_dropped():
 
     plan, found = restamped(AT_REST, late, late)
     assert len(found.stations) == 8
-    before, after = plan.stations[2].pairs, found.stations[2].pairs
+    before, after = plan.stations[2].shots, found.stations[2].shots
     assert 0 < len(after) < len(before)
     for pair in after:
         assert 6 <= (pair.time_ns - START) / S < 8
@@ -230,9 +224,9 @@ def test_pairs_that_are_too_far_apart_are_dropped():
 
 def test_pictures_without_a_stamp_are_dropped():
     plan = planned(AT_REST, ("pan",))
-    lost = {plan.stations[4].pairs[0].left_ns, plan.stations[4].pairs[3].left_ns}
+    lost = {plan.stations[4].shots[0].times_ns[0], plan.stations[4].shots[3].times_ns[0]}
     _, found = restamped(AT_REST, lost=lost)
-    assert len(found.stations[4].pairs) == len(plan.stations[4].pairs) - 2
+    assert len(found.stations[4].shots) == len(plan.stations[4].shots) - 2
 
 
 def test_of_equal_stamps_one_is_kept():
@@ -240,8 +234,8 @@ def test_of_equal_stamps_one_is_kept():
         AT_REST, lambda ns: ns - (ns - START) % (S // 2), lambda ns: ns - (ns - START) % (S // 2)
     )
     for station, planned in zip(found.stations, plan.stations, strict=True):
-        left = [pair.left_ns for pair in station.pairs]
-        assert len(left) == len(set(left)) < len(planned.pairs)
+        left = [pair.times_ns[0] for pair in station.shots]
+        assert len(left) == len(set(left)) < len(planned.shots)
 
 
 def test_moving_pictures_have_to_be_together():
@@ -273,7 +267,7 @@ def test_a_camera_without_noise_gives_one_picture_a_rest():
     start = np.floor(PICTURES / 3) * 3
     first = np.where(PICTURES - start < 2, np.maximum(start, 0.1), PICTURES)
     plan = with_images(first, first)
-    assert [len(station.pairs) for station in plan.stations] == [1] * 8
+    assert [len(station.shots) for station in plan.stations] == [1] * 8
     assert all(station.at_rest for station in plan.stations)
     assert not plan.notes
 
@@ -286,7 +280,7 @@ def test_a_driver_that_repeats_images(shift):
     assert len(plan.stations) == 8
     for side, first in (("left", left), ("right", right)):
         shown = dict(zip(ns(PICTURES).tolist(), ns(first).tolist(), strict=True))
-        used = [shown[getattr(p, f"{side}_ns")] for station in plan.stations for p in station.pairs]
+        used = [shown[p.times_ns[side == "right"]] for station in plan.stations for p in station.shots]
         assert len(set(used)) == len(used) >= 8 * 4
     assert not plan.notes
 
@@ -297,7 +291,9 @@ def test_images_repeated_in_motion_are_not_used():
     images = {side: repeating(times, np.repeat(times[::3], 3)) for side in ("left", "right")}
     swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
     plan = planned(swing, ("pan",), everything=True)
-    assert [pair.left_ns for station in plan.stations for pair in station.pairs] == ns(times[::3]).tolist()
+    assert [pair.times_ns[0] for station in plan.stations for pair in station.shots] == ns(
+        times[::3]
+    ).tolist()
 
 
 @pytest.mark.parametrize("frozen", ["right", "left and right"])
@@ -315,4 +311,4 @@ def test_cameras_that_are_frozen_from_the_start():
     images = {side: repeating(PICTURES, start) for side in ("left", "right")}
     swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
     plan = planned(swing, ("pan",))
-    assert sum(len(station.pairs) for station in plan.stations) == 1
+    assert sum(len(station.shots) for station in plan.stations) == 1

@@ -15,16 +15,14 @@ from mobilecal_cli.calibrate import Progress
 from mobilecal_cli.calibrate.workers import FAILED, Processes, Task, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
-    SIDES,
     Board,
+    CameraRig,
     GrayImage,
     PictureIndex,
     Rejection,
     Rig,
-    Side,
+    Shot,
     Station,
-    StereoPair,
-    StereoRig,
 )
 from mobilecal_cli.readers import Recording, open_recording, read_images
 from mobilecal_cli.stations import Plan, images_of
@@ -41,9 +39,9 @@ from mobilecal_cli.vision import (
 SNAPSHOTS = 60  # images kept for the report, limited to save memory
 SIZE_PICTURES = 8
 SIZE_VOTES = 3  # number of agreeing images that determine the board's size
-#: Stereo pairs per segment. Tracking runs inside a segment, so segments and results do not depend on the
+#: Shots per segment. Tracking runs inside a segment, so segments and results do not depend on the
 #: number of processes.
-SEGMENT_PAIRS = 250
+SEGMENT_SHOTS = 250
 
 
 @dataclass(slots=True)
@@ -51,20 +49,25 @@ class StationDetections:
     """Detections at one station, filled in while its images are read.
 
     Attributes:
-        found: side → time → detection or miss.
-        pictures: side → JPEG of the first image, for the report.
+        found: camera → time → detection or miss.
+        pictures: camera → JPEG of the first image, for the report.
         rejections: images that cannot be decoded.
     """
 
-    found: dict[Side, dict[int, Detection | Miss]] = field(default_factory=lambda: {"left": {}, "right": {}})
-    pictures: dict[Side, bytes] = field(default_factory=dict)
+    found: dict[str, dict[int, Detection | Miss]] = field(default_factory=dict)
+    pictures: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
 
-    def pairs(self, pairs: Sequence[StereoPair]) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
-        """Left and right results of the stereo pairs with both images decoded."""
-        left, right = self.found["left"], self.found["right"]
-        whole = [pair for pair in pairs if pair.left_ns in left and pair.right_ns in right]
-        return [left[pair.left_ns] for pair in whole], [right[pair.right_ns] for pair in whole]
+    def of_shots(self, shots: Sequence[Shot], rig: CameraRig) -> list[list[Detection | Miss | None]]:
+        """Results of each camera for the shots with enough decoded images; None for an image that is missing."""
+        of_each = [
+            [
+                None if time_ns is None else self.found.get(name, {}).get(time_ns)
+                for name, time_ns in zip(rig.names, shot.times_ns, strict=True)
+            ]
+            for shot in shots
+        ]
+        return [shot for shot in of_each if sum(item is not None for item in shot) >= rig.fewest]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,28 +76,28 @@ class Segment:
 
     Attributes:
         stations: in order of time.
-        images: side → their images.
+        images: camera → their images.
         shown: indices, in this segment, of stations with images in the report.
         thorough: see `vision.detect`.
     """
 
     stations: tuple[Station, ...]
-    images: Mapping[Side, PictureIndex]
+    images: Mapping[str, PictureIndex]
     shown: frozenset[int]
     thorough: bool
 
 
-def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
+def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
     """Check that an image has the size stated in its camera_info.
 
     Raises:
         RecordingError: the sizes differ.
     """
-    camera = cameras.left if side == "left" else cameras.right
+    camera = cameras.each[cameras.names.index(name)]
     height, width = picture.shape
     if (width, height) != (camera.width, camera.height):
         raise RecordingError(
-            f"the {side} images are {width} x {height} pixels, but their camera_info states "
+            f"the {name} images are {width} x {height} pixels, but their camera_info states "
             f"{camera.width} x {camera.height}",
             "calibrate the cameras at the recorded size, or set binning and roi in camera_info",
         )
@@ -103,20 +106,20 @@ def check_picture(picture: GrayImage, side: Side, cameras: StereoRig) -> None:
 def first_pictures(
     recording: Recording, rig: Rig, plans: Sequence[Plan], rejections: list[Rejection]
 ) -> Iterator[GrayImage]:
-    """Some images of both cameras, spread over the recording; `rejections` receives those that cannot be decoded.
+    """Some images of all cameras, spread over the recording; `rejections` receives those that cannot be decoded.
 
     Raises:
         RecordingError: an image has another size than stated.
     """
     stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
     for plan in plans:
-        firsts = [replace(station, pairs=station.pairs[:1]) for station in plan.stations[::stride]]
+        firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
         wanted = images_of(firsts, plan.images)
-        for side, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
+        for name, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
             if isinstance(picture, Rejection):
                 rejections.append(picture)
                 continue
-            check_picture(picture, side, rig.cameras)
+            check_picture(picture, name, rig.cameras)
             yield picture
 
 
@@ -147,10 +150,10 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, count = [0], 0
     for i, station in enumerate(stations):
-        if count and count + len(station.pairs) > SEGMENT_PAIRS:
+        if count and count + len(station.shots) > SEGMENT_SHOTS:
             cuts.append(i)
             count = 0
-        count += len(station.pairs)
+        count += len(station.shots)
     cuts.append(len(stations))
     return [
         Segment(
@@ -172,30 +175,33 @@ def detect_segment(
         1 for every image processed; at the end, a list with one `StationDetections` per station.
     """
     stations = segment.stations
-    where: Mapping[Side, dict[int, int]] = {
-        "left": {pair.left_ns: i for i, station in enumerate(stations) for pair in station.pairs},
-        "right": {pair.right_ns: i for i, station in enumerate(stations) for pair in station.pairs},
-    }
-    detections = [StationDetections() for _ in stations]
-    followers = {side: BoardFollower(board, segment.thorough) for side in SIDES}
+    names = rig.cameras.names
+    where: dict[str, dict[int, int]] = {name: {} for name in names}
+    for i, searched in enumerate(stations):
+        for shot in searched.shots:
+            for name, time_ns in zip(names, shot.times_ns, strict=True):
+                if time_ns is not None:
+                    where[name][time_ns] = i
+    detections = [StationDetections({name: {} for name in names}) for _ in stations]
+    followers = {name: BoardFollower(board, segment.thorough) for name in names}
     sources = rig.sources
-    for side, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
-        station = where[side][stamp]
+    for name, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
+        station = where[name][stamp]
         place = detections[station]
         if isinstance(picture, Rejection):
             place.rejections.append(picture)
             continue
-        check_picture(picture, side, rig.cameras)
-        if station in segment.shown and side not in place.pictures:
-            place.pictures[side] = snapshot_jpeg(picture)
-        place.found[side][stamp] = followers[side].find(picture, stamp)
+        check_picture(picture, name, rig.cameras)
+        if station in segment.shown and name not in place.pictures:
+            place.pictures[name] = snapshot_jpeg(picture)
+        place.found[name][stamp] = followers[name].find(picture, stamp)
         yield 1
     yield detections
 
 
 def measure_stations(
     log: int,
-    cameras: StereoRig,
+    cameras: CameraRig,
     board: Board,
     stations: Sequence[Station],
     detections: Sequence[StationDetections],
@@ -203,9 +209,9 @@ def measure_stations(
     """The board at some stations of recording number `log`, or why it cannot be measured."""
     measured: list[Measured | Rejection] = []
     for station, detected in zip(stations, detections, strict=True):
-        left, right = detected.pairs(station.pairs)
-        if left:
-            measured.append(measure(log, station, left, right, cameras, board))
+        shots = detected.of_shots(station.shots, cameras)
+        if shots:
+            measured.append(measure(log, station, shots, cameras, board))
         else:
             undecoded = [rejection.detail for rejection in detected.rejections]
             detail = undecoded[0] if undecoded else "the recording does not contain the images"
@@ -215,12 +221,12 @@ def measure_stations(
 
 
 def first_pairs(
-    stations: Sequence[Station], detections: Sequence[StationDetections]
+    stations: Sequence[Station], detections: Sequence[StationDetections], rig: CameraRig
 ) -> list[tuple[Detection, Detection]]:
-    """The board in the first stereo pair of each station that shows it in both images."""
+    """The board in the first shot of each station that shows it to both cameras of a pair."""
     firsts = []
     for station, detected in zip(stations, detections, strict=True):
-        for left, right in zip(*detected.pairs(station.pairs), strict=True):
+        for left, right, *_ in detected.of_shots(station.shots, rig) if len(rig.each) == 2 else ():
             if isinstance(left, Detection) and isinstance(right, Detection):
                 firsts.append((left, right))
                 break
@@ -298,7 +304,9 @@ class DetectionWorkers(Processes):
                     detections, damage = waiting.popleft().result()
                     for note in damage:
                         self._recording.note(note)
-                    yield sum(len(of_side) for station in detections for of_side in station.found.values())
+                    yield sum(
+                        len(of_camera) for station in detections for of_camera in station.found.values()
+                    )
                     yield detections
                     done += 1
         for segment in segments[done:]:
@@ -307,7 +315,7 @@ class DetectionWorkers(Processes):
     def measure_stations(
         self,
         log: int,
-        cameras: StereoRig,
+        cameras: CameraRig,
         board: Board,
         stations: Sequence[Station],
         detections: Sequence[StationDetections],
@@ -338,7 +346,8 @@ def detect_all(
     A few segments are processed without the workers. For `thorough`, see `vision.detect`.
     """
     segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
-    total = 2 * sum(len(station.pairs) for plan in plans for station in plan.stations)
+    shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
+    total = sum(len(shot.taken_ns) for shot in shots)
     done = 0
     detections: list[StationDetections] = []
     with _one_thread():

@@ -10,7 +10,7 @@ from typing import Any
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params, used_for
-from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import (
     CalibratedRobot,
     Evaluation,
@@ -18,6 +18,7 @@ from mobilecal_cli.model import (
     Knowledge,
     Nominal,
     Solution,
+    WheelGeometry,
 )
 from mobilecal_cli.report.criteria import Check
 from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
@@ -77,13 +78,16 @@ def evaluate(
     robot = read_params(params)
     config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates, evaluating=True)
-    wheels = read_params(before).wheels if before is not None else None
+    wheels: WheelGeometry | None = None
     extraction, _ = load(logs, config, progress)
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",
             "give a recording with more stops in front of the board",
         )
+    robot = _for_recording(robot, extraction, params)
+    if before is not None:
+        wheels = _for_recording(read_params(before), extraction, before).wheels
     parameters = parameters_of(robot, extraction, params)
     progress("solving", 0, None)
     solution = _solved(extraction, robot)
@@ -105,6 +109,22 @@ def evaluate(
     checks = tuple(gate_checks(limits, evaluated_figures(evaluation)))
     verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, used, checks)
     return Evaluated(evaluation, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
+
+
+def _for_recording(robot: CalibratedRobot, extraction: Extraction, params: Path) -> CalibratedRobot:
+    """A calibration of odometry for the assumed wheels of a recording.
+
+    Raises:
+        ConfigError: only one of them has wheels.
+    """
+    assumed = extraction.rig.sources.assumed_wheels
+    if (robot.odometry is None) != (assumed is None):
+        has, lacks = ("wheels", "odometry alone") if robot.odometry is None else ("odometry alone", "wheels")
+        raise ConfigError(
+            f"{params} is a calibration of {has}, and the recording is read as {lacks}",
+            "give a recording with the same topics; with nominal.wheels in rig.yaml odometry is read as wheels",
+        )
+    return robot if assumed is None else robot.with_assumed(assumed)
 
 
 def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | MobilecalError:

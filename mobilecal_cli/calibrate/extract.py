@@ -27,7 +27,6 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
-    SIDES,
     Board,
     Extraction,
     LogSource,
@@ -101,17 +100,22 @@ def _extracted(
         if size is None:
             raise ObservationError(
                 f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
-                "keep the whole board in both images, in good light, with squares of 7 pixels or more, or "
-                "set the number of its inner corners with --board, such as --board 9x6",
+                f"keep the whole board in {rig.cameras.images_words}, in good light, with squares of 7 pixels or "
+                "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
     detected = detect_all(workers, rig, board, plans, not everything, progress)
     stations = [station for detections in detected for station in detections]
-    for side, topic in rig.sources.image.items():
+    for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
-        if lost and not any(station.found[side] for station in stations):
+        if lost and not any(station.found[name_of_camera] for station in stations):
             raise undecodable(lost)
-    any_board = any(isinstance(d, Detection) for station in stations for d in station.found["left"].values())
+    any_board = any(
+        isinstance(d, Detection)
+        for station in stations
+        for of_camera in station.found.values()
+        for d in of_camera.values()
+    )
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
@@ -125,7 +129,7 @@ def _extracted(
     logs = []
     for number, (plan, detections) in enumerate(zip(plans, detected, strict=True), len(earlier)):
         measured = workers.measure_stations(number, rig.cameras, board, plan.stations, detections)
-        check_arrangement(measured, first_pairs(plan.stations, detections), rig.cameras, board)
+        check_arrangement(measured, first_pairs(plan.stations, detections, rig.cameras), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
@@ -185,10 +189,10 @@ def extract(
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = tuple(
-        Snapshot(number, station.index, detected.pictures["left"], detected.pictures["right"])
+        Snapshot(number, station.index, detected.pictures)
         for number, log in enumerate(extracted)
         for station, detected in zip(log.plan.stations, log.detections, strict=True)
-        if all(side in detected.pictures for side in SIDES)
+        if len(detected.pictures) >= log.rig.cameras.fewest
     )
     return extraction, snapshots
 
@@ -208,11 +212,9 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
     """A note if the camera infos of two recordings differ beyond rounding."""
     a, b = first.rig.cameras, other.rig.cameras
     pairs = [
-        (getattr(x, name), getattr(y, name))
-        for x, y in ((a.left, b.left), (a.right, b.right))
-        for name in "KD"
+        (getattr(x, name), getattr(y, name)) for x, y in zip(a.each, b.each, strict=False) for name in "KD"
     ]
-    pairs.append((a.T_c_r, b.T_c_r))
+    pairs += zip(a.T_c_each[1:], b.T_c_each[1:], strict=False)
     if all(x.shape == y.shape and np.allclose(x, y, rtol=_SAME_INFO, atol=_SAME_INFO) for x, y in pairs):
         return ()
     return (
@@ -321,8 +323,7 @@ def _same_readings(one: Track, other: Track) -> bool:
 
 
 def _same_corners(one: Observation, other: Observation) -> bool:
-    pairs = ((one.left, other.left), (one.right, other.right))
-    return all(
+    return len(one.views) == len(other.views) and all(
         a.pixels.shape == b.pixels.shape and np.abs(a.pixels - b.pixels).max(initial=0.0) < _SAME_VALUE
-        for a, b in pairs
+        for a, b in zip(one.views, other.views, strict=True)
     )

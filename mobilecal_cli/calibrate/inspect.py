@@ -252,23 +252,26 @@ def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
 
 
 def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tuple[int, int] | None:
-    """Left images within the time of all other topics, and of all left images; few of them are a finding.
+    """Images of the first camera within the time of all other topics, and of all its images; few of them are a finding.
 
     Log times of one moment differ by what the messages take to arrive.
     """
-    images = times.get(rig.sources.image["left"])
-    motion = [times.get(t) for t in (rig.sources.image["right"], *rig.sources.motion)]
+    first, *others = rig.sources.image.values()
+    images, (name, *other_names) = times.get(first), rig.sources.image
+    motion = [times.get(t) for t in (*others, *rig.sources.motion)]
     spans = [(int(t.min()), int(t.max())) for t in motion if t is not None and len(t)]
     if images is None or not len(images) or len(spans) < len(motion):
         return None
     late_ns = round(PAIR_AT_REST_S * 1e9)
-    first, last = max(span[0] for span in spans) - late_ns, min(span[1] for span in spans) + late_ns
-    count, total = int(np.sum((images >= first) & (images <= last))), len(images)
+    begin, end = max(span[0] for span in spans) - late_ns, min(span[1] for span in spans) + late_ns
+    count, total = int(np.sum((images >= begin) & (images <= end))), len(images)
+    others_words = "".join(f"{other} images, " for other in other_names)
+    cameras_words = {0: "the camera", 1: "both cameras"}.get(len(others), "all cameras")
     if count < _LEAST_COVERED * total:
         lack = Lack(
             "time",
-            f"{count} of {total} left images were recorded while right images, joints and wheels were",
-            "record both cameras, joint states and wheels at the same time",
+            f"{count} of {total} {name} images were recorded while {others_words}joints and wheels were",
+            f"record {cameras_words}, joint states and wheels at the same time",
             RecordingError.exit_code,
         )
         (findings.weak if count else findings.missing).append(lack)
@@ -347,7 +350,7 @@ def _rests(
     findings: _Findings,
 ) -> int | None:
     """Number of rests with images; adds what is unobservable from them, or from all of the motion."""
-    images = {side: times.get(rig.sources.image[side]) for side in SIDES}
+    images = {name: times.get(topic) for name, topic in rig.sources.image.items()}
     # Where a clock steps, log times do not tell which readings belong to an image.
     if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
         moments = [_seconds(track) for track in wheels]

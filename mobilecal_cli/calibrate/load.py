@@ -116,7 +116,7 @@ def differences(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ..
 
 
 def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) -> Parameters:
-    """The nine parameters of a calibration for the left camera of a recording's robot.
+    """The nine parameters of a calibration for the first camera of a recording's robot.
 
     Raises:
         ConfigError: the calibration is for other frames.
@@ -130,5 +130,5 @@ def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) ->
             "set head.head_frame and cameras.reference as for the calibration",
         )
     rows = table(cameras, extraction.rig.chain)
-    estimated = camera_change(rows, robot.constants or {}).apply(cameras)
+    estimated = camera_change(cameras, rows, robot.constants or {}).apply(cameras)
     return Parameters(robot.T_parent_child @ se3.inverse(estimated.T_c_reference), robot.wheels)

@@ -11,17 +11,15 @@ import numpy as np
 from mobilecal_cli.calibrate.detect import check_picture
 from mobilecal_cli.errors import MobilecalError, ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import (
-    SIDES,
     Board,
     BoardView,
+    CameraRig,
     GrayImage,
     Lack,
     Rejection,
-    Side,
     Sources,
     Station,
     StereoLayout,
-    StereoRig,
 )
 from mobilecal_cli.readers import Recording, pictures_near
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
@@ -37,9 +35,9 @@ _SQUARE_PERCENT = 1.0
 
 def sample_board(
     recording: Recording,
-    images: Mapping[Side, str],
+    images: Mapping[str, str],
     layout: StereoLayout,
-    cameras: StereoRig | None,
+    cameras: CameraRig | None,
     board: Board | None,
     stated_m: float | None = None,
 ) -> tuple[BoardView | None, list[Lack], list[Lack]]:
@@ -47,9 +45,9 @@ def sample_board(
 
     Args:
         recording: the open recording.
-        images: image topic of each side.
+        images: image topic of each camera.
         layout: arrangement of the two images of a pair.
-        cameras: the stereo pair, None if unknown.
+        cameras: the cameras, None if unknown.
         board: as configured, None if its size is found in the images.
         stated_m: side of a square as configured, m.
     """
@@ -59,14 +57,14 @@ def sample_board(
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
     sources = Sources(images, {}, (), {}, layout=layout)
     samples = {
-        side: list(pictures_near(recording, replace(sources, image={side: images[side]}), moments))
-        for side in SIDES
+        name: list(pictures_near(recording, replace(sources, image={name: topic}), moments))
+        for name, topic in images.items()
     }
-    readable = [image for side in SIDES for image in samples[side] if not isinstance(image, Rejection)]
+    readable = [image for some in samples.values() for image in some if not isinstance(image, Rejection)]
     if not readable:
-        broken = [image for side in SIDES for image in samples[side] if isinstance(image, Rejection)]
+        broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
-        return None, [_lack("cameras", f"no image can be read{why}", "record both cameras' images")], []
+        return None, [_lack("cameras", f"no image can be read{why}", "record the cameras' images")], []
     lacks = [] if cameras is None else _wrong_sizes(samples, cameras)
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
@@ -86,15 +84,19 @@ def sample_board(
         plain = stated is None or stated.markers is None
         what = "a whole checkerboard" if plain else "the configured board"
         what = f"{what} is in none of {len(readable)} images spread over the recording"
-        cure = "keep the whole board in both images, in good light, with squares of 7 pixels or more"
+        where = "an image" if cameras is None else cameras.images_words
+        where = "both images" if len(images) == 2 else where
+        cure = f"keep the whole board in {where}, in good light, with squares of 7 pixels or more"
         lacks.append(_lack("board", what, cure))
         return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
     detections = {
-        side: [None if isinstance(image, Rejection) else find_board(image, board) for image in samples[side]]
-        for side in SIDES
+        name: [None if isinstance(image, Rejection) else find_board(image, board) for image in some]
+        for name, some in samples.items()
     }
-    seen = sum(isinstance(detection, Detection) for side in SIDES for detection in detections[side])
-    squares_m = () if cameras is None or lacks else _squares_m(cameras, board, detections)
+    seen = sum(isinstance(detection, Detection) for found in detections.values() for detection in found)
+    squares_m = (
+        () if cameras is None or not cameras.calibrated or lacks else _squares_m(cameras, board, detections)
+    )
     square_m = float(np.median(squares_m)) if squares_m else None
     wrong = _wrong_square(stated_m, squares_m) if stated_m and squares_m else None
     weak: list[Lack] = []
@@ -132,21 +134,21 @@ def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = Observa
     return Lack(about, what, cure, kind.exit_code)
 
 
-def _wrong_sizes(samples: Mapping[Side, Sequence[GrayImage | Rejection]], cameras: StereoRig) -> list[Lack]:
+def _wrong_sizes(samples: Mapping[str, Sequence[GrayImage | Rejection]], cameras: CameraRig) -> list[Lack]:
     """Images that do not have the size that their camera_info states."""
     lacks = []
-    for side in SIDES:
-        image = next((image for image in samples[side] if not isinstance(image, Rejection)), None)
+    for name, some in samples.items():
+        image = next((image for image in some if not isinstance(image, Rejection)), None)
         try:
             if image is not None:
-                check_picture(image, side, cameras)
+                check_picture(image, name, cameras)
         except RecordingError as error:
             lacks.append(_lack("camera infos", error.message, error.hint, RecordingError))
     return lacks
 
 
 def _squares_m(
-    cameras: StereoRig, board: Board, detections: Mapping[Side, Sequence[Detection | Miss | None]]
+    cameras: CameraRig, board: Board, detections: Mapping[str, Sequence[Detection | Miss | None]]
 ) -> tuple[float, ...]:
     """Side of a square in each stereo pair that shows the board, m."""
     if len(detections["left"]) != len(detections["right"]):
@@ -155,7 +157,7 @@ def _squares_m(
     station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
     for left, right in zip(detections["left"], detections["right"], strict=True):
         if isinstance(left, Detection) and isinstance(right, Detection):
-            measured = measure(0, station, [left], [right], cameras, board)
+            measured = measure(0, station, [[left, right]], cameras, board)
             if isinstance(measured, Measured):
                 sides.append(measured.square_m)
     return tuple(sides)

@@ -16,7 +16,6 @@ from mobilecal_cli.export import from_plain, improved_cameras, improved_chain
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.model import (
-    SIDES,
     CalibratedRobot,
     Extraction,
     FloatArray,
@@ -24,7 +23,6 @@ from mobilecal_cli.model import (
     Parameters,
     Rejection,
     Residuals,
-    Side,
 )
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
 from mobilecal_cli.report.numbers import station_names
@@ -35,7 +33,7 @@ from mobilecal_cli.vision import snapshot_jpeg
 
 _STEP_NS = 10**8  # between two poses of the base
 #: Observation → its images.
-Images = Mapping[int, Mapping[Side, bytes]]
+Images = Mapping[int, Mapping[str, bytes]]
 
 
 def scene_of(
@@ -94,16 +92,14 @@ def _stations(
         i: k for k, (i, j) in enumerate(residuals.legs.tolist()) if used_legs is None or (i, j) in used_legs
     }
     T_w_c = residuals.T_w_v @ T_v_h @ parameters.T_h_c
-    predicted = {"left": residuals.predicted_left_px, "right": residuals.predicted_right_px}
     views = []
     for number, o in enumerate(extraction.observations):
         leg = legs.get(number)
-        corners: dict[Side, CornerView] = {}
-        for side in SIDES:
-            detected = o.left if side == "left" else o.right
-            jpeg = images.get(number, {}).get(side, b"")
-            expected_px = None if leg is None else predicted[side][leg]
-            corners[side] = CornerView(detected.pixels, detected.seen, expected_px, jpeg)
+        corners: dict[str, CornerView] = {}
+        for k, (name, detected) in enumerate(zip(extraction.rig.cameras.names, o.views, strict=True)):
+            jpeg = images.get(number, {}).get(name, b"")
+            expected_px = None if leg is None else residuals.predicted_px[k, leg]
+            corners[name] = CornerView(detected.pixels, detected.seen, expected_px, jpeg)
         view = StationView(names[number], o.time_ns, residuals.T_w_k[number], T_w_c[number], corners)
         if leg is not None:
             view = replace(
@@ -180,10 +176,10 @@ def _unused(extraction: Extraction, outliers: Sequence[Outlier]) -> Iterator[Unu
 
 
 def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
-    """The first stereo pair of each station, from the recordings of the extraction."""
+    """The first images of each station, from the recordings of the extraction."""
     known = {log.sha256 for log in extraction.logs}
     wanted = {(o.log, o.time_ns): number for number, o in enumerate(extraction.observations)}
-    jpegs: dict[int, dict[Side, bytes]] = {}
+    jpegs: dict[int, dict[str, bytes]] = {}
     log = 0
     for parts in join_splits(list(logs)):
         for part in parts:
@@ -200,17 +196,18 @@ def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
                     break
             for plan in plans:
                 mine = [s for s in plan.stations if (log, s.time_ns) in wanted]
-                numbers: dict[tuple[Side, int], int] = {}  # (side, time of its first image) → observation
+                numbers: dict[tuple[str, int], int] = {}  # (camera, time of its first image) → observation
                 for station in mine:
-                    number, pair = wanted[log, station.time_ns], station.pairs[0]
-                    numbers |= {("left", pair.left_ns): number, ("right", pair.right_ns): number}
-                firsts = [replace(station, pairs=station.pairs[:1]) for station in mine]
+                    taken = zip(rig.cameras.names, station.shots[0].times_ns, strict=True)
+                    number = wanted[log, station.time_ns]
+                    numbers |= {(name, at): number for name, at in taken if at is not None}
+                firsts = [replace(station, shots=station.shots[:1]) for station in mine]
                 index = images_of(firsts, plan.images)
-                for side, time_ns, picture in read_images(
+                for name, time_ns, picture in read_images(
                     recording, rig.sources.image, index, rig.sources.layout
                 ):
                     if not isinstance(picture, Rejection):
-                        jpegs.setdefault(numbers[side, time_ns], {})[side] = snapshot_jpeg(picture)
+                        jpegs.setdefault(numbers[name, time_ns], {})[name] = snapshot_jpeg(picture)
                 log += 1
     if not jpegs:
         raise RecordingError(

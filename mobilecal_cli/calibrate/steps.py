@@ -28,6 +28,7 @@ from mobilecal_cli.export import (
 )
 from mobilecal_cli.model import (
     CalibratedRobot,
+    CameraRig,
     Evaluation,
     Extraction,
     FloatArray,
@@ -36,7 +37,6 @@ from mobilecal_cli.model import (
     Provenance,
     Snapshot,
     Solution,
-    StereoRig,
 )
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
@@ -103,12 +103,12 @@ class Fit:
 
     @property
     def parameters(self) -> Parameters:
-        """The nine parameters, of the left camera."""
+        """The nine parameters, of the first camera."""
         return self.solution.parameters
 
     @property
-    def cameras(self) -> StereoRig:
-        """The stereo pair as estimated."""
+    def cameras(self) -> CameraRig:
+        """The cameras as estimated."""
         return self.solution.cameras
 
     @property

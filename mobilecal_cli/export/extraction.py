@@ -6,6 +6,7 @@ import io
 import json
 import math
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.plain import from_plain, to_plain
 from mobilecal_cli.model import (
+    SIDES,
     Board,
     Corners,
     Extraction,
@@ -27,8 +29,9 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-SCHEMA_VERSION = 8
-_OLDEST_READ = 5  # both wheels at the same times; 6: no priors of constants; 7: settled_by
+SCHEMA_VERSION = 9
+# 5: both wheels at the same times; 6: no priors of constants; 7: settled_by; 8: stereo pairs only
+_OLDEST_READ = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -86,10 +89,10 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
             arrays[f"observations.{name}"] = np.stack(
                 [np.asarray(getattr(o, name), dtype) for o in observations]
             )
-        for side in ("left", "right"):
+        for k, camera in enumerate(extraction.rig.cameras.names):
             for name, dtype in _CORNER_ARRAYS.items():
-                arrays[f"observations.{side}.{name}"] = np.stack(
-                    [np.asarray(getattr(getattr(o, side), name), dtype) for o in observations]
+                arrays[f"observations.{camera}.{name}"] = np.stack(
+                    [np.asarray(getattr(o.views[k], name), dtype) for o in observations]
                 )
     for i, track in enumerate(extraction.wheels):
         for side, wheel in (("right", track.right), ("left", track.left)):
@@ -187,10 +190,13 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
     rig = header["rig"]
     if "settled_by" in rig:  # the name in schema versions 5 to 7
         rig["setting_sources"] = rig.pop("settled_by")
+    if "left" in rig["cameras"]:  # schema versions 5 to 8
+        rig["cameras"] = _pair(rig["cameras"])
+    names = [str(name) for name in rig["cameras"]["names"]]
     return Extraction(
         rig=from_plain(Rig, rig),
         board=from_plain(Board, header["board"]),
-        observations=tuple(_observation(arrays, i) for i in range(header["observations"])),
+        observations=tuple(_observation(arrays, names, i) for i in range(header["observations"])),
         wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
         rejections=tuple(from_plain(Rejection, item) for item in header["rejections"]),
         notes=tuple(str(note) for note in header["notes"]),
@@ -221,7 +227,20 @@ def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
     return wheels
 
 
-def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:
+def _pair(pair: dict[str, Any]) -> dict[str, Any]:
+    """The plain form of a stereo pair of earlier versions as that of a `CameraRig`."""
+    return {
+        "names": list(SIDES),
+        "each": [pair["left"], pair["right"]],
+        "T_c_each": [np.eye(4).tolist(), pair["T_c_r"]],
+        "R_rect": [pair["R_rect_c"], pair["R_rect_r"]],
+        "rectified": pair["rectified"],
+        "reference": pair.get("reference", "left"),
+        "calibrated": True,
+    }
+
+
+def _observation(arrays: dict[str, NDArray[Any]], names: Sequence[str], index: int) -> Observation:
     def corners(side: str) -> Corners:
         pixels, sigma_px, pictures, seen, relative_cov = (
             arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS
@@ -230,4 +249,4 @@ def _observation(arrays: dict[str, NDArray[Any]], index: int) -> Observation:
 
     values = {name: arrays[f"observations.{name}"][index] for name in _OBSERVATION_ARRAYS}
     scalars = {name: value.item() for name, value in values.items() if value.ndim == 0}
-    return Observation(**(values | scalars), left=corners("left"), right=corners("right"))
+    return Observation(**(values | scalars), views=tuple(corners(name) for name in names))

@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.effects import (
     JointZero,
 )
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.model import Camera, FixedLink, FloatArray, HeadChain, JointLink, Rig, Side, StereoRig
+from mobilecal_cli.model import Camera, CameraRig, FixedLink, FloatArray, HeadChain, JointLink, Rig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1
@@ -55,8 +55,8 @@ def camera_constants(rig: Rig, constants: Mapping[str, float]) -> dict[str, floa
 
 def improved_cameras(
     rig: Rig, constants: Mapping[str, float], kalibr: bool = False
-) -> tuple[StereoRig, float, float]:
-    """The stereo pair with the estimated constants; its lens corrections are part of the distortion models.
+) -> tuple[CameraRig, float, float]:
+    """The cameras with the estimated constants; their lens corrections are part of the distortion models.
 
     Args:
         rig: the robot as stated.
@@ -64,25 +64,25 @@ def improved_cameras(
         kalibr: without the third radial coefficient of plumb_bob, which Kalibr does not have.
 
     Returns:
-        The pair; largest distance between the pixels with the corrections and with the distortion models, over both
-        images, px; and its root mean square in the worse of them, px.
+        The cameras; largest distance between the pixels with the corrections and with the distortion models, over all
+        images, px; and its root mean square in the worst of them, px.
     """
-    cameras = camera_change(table(rig.cameras, rig.chain), constants).apply(rig.cameras)
-    left, off_left = without_correction(cameras.left, kalibr)
-    right, off_right = without_correction(cameras.right, kalibr)
-    largest = max(float(off.max(initial=0.0)) for off in (off_left, off_right))
-    usual = max(float(np.sqrt(np.mean(off**2))) for off in (off_left, off_right))
-    return replace(cameras, left=left, right=right), largest, usual
+    cameras = camera_change(rig.cameras, table(rig.cameras, rig.chain), constants).apply(rig.cameras)
+    plain, off = zip(*(without_correction(camera, kalibr) for camera in cameras.each), strict=True)
+    largest = max(float(each.max(initial=0.0)) for each in off)
+    usual = max(float(np.sqrt(np.mean(each**2))) for each in off)
+    return replace(cameras, each=plain), largest, usual
 
 
 def cameras_with_notes(
     rig: Rig, changed: Mapping[str, float], kalibr: bool = False
-) -> tuple[StereoRig, tuple[str, ...]]:
-    """The stereo pair for other programs, and sentences on it; `changed` is of `camera_constants`."""
+) -> tuple[CameraRig, tuple[str, ...]]:
+    """The cameras for other programs, and sentences on it; `changed` is of `camera_constants`."""
     cameras, largest, usual = improved_cameras(rig, changed, kalibr)
+    what = "stereo pair is" if cameras.calibrated else "cameras are" if len(cameras.each) > 1 else "camera is"
     if not changed:
-        return cameras, ("The stereo pair is as stated in the recording.",)
-    notes: tuple[str, ...] = ("The stereo pair is as estimated by the calibration.",)
+        return cameras, (f"The {what} as stated in the recording.",)
+    notes: tuple[str, ...] = (f"The {what} as estimated by the calibration.",)
     if largest:
         note = f"The distortion model differs from the estimated lens by {usual:.2g} px rms and at most"
         note += f" {largest:.2g} px"
@@ -215,15 +215,15 @@ def _parts(
     return parts
 
 
-def rectified_pair(cameras: StereoRig) -> dict[Side, tuple[FloatArray, FloatArray]]:
+def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels).
 
     Returns:
-        Side → R, (3, 3) raw to rectified coordinates, and P, (3, 4) projection of rectified coordinates, px.
+        Camera → R, (3, 3) raw to rectified coordinates, and P, (3, 4) projection of rectified coordinates, px.
     """
-    T_r_c = se3.inverse(cameras.T_c_r)
+    T_r_c = se3.inverse(cameras.T_c_each[1])
     R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
-    left, right = cameras.left, cameras.right
+    left, right = cameras.each
     size = (left.width, left.height)
     if left.distortion == "equidistant":
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
@@ -232,4 +232,4 @@ def rectified_pair(cameras: StereoRig) -> dict[Side, tuple[FloatArray, FloatArra
     else:
         R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
     as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
-    return {"left": (as_float[0], as_float[2]), "right": (as_float[1], as_float[3])}
+    return dict(zip(cameras.names, ((as_float[0], as_float[2]), (as_float[1], as_float[3])), strict=True))

@@ -27,9 +27,12 @@ from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quot
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
+    FACTORS,
     NINE,
     SIDES,
+    AssumedOdometry,
     CalibratedRobot,
+    CameraRig,
     EstimatedConstant,
     Extraction,
     FloatArray,
@@ -39,8 +42,8 @@ from mobilecal_cli.model import (
     Provenance,
     Side,
     Solution,
-    StereoRig,
     WheelGeometry,
+    camera_words,
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.rig.config import WheelsNominal, checked_settings
@@ -48,6 +51,8 @@ from mobilecal_cli.rig.config import WheelsNominal, checked_settings
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
 SCHEMA_VERSION = 3
+_OF_ODOMETRY = 4  # the version of files with the factors of odometry in place of wheels
+_FACTOR_ORDER = (*NINE[:6], *FACTORS[:3])
 _OLDEST_READ = 1  # no constants; no verdict up to 2
 NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
 _SAME_ROTATION_DEG = 0.01
@@ -80,26 +85,22 @@ def params_yaml(
     """
     cameras, chain = solution.cameras, extraction.rig.chain
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
-    frame = (cameras.left if cameras.reference == "left" else cameras.right).frame_id
-    wheels = solution.parameters.wheels
+    frame = cameras.of_reference.frame_id
+    wheels, odometry = solution.parameters.wheels, extraction.rig.sources.assumed_odometry
     kind = "rectified" if cameras.rectified else "raw"
     blocks = [
         f"{FIRST_LINE} Lengths in m, angles in rad unless the key says deg.",
-        f"schema_version: {SCHEMA_VERSION}",
+        f"schema_version: {SCHEMA_VERSION if odometry is None else _OF_ODOMETRY}",
         "",
         *(_verdict_lines(verdict, reasons) if verdict else []),
         "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
-        f"# Child: the optical frame of the {cameras.reference} camera ({kind} images): x right, y down, z forward.",
+        f"# Child: the optical frame of the {camera_words(cameras.reference)} ({kind} images): "
+        "x right, y down, z forward.",
         "head_eye:",
         *_transform_lines(chain.head_frame, frame, T_h_reference),
         "",
         *(_raw_block(cameras, chain.head_frame, frame, T_h_reference) if cameras.rectified else []),
-        "# Differential drive: wheel radii and wheel separation.",
-        "wheels:",
-        f"  radius_left_m: {decimal(wheels.radius_left_m)}  # left wheel radius, m",
-        f"  radius_right_m: {decimal(wheels.radius_right_m)}  # right wheel radius, m",
-        f"  separation_m: {decimal(wheels.separation_m)}  # distance between the contact points, m",
-        "",
+        *(_wheel_lines(wheels) if odometry is None else _odometry_lines(solution, odometry)),
         "# Quality of the calibration; report.html explains these figures.",
         "quality:",
         f"  stations: {len(extraction.observations)}  # stations used",
@@ -107,7 +108,7 @@ def params_yaml(
         "  # point error: station-to-station corner error in space, rms, mm",
         f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # reprojection error: the same in px",
         "",
-        *_uncertainty_lines(solution),
+        *_uncertainty_lines(solution, odometry),
         *_constant_lines(solution, extraction),
         *_provenance_lines(provenance),
     ]
@@ -125,21 +126,63 @@ def _verdict_lines(verdict: str, reasons: Sequence[str]) -> list[str]:
     ]
 
 
-def _uncertainty_lines(solution: Solution) -> list[str]:
+def _wheel_lines(wheels: WheelGeometry) -> list[str]:
+    return [
+        "# Differential drive: wheel radii and wheel separation.",
+        "wheels:",
+        f"  radius_left_m: {decimal(wheels.radius_left_m)}  # left wheel radius, m",
+        f"  radius_right_m: {decimal(wheels.radius_right_m)}  # right wheel radius, m",
+        f"  separation_m: {decimal(wheels.separation_m)}  # distance between the contact points, m",
+        "",
+    ]
+
+
+def _odometry_lines(solution: Solution, odometry: AssumedOdometry) -> list[str]:
+    """The block `odometry`, which stands in place of `wheels`."""
+    wheels, found = solution.parameters.wheels, solution.uncertainty
+    values = odometry.factors(wheels).tolist()
+    lines = [f"  {name}: {decimal(value)}" for name, value in zip(FACTORS, values, strict=True)]
+    if found is not None:
+        std = np.sqrt(np.diag(odometry.covariance(wheels, found.reference_covariance[6:, 6:]))).tolist()
+        shown = ", ".join(f"{name}: {exponential(s)}" for name, s in zip(FACTORS, std, strict=True))
+        lines.append(f"  std: {{{shown}}}")
+    return [
+        "# Factors of the odometry, unit 1: the recording has no wheels, so no radius and no separation was measured.",
+        "# The multipliers are those of diff_drive_controller, relative to the wheels in the driver. linear_scale is",
+        "# true over measured distance, angular_scale true over measured rotation: drivers take these or those.",
+        "# The driver is assumed to have a wheel separation of assumed_separation_m; the difference between the",
+        "# multipliers of the two radii is in proportion to it, and the other factors do not depend on it.",
+        "odometry:",
+        f"  topic: {quoted(odometry.topic)}",
+        *lines,
+        f"  assumed_radius_m: {decimal(odometry.wheels.radius_right_m)}",
+        f"  assumed_separation_m: {decimal(odometry.wheels.separation_m)}",
+        f"  assumed_separation_share: {decimal(odometry.separation_share)}  # its relative standard deviation",
+        "",
+    ]
+
+
+def _uncertainty_lines(solution: Solution, odometry: AssumedOdometry | None = None) -> list[str]:
     """The block `uncertainty`; empty for methods that give none."""
     uncertainty = solution.uncertainty
     if uncertainty is None:
         return []
     covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
+    names = NINE
+    lengths = "lengths in m."
+    if odometry is not None:
+        names, lengths = _FACTOR_ORDER, "lengths in m, factors in 1."
+        units = _units(odometry.wheels)
+        covariance = covariance / np.outer(units, units)
     std = np.sqrt(np.diag(covariance))
-    observable = zip(NINE, uncertainty.observable, strict=True)
-    shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(NINE, std, strict=True))
+    observable = zip(names, uncertainty.observable, strict=True)
+    shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(names, std, strict=True))
     return [
-        "# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; lengths in m.",
+        f"# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; {lengths}",
         "# A parameter that the recording does not determine (observable: false) keeps its nominal value, and has the",
         "# standard deviation of a nominal value. Parameters fixed by the user have none.",
         "uncertainty:",
-        f"  order: [{', '.join(NINE)}]",
+        f"  order: [{', '.join(names)}]",
         f"  std: {{{shown}}}",
         "  covariance:",
         *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
@@ -147,6 +190,11 @@ def _uncertainty_lines(solution: Solution) -> list[str]:
         f"  noise: {{{_noise(uncertainty.noise)}}}",
         "",
     ]
+
+
+def _units(assumed: WheelGeometry) -> FloatArray:
+    """(9,) m that a factor of one stands for; 1 for the head-eye transform."""
+    return np.concatenate([np.ones(6), assumed.vector])
 
 
 def _noise(levels: NoiseLevels) -> str:
@@ -170,8 +218,8 @@ def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
     ]
 
 
-def _raw_block(cameras: StereoRig, head_frame: str, frame: str, T_h_rectified: FloatArray) -> list[str]:
-    R_rect_raw = cameras.R_rect_c if cameras.reference == "left" else cameras.R_rect_r
+def _raw_block(cameras: CameraRig, head_frame: str, frame: str, T_h_rectified: FloatArray) -> list[str]:
+    R_rect_raw = cameras.R_rect[cameras.names.index(cameras.reference)]
     T_h_raw = T_h_rectified @ se3.transform(R_rect_raw, np.zeros(3))
     return [
         "# The raw optical frame of the same camera: x_rectified = R x_raw with R from camera_info.",
@@ -302,8 +350,9 @@ class _Uncertainty(_Section):
 
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
-        if self.order != NINE or self.observable.keys() != set(NINE):
-            raise ValueError(f"order and observable must list {', '.join(NINE)}")
+        names = _FACTOR_ORDER if self.order == _FACTOR_ORDER else NINE
+        if self.order != names or self.observable.keys() != set(names):
+            raise ValueError(f"order and observable must list {', '.join(names)}")
         covariance = np.array(self.covariance)
         if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0) or np.any(np.diag(covariance) < 0):
             raise ValueError("the covariance is not symmetric or has a negative variance")
@@ -311,11 +360,38 @@ class _Uncertainty(_Section):
         scale = np.where(std > 0, std, 1.0)
         if np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() < -_ROUNDING:
             raise ValueError("the covariance is not positive semidefinite: no such uncertainty exists")
-        for name, value in zip(NINE, std, strict=True):
+        for name, value in zip(names, std, strict=True):
             stated = (self.std or {}).get(name)
             if stated is not None and not math.isclose(stated, value, rel_tol=_SAME_STD):
                 raise ValueError(f"std.{name} is {stated:g}, but the covariance gives {value:g}")
         return self
+
+
+_Factor = Annotated[_Number, Field(gt=1e-3, lt=1e3)]
+
+
+class _Odometry(_Section):
+    topic: str = Field(min_length=1)
+    right_wheel_radius_multiplier: _Factor
+    left_wheel_radius_multiplier: _Factor
+    wheel_separation_multiplier: _Factor
+    assumed_radius_m: _Radius
+    assumed_separation_m: _Separation
+    assumed_separation_share: Annotated[_Number, Field(ge=0, le=10)] = 0.0
+
+    @property
+    def assumed(self) -> AssumedOdometry:
+        wheels = WheelGeometry(self.assumed_radius_m, self.assumed_radius_m, self.assumed_separation_m)
+        return AssumedOdometry(self.topic, wheels, self.assumed_separation_share)
+
+    @property
+    def wheels(self) -> WheelGeometry:
+        factors = [
+            self.right_wheel_radius_multiplier,
+            self.left_wheel_radius_multiplier,
+            self.wheel_separation_multiplier,
+        ]
+        return WheelGeometry.of(self.assumed.wheels.vector * factors)
 
 
 class _Constant(_Section):
@@ -343,7 +419,8 @@ class _File(_Section):
     verdict: _Verdict | None = None
     head_eye: _HeadEye
     head_eye_raw: _HeadEye | None = None
-    wheels: _Wheels
+    wheels: _Wheels | None = None
+    odometry: _Odometry | None = None
     uncertainty: _Uncertainty | None = None
     constants: dict[str, _Constant] | None = None
     provenance: _Provenance = _Provenance()
@@ -351,9 +428,18 @@ class _File(_Section):
     @field_validator("schema_version")
     @classmethod
     def _known(cls, value: int) -> int:
-        if not _OLDEST_READ <= value <= SCHEMA_VERSION:
-            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {SCHEMA_VERSION}")
+        if not _OLDEST_READ <= value <= _OF_ODOMETRY:
+            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {_OF_ODOMETRY}")
         return value
+
+    @model_validator(mode="after")
+    def _wheels_or_odometry(self) -> _File:
+        if (self.wheels is None) == (self.odometry is None):
+            raise ValueError("wheels: Field required" if self.wheels is None else "give wheels or odometry")
+        of_factors = self.uncertainty is not None and self.uncertainty.order == _FACTOR_ORDER
+        if of_factors != (self.odometry is not None and self.uncertainty is not None):
+            raise ValueError("uncertainty.order does not belong to wheels or odometry")
+        return self
 
 
 def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobot:
@@ -384,21 +470,30 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     knowledge = None
     if known is not None:
         noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
-        observable = np.array([known.observable[name] for name in NINE])
-        knowledge = Knowledge(np.array(known.covariance), observable, noise)
+        observable = np.array([known.observable[name] for name in known.order])
+        units = np.ones(9) if checked.odometry is None else _units(checked.odometry.assumed.wheels)
+        knowledge = Knowledge(np.array(known.covariance) * np.outer(units, units), observable, noise)
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
+    several = {side: getattr(settings.wheels, side).joints for side in SIDES}
+    odometry, wheels = checked.odometry, checked.wheels
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
-        wheels=_geometry(checked.wheels),
+        wheels=odometry.wheels
+        if odometry is not None
+        else _geometry(wheels)
+        if wheels
+        else WheelGeometry(1, 1, 1),
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
         wheel_joints={side: joint for side, joint in joints.items() if joint},
+        side_joints={side: names for side, names in several.items() if names},
+        odometry=None if odometry is None else odometry.assumed,
         nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
         head_joints=tuple(
             link.joint

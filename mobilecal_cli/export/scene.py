@@ -13,11 +13,10 @@ from mobilecal_cli.model import (
     Board,
     BoolArray,
     CalibratedRobot,
+    CameraRig,
     FloatArray,
     HeadChain,
     IntArray,
-    Side,
-    StereoRig,
 )
 
 
@@ -61,7 +60,7 @@ class StationView:
         name: for people.
         time_ns: its time.
         T_w_k: (4, 4) board in the world, as measured here.
-        T_w_c: (4, 4) left camera in the world.
+        T_w_c: (4, 4) first camera in the world.
         corners: of each image.
         to_station: name of the station whose corners are predicted here; "" for none.
         point_m, reprojection_px: rms error of the prediction; 0 without one.
@@ -71,7 +70,7 @@ class StationView:
     time_ns: int
     T_w_k: FloatArray
     T_w_c: FloatArray
-    corners: Mapping[Side, CornerView]
+    corners: Mapping[str, CornerView]
     to_station: str = ""
     point_m: float = 0.0
     reprojection_px: float = 0.0
@@ -100,7 +99,7 @@ class Scene:
     Attributes:
         robot: the calibration.
         chain: for the names of base and head.
-        cameras: the stereo pair as estimated, lens corrections as part of the distortion models.
+        cameras: as estimated, lens corrections as part of the distortion models.
         board: with its square size.
         motions: of each recording.
         stations: of each recording, in order of time.
@@ -109,7 +108,7 @@ class Scene:
 
     robot: CalibratedRobot
     chain: HeadChain
-    cameras: StereoRig
+    cameras: CameraRig
     board: Board
     motions: tuple[Motion, ...]
     stations: tuple[tuple[StationView, ...], ...]
@@ -122,34 +121,36 @@ class Scene:
     def fixed_frames(self) -> list[tuple[str, str, FloatArray]]:
         """Parent, child and child coordinates to parent coordinates (4, 4) of the frames on the head.
 
-        The reference camera is on the head, exactly as in params.yaml; the other camera is on it.
+        The reference camera is on the head, exactly as in params.yaml; the other cameras are on it.
         """
-        names, T_c_r = self.names, self.cameras.T_c_r
-        first, second, T = names.left, names.right, T_c_r
-        if self.cameras.reference == "right":
-            first, second, T = names.right, names.left, se3.inverse(T_c_r)
-        return [(names.head, first, self.robot.T_parent_child), (first, second, T)]
+        names, cameras = self.names, self.cameras
+        reference, T_reference_c = names.cameras[cameras.reference], se3.inverse(cameras.T_c_reference)
+        others = [
+            (reference, names.cameras[name], T_reference_c @ T)
+            for name, T in zip(cameras.names, cameras.T_c_each, strict=True)
+            if name != cameras.reference
+        ]
+        return [(names.head, reference, self.robot.T_parent_child), *others]
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Names of the frames. All differ."""
+    """Names of the frames, of `cameras` by camera. All differ; a camera on the base has it as its head."""
 
     world: str
     base: str
     head: str
-    left: str
-    right: str
+    cameras: Mapping[str, str]
     board: str
 
     @classmethod
-    def of(cls, chain: HeadChain, cameras: StereoRig) -> Frames:
+    def of(cls, chain: HeadChain, cameras: CameraRig) -> Frames:
         """The robot's own names; "world" and "board", or longer ones if the robot has these.
 
         Raises:
             ConfigError: base and head have the same name.
         """
-        if chain.base_frame == chain.head_frame:
+        if chain.base_frame == chain.head_frame and chain.links:
             raise ConfigError(
                 f"base and head frame are both {chain.base_frame!r}",
                 "name them in rig.yaml and calibrate again",
@@ -160,10 +161,12 @@ class Frames:
             taken.append(other if name in taken else name)
             return taken[-1]
 
-        left = free(cameras.left.frame_id, "left_camera")
-        right = free(cameras.right.frame_id, "right_camera")
+        each = {
+            name: free(camera.frame_id, f"{name}_camera")
+            for name, camera in zip(cameras.names, cameras.each, strict=True)
+        }
         world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
-        return cls(world, chain.base_frame, chain.head_frame, left, right, board)
+        return cls(world, chain.base_frame, chain.head_frame, each, board)
 
 
 def dark_squares(board: Board) -> FloatArray:

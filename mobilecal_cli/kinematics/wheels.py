@@ -19,6 +19,7 @@ _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500
 _BY_CHANCE = 1e-3
+_RATE_NS = 50_000_000  # turning rates are means over this time to either side
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
 
@@ -30,12 +31,26 @@ class Increments:
         right_rad, left_rad: (n,) rotation in each step.
         leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
+        rate: (n,) rate at which the wheels turn against each other, rad/s, not negative, NaN where it is unknown; None
+            if it was not asked for.
     """
 
     right_rad: FloatArray
     left_rad: FloatArray
     leg: IntArray
     legs: int
+    rate: FloatArray | None = None
+
+    @property
+    def above_mean_rate(self) -> FloatArray:
+        """(n,) turning rate over its mean, less 1; the mean is weighted with the turns. 0 where it is unknown."""
+        if self.rate is None:
+            return np.zeros(len(self.leg))
+        known = np.isfinite(self.rate)
+        turned = np.abs(self.right_rad - self.left_rad) * known
+        rate = np.where(known, self.rate, 0.0)
+        mean = float(turned @ rate) / max(float(turned.sum()), 1e-12)
+        return np.where(known & (mean > 0), rate / max(mean, 1e-12) - 1, 0.0)
 
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""
@@ -51,7 +66,8 @@ class Increments:
         number = np.full(self.legs, -1)
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
-        return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs))
+        rate = None if self.rate is None else self.rate[kept]
+        return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs), rate)
 
     def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
         """Increments with one more step at the start and end of every leg: (legs, 2) each, right and left, rad."""
@@ -60,7 +76,9 @@ class Increments:
         order = np.argsort(leg, kind="stable")
         right = np.concatenate([start_rad[:, 0], self.right_rad, end_rad[:, 0]])
         left = np.concatenate([start_rad[:, 1], self.left_rad, end_rad[:, 1]])
-        return Increments(right[order], left[order], leg[order], self.legs)
+        unknown = np.full(self.legs, np.nan)
+        rate = None if self.rate is None else np.concatenate([unknown, self.rate, unknown])[order]
+        return Increments(right[order], left[order], leg[order], self.legs, rate)
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
@@ -135,12 +153,13 @@ def between_steps(track: Track) -> Track:
     return Track(track.time_ns, np.interp(offsets, at, values))
 
 
-def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
+def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increments:
     """Increments of a wheel track, split at the stations' times and at the readings of either wheel.
 
     Args:
         track: both wheels of one recording.
         times_ns: (N,) increasing, inside the time that both wheels cover.
+        rates: with the turning rates.
 
     Returns:
         Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
@@ -152,7 +171,17 @@ def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
     right, left = np.diff(track.right.at(moments)), np.diff(track.left.at(moments))
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
-    return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1)
+    rate = _turning_rate(track, moments)[moved] if rates else None
+    return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1, rate)
+
+
+def _turning_rate(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
+    """(n - 1,) rate at which the wheels turn against each other, around the middle of each step, rad/s."""
+    middle = (moments_ns[:-1] + moments_ns[1:]) // 2
+    ends = (np.clip(middle + way * _RATE_NS, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1))
+    apart, times = zip(*((track.right.at(at) - track.left.at(at), at) for at in ends), strict=True)
+    seconds = np.maximum((times[1] - times[0]) * 1e-9, 1e-9)
+    return np.asarray(np.abs(apart[1] - apart[0]) / seconds)
 
 
 def join(parts: list[Increments]) -> Increments:
@@ -163,6 +192,9 @@ def join(parts: list[Increments]) -> Increments:
         np.concatenate([part.left_rad for part in parts]),
         np.concatenate([part.leg + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         int(offsets[-1]),
+        np.concatenate([part.rate for part in parts if part.rate is not None])
+        if all(part.rate is not None for part in parts)
+        else None,
     )
 
 
@@ -220,6 +252,7 @@ class Arcs:
         direction: (2, n) of each chord, in the frame of its leg's start.
         chord, slope: (n,) chord length / arc length, and its derivative by h.
         psi_rad: (L,) heading change of each leg, not wrapped.
+        wider: (n,) effective over stated separation in each step, or 1.
     """
 
     steps: Increments
@@ -230,15 +263,18 @@ class Arcs:
     chord: FloatArray
     slope: FloatArray
     psi_rad: FloatArray
+    wider: FloatArray | float = 1.0
 
     @classmethod
-    def along(cls, steps: Increments, wheels: WheelGeometry) -> Arcs:
+    def along(cls, steps: Increments, wheels: WheelGeometry, wider: FloatArray | float = 1.0) -> Arcs:
         """Arcs for given wheels."""
         right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
-        turn = (right - left) / wheels.separation_m
+        turn = (right - left) / (wheels.separation_m * wider)
         heading = _up_to(steps, turn) - turn / 2
         direction = np.stack([np.cos(heading), np.sin(heading)])
-        return cls(steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2), steps.total(turn))
+        return cls(
+            steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2), steps.total(turn), wider
+        )
 
     def motion(self) -> LegMotion:
         """Motion of the base over each leg."""
@@ -260,14 +296,25 @@ class Arcs:
     def by_wheels(self) -> tuple[FloatArray, FloatArray]:
         """Derivatives by (rR, rL, b) of psi (L, 3), rad/m, and of (x, y), (L, 2, 3), m/m."""
         steps, b = self.steps, self.wheels.separation_m
-        right, left = steps.right_rad, steps.left_rad
-        d_psi = np.stack([steps.total(right), -steps.total(left), -self.psi_rad], axis=1) / b
+        right, left, wide = steps.right_rad, steps.left_rad, b * self.wider
+        d_psi = (
+            np.stack(
+                [steps.total(right / self.wider), -steps.total(left / self.wider), -self.psi_rad], axis=1
+            )
+            / b
+        )
         d_t = np.empty((steps.legs, 2, 3))
         for k, (by_length, by_turn) in enumerate(zip(*self._by_step, strict=True)):
-            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / b))
-            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / b))
+            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / wide))
+            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / wide))
             d_t[:, k, 2] = -steps.total(self.turn * by_turn) / b
         return d_psi, d_t
+
+    def by_widening(self, rate: FloatArray) -> FloatArray:
+        """(L, 3) derivatives of (x, y, psi) by a number that times `rate`, (n,), is added to `wider`."""
+        turned = -self.turn * rate / self.wider
+        x, y = self._by_step[1] * turned
+        return np.stack([self.steps.total(part) for part in (x, y, turned)], axis=1)
 
     def sensitivity(self, at: IntArray | slice = slice(None)) -> FloatArray:
         """Derivatives of the leg ends by the wheel rotations of some steps.
@@ -276,12 +323,13 @@ class Arcs:
             (k, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
             m/rad and rad/rad.
         """
-        rR, rL, b = self.wheels.radius_right_m, self.wheels.radius_left_m, self.wheels.separation_m
+        rR, rL = self.wheels.radius_right_m, self.wheels.radius_left_m
+        b = self.wheels.separation_m * (np.broadcast_to(self.wider, self.turn.shape)[at])
         by_length, by_turn = (by[:, at] for by in self._by_step)
         out = np.empty((3, 2, by_turn.shape[1]))
         out[:2, 0] = rR * (by_length / 2 + by_turn / b)
         out[:2, 1] = rL * (by_length / 2 - by_turn / b)
-        out[2] = [[rR / b], [-rL / b]]
+        out[2] = rR / b, -rL / b
         return np.moveaxis(out, -1, 0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,12 +14,12 @@ from mobilecal_cli.kinematics import Increments, between_steps, cut_at, encoder_
 from mobilecal_cli.likelihood.nuisance import Constant, Layout
 from mobilecal_cli.model import (
     BoolArray,
+    CameraRig,
     Extraction,
     FloatArray,
     HeadChain,
     IntArray,
     Observation,
-    StereoRig,
     Track,
     WheelTrack,
 )
@@ -47,7 +48,7 @@ class MotionPairs:
 
     Attributes:
         T_v_h: (N, 4, 4) head in the base, from the joint readings.
-        T_c_k: (N, 4, 4) board in the left camera.
+        T_c_k: (N, 4, 4) board in the first camera.
         points_c: (N, M, 3) triangulated corners, m.
         legs: (L, 2) first and second station of each leg.
         chain: (L,) first leg of the recording that the leg belongs to; legs of a recording are consecutive.
@@ -86,9 +87,9 @@ class Dataset:
     Attributes:
         cameras, chain: the stated geometry.
         points_k: (M, 3) corners on the board, m.
-        pixels: (N, 2, M, 2) corners in the left and right image, px.
-        seen: (N, 2, M) corners that were detected; the others are no measurements.
-        whitening: (N, 2, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
+        pixels: (N, C, M, 2) corners in the images of C cameras, px.
+        seen: (N, C, M) corners that were detected; the others are no measurements.
+        whitening: (N, C, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
             the noise level: the claims of all stations' usual corners have rms 1.
         pose_weight: (N, 6, 6) inverse covariance of a measured board pose, left perturbation, as stated; 0 where
             corners were detected.
@@ -105,9 +106,10 @@ class Dataset:
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         layout: columns of the parameters that all recordings share.
+        several_wheels: a side has more than one wheel.
     """
 
-    cameras: StereoRig
+    cameras: CameraRig
     chain: HeadChain
     points_k: FloatArray
     pixels: FloatArray
@@ -128,6 +130,7 @@ class Dataset:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     layout: Layout
+    several_wheels: bool = False
 
     @property
     def stations(self) -> int:
@@ -231,7 +234,8 @@ class Dataset:
         for number, track in enumerate(self.tracks):
             times = stamps_ns[self.log == number]
             if len(times) > 1:
-                parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
+                at = np.clip(times, track.time_ns[0], track.time_ns[-1])
+                parts.append(cut_at(track, at, rates=self.several_wheels))
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
     @cached_property
@@ -310,14 +314,16 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     if extraction.motions:
         measured = [(m.motion, m.covariance) for m in extraction.motions]
         motions = SensorMotions(*(np.stack(part) for part in zip(*measured, strict=True)))
-    claims = np.hypot([[o.left.sigma_px, o.right.sigma_px] for o in seen], _LEAST_CLAIM_PX)
+    shown = np.stack([[view.seen for view in o.views] for o in seen])
+    claims = np.hypot([[view.sigma_px for view in o.views] for o in seen], _LEAST_CLAIM_PX)
+    usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
     return Dataset(
         cameras=extraction.rig.cameras,
         chain=extraction.rig.chain,
         points_k=extraction.board.grid() * square_m,
-        pixels=np.stack([np.stack([o.left.pixels, o.right.pixels]) for o in seen]),
-        seen=np.stack([np.stack([o.left.seen, o.right.seen]) for o in seen]),
-        whitening=_whitening(seen, claims / np.sqrt(np.mean(claims**2))),
+        pixels=np.stack([[view.pixels for view in o.views] for o in seen]),
+        seen=shown,
+        whitening=_whitening(seen, claims / usual),
         pose_weight=np.stack([_pose_weight(o) for o in seen]),
         T_c_k=np.stack([o.T_c_k for o in seen]),
         T_c_k_cov=np.stack([o.T_c_k_cov for o in seen]),
@@ -333,21 +339,22 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
         encoder_step_rad=steps,
         layout=Layout(tuple(constants)),
+        several_wheels=extraction.rig.sources.several_wheels,
     )
 
 
 def _pose_weight(o: Observation) -> FloatArray:
     """(6, 6) inverse covariance of a pose that was measured without corners, 0 along what was not measured."""
     weight = np.zeros((6, 6))
-    if not (o.left.seen.any() or o.right.seen.any()):
+    if not o.shown:
         measured = np.flatnonzero(np.diag(o.T_c_k_cov) < NOT_MEASURED**2)
         weight[np.ix_(measured, measured)] = np.linalg.inv(o.T_c_k_cov[np.ix_(measured, measured)])
     return weight
 
 
 def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:
-    """Inverse Cholesky factors of the corners' covariances in units of the noise level, (N, 2, M, 2, 2)."""
-    cov = np.stack([np.stack([o.left.relative_cov, o.right.relative_cov]) for o in seen])
+    """Inverse Cholesky factors of the corners' covariances in units of the noise level, (N, C, M, 2, 2)."""
+    cov = np.stack([[view.relative_cov for view in o.views] for o in seen])
     cov = cov * relative_sigma[..., None, None, None] ** 2
     a = np.sqrt(np.maximum(cov[..., 0, 0], _LEAST_VARIANCE))
     b = cov[..., 1, 0] / a

@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
-from mobilecal_cli.model import Camera, FloatArray, HeadChain, JointLink, LensCorrection, Side, StereoRig
+from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.dataset import Dataset
@@ -182,47 +182,57 @@ class OriginShift(ChainEffect):
 
 @dataclass
 class CameraChange:
-    """The sum of what all camera constants change.
+    """The sum of what all camera constants change; the first axis of the arrays is the camera.
 
     Attributes:
-        turn: (3,) rotation vector of the right camera about the left one's axes, from the left, rad.
-        swing: (3,) rotation vector of the baseline about the left camera's axes, rad.
-        baseline: relative change of the baseline's length.
-        focal: by side, (2,) relative change of fx and fy.
-        principal: by side, (2,) change of (cx, cy) in shares of the image width.
-        lens: by side, (4,) see `LensCorrection`.
-        right_late_s, readout_s: see `ImageClock`.
+        turn: (C, 3) rotation vector of each camera about the first one's axes, from the left, rad.
+        swing: (C, 3) rotation vector of its position about the first camera's axes, rad.
+        length: (C,) relative change of its distance from the first camera.
+        shift: (C, 3) displacement along the first camera's axes, m.
+        focal: (C, 2) relative change of fx and fy.
+        principal: (C, 2) change of (cx, cy) in shares of the image width.
+        lens: (C, 4) see `LensCorrection`.
+        delay_s: (C,) see `ImageDelay`.
+        readout_s: see `ReadOut`.
     """
 
-    turn: FloatArray = field(default_factory=lambda: np.zeros(3))
-    swing: FloatArray = field(default_factory=lambda: np.zeros(3))
-    baseline: float = 0.0
-    focal: dict[Side, FloatArray] = field(default_factory=lambda: {"left": np.zeros(2), "right": np.zeros(2)})
-    principal: dict[Side, FloatArray] = field(
-        default_factory=lambda: {"left": np.zeros(2), "right": np.zeros(2)}
-    )
-    lens: dict[Side, FloatArray] = field(default_factory=lambda: {"left": np.zeros(4), "right": np.zeros(4)})
-    right_late_s: float = 0.0
+    turn: FloatArray
+    swing: FloatArray
+    length: FloatArray
+    shift: FloatArray
+    focal: FloatArray
+    principal: FloatArray
+    lens: FloatArray
+    delay_s: FloatArray
     readout_s: float = 0.0
 
-    def late_s(self, side: Side, rows: FloatArray) -> FloatArray:
-        """Time after the stamp at which corners in rows (..., from -1/2 to 1/2) are exposed, s."""
-        delay_s = self.right_late_s if side == "right" else 0.0
-        return np.asarray(delay_s + self.readout_s * rows)
+    @classmethod
+    def none(cls, cameras: int) -> CameraChange:
+        """No change of a number of cameras."""
 
-    def apply(self, rig: StereoRig) -> StereoRig:
-        """The stereo pair after the change."""
-        T = rig.T_c_r.copy()
-        T[:3, :3] = se3.exp_so3(self.turn) @ T[:3, :3]
-        T[:3, 3] = (1 + self.baseline) * se3.exp_so3(self.swing) @ T[:3, 3]
-        sides: dict[Side, Camera] = {"left": rig.left, "right": rig.right}
-        for side, stated in sides.items():
+        def zeros(*size: int) -> FloatArray:
+            return np.zeros((cameras, *size))
+
+        return cls(zeros(3), zeros(3), zeros(), zeros(3), zeros(2), zeros(2), zeros(4), zeros())
+
+    def late_s(self, camera: int, rows: FloatArray) -> FloatArray:
+        """Time after the stamp at which corners in rows (..., from -1/2 to 1/2) are exposed, s."""
+        return np.asarray(self.delay_s[camera] + self.readout_s * rows)
+
+    def apply(self, rig: CameraRig) -> CameraRig:
+        """The cameras after the change."""
+        each, poses = [], []
+        for k, (stated, T_c_camera) in enumerate(zip(rig.each, rig.T_c_each, strict=True)):
+            T = T_c_camera.copy()
+            T[:3, :3] = se3.exp_so3(self.turn[k]) @ T[:3, :3]
+            T[:3, 3] = (1 + self.length[k]) * se3.exp_so3(self.swing[k]) @ T[:3, 3] + self.shift[k]
+            poses.append(T)
             K = stated.K.copy()
-            K[[0, 1], [0, 1]] *= 1 + self.focal[side]
-            K[:2, 2] += self.principal[side] * stated.width
-            lens = LensCorrection(self.lens[side], stated.K[:2, 2]) if np.any(self.lens[side]) else None
-            sides[side] = replace(stated, K=K, correction=lens)
-        return replace(rig, left=sides["left"], right=sides["right"], T_c_r=T)
+            K[[0, 1], [0, 1]] *= 1 + self.focal[k]
+            K[:2, 2] += self.principal[k] * stated.width
+            lens = LensCorrection(self.lens[k], stated.K[:2, 2]) if np.any(self.lens[k]) else None
+            each.append(replace(stated, K=K, correction=lens))
+        return replace(rig, each=tuple(each), T_c_each=tuple(poses))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,21 +240,21 @@ class Sight:
     """The predicted corners of one camera, at which derivatives are taken.
 
     Attributes:
-        side: which camera.
-        stated, rig: the stereo pair as stated, and with all constants applied.
+        camera: index of the camera.
+        stated, rig: the cameras as stated, and with all constants applied.
         change: what was applied.
         pixels: (N, M, 2) predicted pixels before the lens correction.
         terms: (N, M, 4, 2) displacements by a lens correction of one, term by term.
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
-        points_c: (N, M, 3) corners in the left camera's frame, m.
-        by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the left camera's frame, px/m.
-        velocity_c: (N, M, 3) of the corners in the left camera's frame, m/s.
+        points_c: (N, M, 3) corners in the first camera's frame, m.
+        by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
+        velocity_c: (N, M, 3) of the corners in the first camera's frame, m/s.
         rows: (N, M) row of each corner from the middle of the image, in image heights.
     """
 
-    side: Side
-    stated: StereoRig
-    rig: StereoRig
+    camera: int
+    stated: CameraRig
+    rig: CameraRig
     change: CameraChange
     pixels: FloatArray
     terms: FloatArray
@@ -255,7 +265,7 @@ class Sight:
     rows: FloatArray
 
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
-        """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the left camera's frame, m."""
+        """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
         x, y, z = np.moveaxis(shift_c, -1, 0)[..., None]
         by_x, by_y, by_z = self.by_point_c
         moved: FloatArray = by_x * x + by_y * y + by_z * z
@@ -267,7 +277,7 @@ class Sight:
 
 
 class CameraEffect(Effect, ABC):
-    """Changes the stereo pair."""
+    """Changes the cameras."""
 
     __slots__ = ()
 
@@ -285,141 +295,177 @@ class CameraEffect(Effect, ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class RightTurn(CameraEffect):
-    """Rotation of the right camera about an axis of the left one, rad."""
+class OneCameraEffect(CameraEffect):
+    """Changes one camera, by its index."""
+
+    camera: int
+
+    def offered(self, data: Dataset) -> bool:
+        """Only corners in this camera show it."""
+        return bool(data.seen[:, self.camera].any())
+
+    def pixels(self, sight: Sight) -> FloatArray | None:
+        """None for the other cameras."""
+        return self.own_pixels(sight) if sight.camera == self.camera else None
+
+    @abstractmethod
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """(N, M, 2) derivative of this camera's predicted pixels."""
+
+
+class PoseEffect(OneCameraEffect):
+    """Changes the pose of a camera in the first one."""
+
+    __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTurn(PoseEffect):
+    """Rotation of a camera about an axis of the first one, rad."""
 
     axis: int
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the rotation vector."""
-        change.turn[self.axis] += value
+        change.turn[self.camera, self.axis] += value
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """R_c_r -> exp(rho) R_c_r turns the points the other way about the right camera's center."""
-        if sight.side == "left":
-            return None
-        axis = se3.left_jacobian_so3(sight.change.turn)[:, self.axis]
-        arm = sight.points_c - sight.rig.T_c_r[:3, 3]
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """R_c_r -> exp(rho) R_c_r turns the points the other way about the camera's center."""
+        axis = se3.left_jacobian_so3(sight.change.turn[self.camera])[:, self.axis]
+        arm = sight.points_c - sight.rig.T_c_each[self.camera][:3, 3]
         return -sight.by_shift(np.cross(axis, arm))
 
 
 @dataclass(frozen=True, slots=True)
-class BaselineTurn(CameraEffect):
-    """Rotation of the baseline about a direction in the left camera's frame, rad."""
+class CameraShift(PoseEffect):
+    """Displacement of a camera along an axis of the first one, m."""
+
+    axis: int
+
+    def add(self, change: CameraChange, value: float) -> None:
+        """Add to the displacement."""
+        change.shift[self.camera, self.axis] += value
+
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """The camera moves along the axis."""
+        return -sight.by_shift(np.eye(3)[self.axis])
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineTurn(PoseEffect):
+    """Rotation of a camera's baseline about a direction in the first camera's frame, rad."""
 
     about: tuple[float, float, float]
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the rotation vector."""
-        change.swing += value * np.array(self.about)
+        change.swing[self.camera] += value * np.array(self.about)
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """The right camera moves around the left one."""
-        if sight.side == "left":
-            return None
-        turn = se3.left_jacobian_so3(sight.change.swing) @ np.array(self.about)
-        return -sight.by_shift(np.cross(turn, sight.rig.T_c_r[:3, 3]))
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """The camera moves around the first one."""
+        turn = se3.left_jacobian_so3(sight.change.swing[self.camera]) @ np.array(self.about)
+        return -sight.by_shift(np.cross(turn, sight.rig.T_c_each[self.camera][:3, 3]))
 
 
 @dataclass(frozen=True, slots=True)
-class BaselineScale(CameraEffect):
-    """Relative change of the stereo baseline."""
+class BaselineScale(PoseEffect):
+    """Relative change of a camera's distance from the first one."""
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the scale."""
-        change.baseline += value
+        change.length[self.camera] += value
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """The right camera moves along the baseline."""
-        if sight.side == "left":
-            return None
-        return -sight.by_shift(sight.rig.T_c_r[:3, 3] / (1 + sight.change.baseline))
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """The camera moves along the baseline."""
+        length = 1 + sight.change.length[self.camera]
+        return -sight.by_shift(sight.rig.T_c_each[self.camera][:3, 3] / length)
 
 
 @dataclass(frozen=True, slots=True)
-class FocalLength(CameraEffect):
+class FocalLength(OneCameraEffect):
     """Relative change of a camera's focal lengths fx and fy."""
 
-    side: Side
     x: float = 1.0
     y: float = 1.0
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to both."""
-        change.focal[self.side] += value * np.array([self.x, self.y])
+        change.focal[self.camera] += value * np.array([self.x, self.y])
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
+    def own_pixels(self, sight: Sight) -> FloatArray:
         """Pixels move away from the principal point."""
-        if sight.side != self.side:
-            return None
-        K = (sight.rig.left if self.side == "left" else sight.rig.right).K
-        shares = np.array([self.x, self.y]) / (1 + sight.change.focal[self.side])
-        return sight.corrected((sight.pixels - K[:2, 2]) * shares)
+        shares = np.array([self.x, self.y]) / (1 + sight.change.focal[self.camera])
+        return sight.corrected((sight.pixels - sight.rig.each[self.camera].K[:2, 2]) * shares)
 
 
 @dataclass(frozen=True, slots=True)
-class PrincipalPoint(CameraEffect):
+class PrincipalPoint(OneCameraEffect):
     """Shift of a camera's principal point along x (0) or y (1), in shares of the image width."""
 
-    side: Side
     axis: int
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to cx or cy."""
-        change.principal[self.side][self.axis] += value
+        change.principal[self.camera, self.axis] += value
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
+    def own_pixels(self, sight: Sight) -> FloatArray:
         """All pixels move alike."""
-        if sight.side != self.side:
-            return None
         shift = np.zeros_like(sight.pixels)
-        shift[..., self.axis] = sight.stated.left.width if self.side == "left" else sight.stated.right.width
+        shift[..., self.axis] = sight.stated.each[self.camera].width
         return sight.corrected(shift)
 
 
 @dataclass(frozen=True, slots=True)
-class LensTerm(CameraEffect):
+class LensTerm(OneCameraEffect):
     """One term of a camera's lens correction, in shares of the image width; see `camera.lens_terms`."""
 
-    side: Side
     term: int
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the term."""
-        change.lens[self.side][self.term] += value
+        change.lens[self.camera, self.term] += value
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
+    def own_pixels(self, sight: Sight) -> FloatArray:
         """The displacement by a correction of one."""
-        if sight.side != self.side:
-            return None
         return sight.terms[..., self.term, :]
 
 
 @dataclass(frozen=True, slots=True)
-class ImageClock(CameraEffect):
-    """Time of a camera's rows against the stamp, s: a delay of the right camera, or the read-out of all rows.
-
-    The points move in the camera meanwhile. Rows are exposed around the stamp, the first before and the last after it.
-    """
-
-    readout: bool
+class ImageDelay(OneCameraEffect):
+    """Time of a camera's images against their stamps, s: the points move in the camera meanwhile."""
 
     def offered(self, data: Dataset) -> bool:
         """Only corners in motion show a delay."""
+        seen = bool(data.seen[:, self.camera].any())
+        return seen and bool(data.moving.any()) and bool(data.joint_tracks)
+
+    def add(self, change: CameraChange, value: float) -> None:
+        """Add to the delay."""
+        change.delay_s[self.camera] += value
+
+    def own_pixels(self, sight: Sight) -> FloatArray:
+        """Pixels move as their points do."""
+        return sight.by_shift(sight.velocity_c)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOut(CameraEffect):
+    """Time between the first and the last row of every camera's images, s.
+
+    Rows are exposed around the stamp, the first before and the last after it.
+    """
+
+    def offered(self, data: Dataset) -> bool:
+        """Only corners in motion show it."""
         return not data.posed.all() and bool(data.moving.any()) and bool(data.joint_tracks)
 
     def add(self, change: CameraChange, value: float) -> None:
-        """Add to the delay or to the read-out time."""
-        if self.readout:
-            change.readout_s += value
-        else:
-            change.right_late_s += value
+        """Add to the read-out time."""
+        change.readout_s += value
 
     def pixels(self, sight: Sight) -> FloatArray | None:
         """Pixels move as their points do."""
-        if self.readout:
-            return sight.by_shift(sight.velocity_c * sight.rows[..., None])
-        return sight.by_shift(sight.velocity_c) if sight.side == "right" else None
+        return sight.by_shift(sight.velocity_c * sight.rows[..., None])
 
 
 class BoardEffect(Effect, ABC):
@@ -490,6 +536,15 @@ class BaseLean(Effect):
     """Roll (0) or pitch (1) of the base against the floor's normal, the same at all stations, rad."""
 
     axis: int
+
+
+@dataclass(frozen=True, slots=True)
+class TurnSlip(Effect):
+    """Relative change of the effective separation per turning rate over its mean: wheels that slip in turns."""
+
+    def offered(self, data: Dataset) -> bool:
+        """Only several wheels a side slip in every turn."""
+        return data.several_wheels
 
 
 @dataclass(frozen=True, slots=True)

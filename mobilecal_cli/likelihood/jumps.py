@@ -18,10 +18,11 @@ from scipy.special import chdtrc
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.chain import banded
+from mobilecal_cli.likelihood.effects import BaselineScale, PoseEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.state import board_in_camera
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
 if TYPE_CHECKING:
     from mobilecal_cli.likelihood.linearization import Linearization
@@ -38,7 +39,7 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "right camera", "right wheel" or "left wheel".
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel".
         station: index of the first station after it.
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
@@ -46,7 +47,7 @@ class Jump:
         shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
             deviations.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
-            own frame (rad, m), rotation of the right camera and direction of the baseline (rad), or m of the radius.
+            own frame (rad, m), rotation and position of a camera against the first one (rad, m), or m of the radius.
     """
 
     part: str
@@ -80,16 +81,19 @@ def _parts(lin: Linearization) -> Iterator[tuple[str, _Part]]:
     for j, name in enumerate(data.chain.joints):
         yield f"joint {name}", of_delta(views.by_own[:, :, j : j + 1])
     yield "board", of_delta(se3.adjoint(board_in_camera(data, lin.state)))
-    names = [data.layout.names[k] for k in views.direct]
-    pair = [
-        k
-        for k, name in enumerate(names)
-        if name.startswith(("stereo_r_", "baseline_x", "baseline_y", "baseline_z"))
-    ]
-    if pair:
-        moved = np.zeros((count, Q, len(pair)))
-        moved[:, [6 + k for k in pair], range(len(pair))] = 1.0
-        yield "right camera", _Part(views=moved)
+    rows = [row.effect for _, row in data.layout.direct]
+    for camera, name in enumerate(data.cameras.names[1:], 1):
+        own = [
+            k
+            for k, effect in enumerate(rows)
+            if isinstance(effect, PoseEffect)
+            and effect.camera == camera
+            and not isinstance(effect, BaselineScale)
+        ]
+        if own:
+            moved = np.zeros((count, Q, len(own)))
+            moved[:, [6 + k for k in own], range(len(own))] = 1.0
+            yield camera_words(name), _Part(views=moved)
     for k, side in enumerate(("right", "left")):
         yield f"{side} wheel", _Part(legs=lin.legs.by_shared[:, :, 6 + k : 7 + k])
 

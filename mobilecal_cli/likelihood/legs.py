@@ -10,7 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, Increments
 from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
-from mobilecal_cli.likelihood.effects import WheelClock
+from mobilecal_cli.likelihood.effects import TurnSlip, WheelClock
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
@@ -68,6 +68,12 @@ def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray
     return out
 
 
+def _wider(data: Dataset, state: State, above: FloatArray) -> FloatArray:
+    """(n,) effective over mean separation in each step; `above`: see `Increments.above_mean_rate`."""
+    slip = sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, TurnSlip))
+    return np.asarray(1 + slip * above)
+
+
 def base_legs(data: Dataset, state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
     i, j = data.legs.T
@@ -81,7 +87,8 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
     """Residuals of all legs and their derivatives, those by encoder errors only where encoders have steps."""
     i, j = data.legs.T
     steps = _steps(data, state, processes)
-    arcs = Arcs.along(steps, state.parameters.wheels)
+    above = steps.above_mean_rate if data.several_wheels else None
+    arcs = Arcs.along(steps, state.parameters.wheels, 1.0 if above is None else _wider(data, state, above))
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)
     count = len(between)
@@ -120,6 +127,8 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
     for column, row in enumerate(data.layout.constants, 9):
         if isinstance(row.effect, WheelClock):
             by_shared[:, :, column] = by_clock
+        elif isinstance(row.effect, TurnSlip) and above is not None:
+            by_shared[:, :, column] = arcs.by_widening(above)
     odometry = Legs(residual, by_start, by_end, by_shared)
     return odometry if data.motions is None else odometry.followed_by(_of_sensor(data, state, data.motions))
 

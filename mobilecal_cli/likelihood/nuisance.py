@@ -1,13 +1,13 @@
 """Constants of the robot that are estimated beside the nine parameters, each with a prior around its stated value.
 
-`KINDS` has the default priors, and `CONSTANTS` one row for each constant of the cameras, the board and the clocks. A
+`KINDS` has the default priors, and `table` makes one row for each constant of the cameras, the board and the clocks. A
 row names what its constant changes, an effect (see `effects`). The rows of the head's joints follow from the chain.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +24,11 @@ from mobilecal_cli.likelihood.effects import (
     BoardTwist,
     CameraChange,
     CameraEffect,
+    CameraShift,
+    CameraTurn,
     Effect,
     FocalLength,
-    ImageClock,
+    ImageDelay,
     JointClock,
     JointPlay,
     JointScale,
@@ -34,10 +36,20 @@ from mobilecal_cli.likelihood.effects import (
     LensTerm,
     OriginShift,
     PrincipalPoint,
-    RightTurn,
+    ReadOut,
+    TurnSlip,
     WheelClock,
 )
-from mobilecal_cli.model import NINE, FloatArray, HeadChain, JointLink, Side, StereoRig, WheelGeometry
+from mobilecal_cli.model import (
+    NINE,
+    SIDES,
+    CameraRig,
+    FloatArray,
+    HeadChain,
+    JointLink,
+    WheelGeometry,
+    camera_words,
+)
 
 # Prior sigmas of the nine: what a drawing or a ruler gives without any recording.
 NINE_SIGMAS = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: a share of their size
@@ -70,7 +82,7 @@ _DEGREE = math.pi / 180
 # fmt: off
 KINDS: tuple[Kind, ...] = (
     Kind("clock", "s", 0.2, "ms", 1e3, "offset of a clock against the cameras' clock"),
-    Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of the right camera against the left one"),
+    Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of a camera against the first one"),
     Kind("readout", "s", 0.0005, "ms", 1e3, "time between the first and the last row of an image"),
     Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
     Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
@@ -79,6 +91,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
     Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
     Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),
+    Kind("camera_rotation", "rad", 1.0 * _DEGREE, "deg", 1 / _DEGREE, "rotation of a camera against the first"),
+    Kind("camera_position", "m", 0.005, "mm", 1e3, "position of a camera against the first"),
     Kind("square_size", "1", 0.001, "%", 100, "size of the board's squares"),
     Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
     Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
@@ -89,6 +103,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
     Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
+    Kind("turn_slip", "1", 0.03, "%", 100, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
 )
 # fmt: on
@@ -144,44 +159,87 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Const
 
 #: Names of the constants that lean the base.
 LEAN = ("lean_roll", "lean_pitch")
-_SIDES: tuple[Side, Side] = ("left", "right")
 _LENS_TERMS = (
     ("radial_1", "radial distortion, third order"),
     ("radial_2", "radial distortion, fifth order"),
     ("tangential_x", "tangential distortion, x"),
     ("tangential_y", "tangential distortion, y"),
 )
-# fmt: off
-CONSTANTS: tuple[Constant, ...] = (
-    _row("time_joints", "clock", "joints", "joint clock minus camera clock", JointClock()),
-    _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
-    _row("focal_left", "focal_length", "left camera", "focal length", FocalLength("left")),
-    _row("focal_right", "focal_length", "right camera", "focal length", FocalLength("right")),
-    _row("focal_aspect_left", "focal_aspect", "left camera", "fx against fy", FocalLength("left", 0.5, -0.5)),
-    _row("focal_aspect_right", "focal_aspect", "right camera", "fx against fy", FocalLength("right", 0.5, -0.5)),
-    _row("principal_left_x", "principal_point", "left camera", "principal point, x", PrincipalPoint("left", 0)),
-    _row("principal_left_y", "principal_point", "left camera", "principal point, y", PrincipalPoint("left", 1)),
-    _row("principal_right_x", "principal_point", "right camera", "principal point, x", PrincipalPoint("right", 0)),
-    _row("principal_right_y", "principal_point", "right camera", "principal point, y", PrincipalPoint("right", 1)),
-    *(_row(f"distortion_{side}_{term}", "distortion", f"{side} camera", meaning, LensTerm(side, k))
-      for side in _SIDES for k, (term, meaning) in enumerate(_LENS_TERMS)),
-    _row("stereo_r_x", "stereo_rotation", "right camera", "rotation about the left camera's x", RightTurn(0)),
-    _row("stereo_r_y", "stereo_rotation", "right camera", "rotation about the left camera's y", RightTurn(1)),
-    _row("stereo_r_z", "stereo_rotation", "right camera", "rotation about the left camera's z", RightTurn(2)),
-    _row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline", BaselineScale()),
-    _row("square_scale", "square_size", "board", "size of the squares", BoardScale(1.0, 1.0)),
-    _row("square_aspect", "square_aspect", "board", "width of the squares against their height", BoardScale(0.5, -0.5)),
-    _row("board_bend_x", "board_bend", "board", "bend along x", BoardBend(0)),
-    _row("board_bend_y", "board_bend", "board", "bend along y", BoardBend(1)),
-    _row("board_twist", "board_bend", "board", "twist", BoardTwist()),
-    _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
-    _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
-    _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
-    _row("time_right", "stereo_clock", "right camera", "delay against the left camera", ImageClock(readout=False)),
-    _row("readout", "readout", "both cameras", "time between the first and the last row", ImageClock(readout=True)),
-)
-# fmt: on
 _LETTERS = "xyz"
+
+
+def _of_each_camera(names: Sequence[str]) -> Iterator[Constant]:
+    """Rows of the cameras themselves, one property after the other."""
+    parts = [(k, name, camera_words(name)) for k, name in enumerate(names)]
+    for k, name, part in parts:
+        yield _row(f"focal_{name}", "focal_length", part, "focal length", FocalLength(k))
+    for k, name, part in parts:
+        aspect = FocalLength(k, 0.5, -0.5)
+        yield _row(f"focal_aspect_{name}", "focal_aspect", part, "fx against fy", aspect)
+    for k, name, part in parts:
+        for axis, letter in enumerate("xy"):
+            row = f"principal_{name}_{letter}", "principal_point", part, f"principal point, {letter}"
+            yield _row(*row, PrincipalPoint(k, axis))
+    for k, name, part in parts:
+        for term, (term_name, meaning) in enumerate(_LENS_TERMS):
+            yield _row(f"distortion_{name}_{term_name}", "distortion", part, meaning, LensTerm(k, term))
+
+
+def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
+    """Rows of the other cameras' poses in the first one, without the direction of a baseline."""
+    first = camera_words(names[0])
+    for k, name in enumerate(names[1:], 1):
+        for axis, letter in enumerate(_LETTERS):
+            row = (
+                (f"stereo_r_{letter}", "stereo_rotation")
+                if calibrated
+                else (f"turn_{name}_{letter}", "camera_rotation")
+            )
+            yield _row(
+                *row, camera_words(name), f"rotation about the {first}'s {letter}", CameraTurn(k, axis)
+            )
+        if calibrated:
+            yield _row(
+                "baseline_scale", "baseline_length", "stereo pair", "length of the baseline", BaselineScale(k)
+            )
+            continue
+        for axis, letter in enumerate(_LETTERS):
+            row, meaning = (
+                (f"shift_{name}_{letter}", "camera_position"),
+                f"position along the {first}'s {letter}",
+            )
+            yield _row(*row, camera_words(name), meaning, CameraShift(k, axis))
+
+
+def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
+    """Rows that do not depend on the geometry of the robot."""
+    first = camera_words(names[0])
+    every = f"{'both' if len(names) == 2 else 'all'} cameras" if len(names) > 1 else first
+    # fmt: off
+    return (
+        _row("time_joints", "clock", "joints", "joint clock minus camera clock", JointClock()),
+        _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
+        *_of_each_camera(names),
+        *_of_poses(names, calibrated),
+        _row("square_scale", "square_size", "board", "size of the squares", BoardScale(1.0, 1.0)),
+        _row("square_aspect", "square_aspect", "board", "width of the squares against their height",
+             BoardScale(0.5, -0.5)),
+        _row("board_bend_x", "board_bend", "board", "bend along x", BoardBend(0)),
+        _row("board_bend_y", "board_bend", "board", "bend along y", BoardBend(1)),
+        _row("board_twist", "board_bend", "board", "twist", BoardTwist()),
+        _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
+        _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
+        _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
+        _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
+        *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}", ImageDelay(k))
+          for k, name in enumerate(names[1:], 1)),
+        _row("readout", "readout", every, "time between the first and the last row", ReadOut()),
+    )
+    # fmt: on
+
+
+#: The constants of a stereo pair, the board and the clocks.
+CONSTANTS = _common(SIDES, calibrated=True)
 
 
 def _across(axis: FloatArray) -> Iterator[tuple[str, tuple[float, float, float]]]:
@@ -195,11 +253,12 @@ def _across(axis: FloatArray) -> Iterator[tuple[str, tuple[float, float, float]]
         yield _LETTERS[letter], (float(e[0]), float(e[1]), float(e[2]))
 
 
-def _of_baseline(cameras: StereoRig) -> Iterator[Constant]:
-    t = cameras.T_c_r[:3, 3]
-    for letter, e in _across(t / np.linalg.norm(t)):
-        meaning = f"direction of the baseline about the left camera's {letter}"
-        yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, BaselineTurn(e))
+def _of_baseline(cameras: CameraRig) -> Iterator[Constant]:
+    if cameras.calibrated:
+        t = cameras.T_c_each[1][:3, 3]
+        for letter, e in _across(t / np.linalg.norm(t)):
+            meaning = f"direction of the baseline about the {camera_words(cameras.names[0])}'s {letter}"
+            yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, BaselineTurn(1, e))
 
 
 def joint_keys(chain: HeadChain) -> Mapping[int, str]:
@@ -244,19 +303,24 @@ def _scaled(row: Constant, unit: float) -> Constant:
     return replace(row, sigma=row.sigma * unit)
 
 
-def table(cameras: StereoRig, chain: HeadChain) -> tuple[Constant, ...]:
+def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:
     """The rows of all constants of a robot, with default priors."""
-    return (*CONSTANTS, *_of_baseline(cameras), *_of_joints(chain))
+    usual = cameras.calibrated and cameras.names == SIDES
+    common = CONSTANTS if usual else _common(cameras.names, cameras.calibrated)
+    return (*common, *_of_baseline(cameras), *_of_joints(chain))
 
 
-def camera_change(constants: Iterable[Constant], values: Mapping[str, float]) -> CameraChange:
-    """What estimated constants change in the stereo pair.
+def camera_change(
+    cameras: CameraRig, constants: Iterable[Constant], values: Mapping[str, float]
+) -> CameraChange:
+    """What estimated constants change in the cameras.
 
     Args:
+        cameras: as stated.
         constants: rows; those that do not change the cameras are ignored.
         values: name of a constant → its value; those that are not there are zero.
     """
-    change = CameraChange()
+    change = CameraChange.none(len(cameras.each))
     for row in constants:
         if isinstance(row.effect, CameraEffect) and values.get(row.name):
             row.effect.add(change, values[row.name])

@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.effects import (
     WheelClock,
 )
 from mobilecal_cli.likelihood.nuisance import LEAN, camera_change
-from mobilecal_cli.model import FloatArray, HeadChain, Parameters, StereoRig
+from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,9 +179,9 @@ def head_at(data: Dataset, state: State) -> FloatArray:
     return head_pose(chain_at(data, state), joints_at(data, state))
 
 
-def cameras_at(data: Dataset, state: State) -> StereoRig:
-    """The stereo pair with the constants that change it."""
-    return camera_change(data.layout.constants, state.constants).apply(data.cameras)
+def cameras_at(data: Dataset, state: State) -> CameraRig:
+    """The cameras with the constants that change it."""
+    return camera_change(data.cameras, data.layout.constants, state.constants).apply(data.cameras)
 
 
 def points_at(data: Dataset, state: State) -> FloatArray:

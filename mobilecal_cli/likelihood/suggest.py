@@ -19,8 +19,8 @@ from mobilecal_cli.likelihood.views import linearize_views
 from mobilecal_cli.model import (
     NINE,
     BoolArray,
+    CameraRig,
     FloatArray,
-    StereoRig,
     Suggestion,
     WheelTrack,
 )
@@ -69,7 +69,7 @@ def _boards(data: Dataset, state: State, base: FloatArray, joints: FloatArray) -
 
 
 def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
-    """The stops with joints that bring the board's middle to pixels (C, 2) of the left camera, and where that works."""
+    """The stops with joints that bring the board's middle to pixels (C, 2) of the first camera; where that works."""
     rig, X = cameras_at(data, state), state.parameters.T_h_c
     middle = data.points_k.mean(axis=0)
     joints = stops.joints
@@ -77,7 +77,7 @@ def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> tu
     for _ in range(_AIM_STEPS):
         points = se3.act(_boards(data, state, stops.base, joints), middle[None])
         points[..., 2] = np.maximum(points[..., 2], _LEAST_DEPTH_M)
-        at, J_p = project_with_jacobian(rig.left, points)
+        at, J_p = project_with_jacobian(rig.first, points)
         off = at[:, 0] - target
         if np.abs(off).max() < 1.0:
             break
@@ -88,8 +88,8 @@ def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> tu
     return replace(stops, joints=joints), np.abs(off).max(axis=1) < 1.0
 
 
-def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: StereoRig, distances: FloatArray) -> BoolArray:
-    """(C,) whether both cameras see the whole board well."""
+def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: FloatArray) -> BoolArray:
+    """(C,) whether the cameras that usually show the board see all of it well."""
     points_c = se3.act(T_c_k, data.points_k)
     reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
     middle = points_c.mean(axis=1)
@@ -97,8 +97,14 @@ def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: StereoRig, distances: Flo
     fine = (reach > distances.min() / _ROOM) & (reach < distances.max() * _ROOM) & (facing > _NEAREST)
     fine &= points_c[..., 2].min(axis=1) > _LEAST_DEPTH_M
     points_c = np.where(fine[:, None, None], points_c, [0.0, 0.0, 1.0])
-    for camera, points in ((rig.left, points_c), (rig.right, se3.act(se3.inverse(rig.T_c_r), points_c))):
-        at, _ = project_with_jacobian(camera, points)
+    usual = data.seen.any(axis=2).mean(axis=0)
+    for camera, T_c_camera, share in zip(rig.each, rig.T_c_each, usual, strict=True):
+        if share < usual.max() / 2:
+            continue
+        points = se3.act(se3.inverse(T_c_camera), points_c)
+        ahead = np.all(points[..., 2] > _LEAST_DEPTH_M, axis=1)
+        at, _ = project_with_jacobian(camera, np.where(ahead[:, None, None], points, [0.0, 0.0, 1.0]))
+        fine &= ahead
         edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
         fine &= np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2))
     return np.asarray(fine)
@@ -115,7 +121,7 @@ def _reachable(data: Dataset, state: State) -> _Stops:
     heading = last[2] + turn
     base = np.stack([last[0] + drive * np.cos(heading), last[1] + drive * np.sin(heading), heading], axis=1)
     stops = _Stops(turn, drive, base, np.repeat(data.joints[-1:], len(turn), axis=0))
-    target = np.stack([u * rig.left.width, v * rig.left.height], axis=1)
+    target = np.stack([u * rig.first.width, v * rig.first.height], axis=1)
     stops, fine = _aimed(data, state, stops, target)
     low, high = data.joints.min(axis=0) - _REACH_RAD, data.joints.max(axis=0) + _REACH_RAD
     fine &= np.all((stops.joints > low) & (stops.joints < high), axis=1)

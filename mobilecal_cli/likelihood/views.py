@@ -1,6 +1,6 @@
 """Reprojection residuals of each station in raw pixels, and their derivatives.
 
-Whatever moves camera or board moves the board in the left camera's frame, T_c_k → exp(delta) T_c_k: six numbers per
+Whatever moves camera or board moves the board in the first camera's frame, T_c_k → exp(delta) T_c_k: six numbers per
 station stand between the pixels and all poses. Constants that change the cameras or the board itself have columns of
 their own ("direct").
 """
@@ -37,9 +37,10 @@ from mobilecal_cli.likelihood.state import (
     points_at,
     wheel_clock_s,
 )
-from mobilecal_cli.model import Camera, FloatArray, IntArray, Noise, Side
+from mobilecal_cli.model import FloatArray, IntArray, Noise
 
 _BLOCK = 200
+_LEAST_DEPTH_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class Views:
     """Residuals of all stations' images at a state, whitened.
 
     Attributes:
-        residual_px: (N, 2, M, 2) predicted minus detected.
+        residual_px: (N, C, M, 2) predicted minus detected.
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
@@ -99,7 +100,7 @@ class Views:
 
 
 def whitened(W: FloatArray, values: FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """Corner residuals (N, 2, M, 2) or their derivatives (N, Q, 2, M, 2), px, by lower triangles W (N, 2, M, 2, 2).
+    """Corner residuals (N, C, M, 2) or their derivatives (N, Q, C, M, 2), px, by lower triangles W (N, C, M, 2, 2).
 
     `out` may be the values.
     """
@@ -124,7 +125,7 @@ def corner_residuals(
     stations: slice | IntArray = slice(None),
     rates: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus detected pixels of some stations' boards at T_c_k, (N, 2, M, 2), and their derivatives.
+    """Predicted minus detected pixels of some stations' boards at T_c_k, (N, C, M, 2), and their derivatives.
 
     Args:
         data, state: all stations.
@@ -133,38 +134,38 @@ def corner_residuals(
         rates: (N, 6) see `view_rates`, of these stations; at rest if None.
 
     Returns:
-        The residuals, and (N, Q, 2, M, 2) derivatives by (delta, direct constants).
+        The residuals, and (N, Q, C, M, 2) derivatives by (delta, direct constants).
     """
-    change = camera_change(data.layout.constants, state.constants)
+    change = camera_change(data.cameras, data.layout.constants, state.constants)
     rig = change.apply(data.cameras)
     points_k = se3.act(T_c_k, points_at(data, state))
-    T_r_c = se3.inverse(rig.T_c_r)
     direct = data.layout.direct
     rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
     velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
-    sides: tuple[tuple[Side, Camera, Camera], ...] = (
-        ("left", data.cameras.left, rig.left),
-        ("right", data.cameras.right, rig.right),
-    )
-    residual = np.empty((len(points_k), 2, points_k.shape[1], 2))
-    J = np.zeros((len(points_k), 6 + len(direct), 2, points_k.shape[1], 2))
-    for k, (side, stated, camera) in enumerate(sides):
+    cameras = len(rig.each)
+    residual = np.empty((len(points_k), cameras, points_k.shape[1], 2))
+    J = np.zeros((len(points_k), 6 + len(direct), cameras, points_k.shape[1], 2))
+    for k, (stated, camera) in enumerate(zip(data.cameras.each, rig.each, strict=True)):
+        T_camera_c = se3.inverse(rig.T_c_each[k])
         rows = (data.pixels[stations, k, :, 1] + 0.5) / stated.height - 0.5
-        late_s = change.late_s(side, rows)[..., None]
+        late_s = change.late_s(k, rows)[..., None]
         points_c = points_k + late_s * velocity_c
         x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
-        points = points_c if k == 0 else se3.act(T_r_c, points_c)
+        points = points_c if k == 0 else se3.act(T_camera_c, points_c)
+        # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
+        elsewhere = (points[..., 2] < _LEAST_DEPTH_M) & ~data.seen[stations, k]
+        points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
         at, terms, through = pixels, None, None
         if direct:
             terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
-            shares = change.lens[side]
+            shares = change.lens[k]
             if np.any(shares):
                 at = pixels + shares @ terms
                 through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
                 J_p = through @ J_p
         residual[:, k] = at - data.pixels[stations, k]
-        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_r_c[:3, :3]).reshape(J_p.shape)
+        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
         by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
         if np.any(late_s):  # points at the stamp turn until they are exposed
             J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
@@ -177,7 +178,7 @@ def corner_residuals(
         if terms is None:
             continue
         motion = velocity_c, rows
-        sight = Sight(side, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)
+        sight = Sight(k, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)
@@ -190,7 +191,7 @@ def corner_residuals(
 
 
 def view_rates(data: Dataset, state: State) -> FloatArray:
-    """(N, 6) rates of delta: how the board moves in the left camera, rad/s and m/s; 0 at rest."""
+    """(N, 6) rates of delta: how the board moves in the first camera, rad/s and m/s; 0 at rest."""
     T_h_c, wheels = state.parameters.T_h_c, state.parameters.wheels
     rates = np.zeros((data.stations, 6))
     if not data.moving.any() or not data.joint_tracks:

@@ -33,10 +33,13 @@ from mobilecal_cli.model.observations import (
     WheelTrack,
 )
 from mobilecal_cli.model.rig import (
+    FACTORS,
     SIDES,
+    AssumedOdometry,
     Board,
     Camera,
     CameraInfo,
+    CameraRig,
     Distortion,
     FixedLink,
     HeadChain,
@@ -51,9 +54,9 @@ from mobilecal_cli.model.rig import (
     Side,
     Sources,
     StereoLayout,
-    StereoRig,
     WheelGeometry,
     WheelSource,
+    camera_words,
 )
 from mobilecal_cli.model.robot_description import (
     CAMERA_INFO,
@@ -67,7 +70,7 @@ from mobilecal_cli.model.robot_description import (
     RobotDescription,
     TopicInfo,
 )
-from mobilecal_cli.model.signals import PictureIndex, Rejection, Signals, Station, StereoPair, Track, sampled
+from mobilecal_cli.model.signals import PictureIndex, Rejection, Shot, Signals, Station, Track, sampled
 from mobilecal_cli.model.solution import (
     EXACT,
     Drift,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import Side, WheelGeometry
+from mobilecal_cli.model.rig import AssumedOdometry, Side, WheelGeometry
 
 NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 
@@ -24,7 +24,7 @@ class Parameters:
     the translation (m, in the head's frame), the two radii and the separation (m).
 
     Attributes:
-        T_h_c: (4, 4) head-eye transform: left camera coordinates to head coordinates, m.
+        T_h_c: (4, 4) head-eye transform: first camera coordinates to head coordinates, m.
         wheels: radii and separation.
     """
 
@@ -83,11 +83,13 @@ class CalibratedRobot:
         parent_frame: head frame.
         child_frame: optical frame of the reference camera.
         T_parent_child: (4, 4) child coordinates to parent coordinates, m.
-        wheels: radii and separation.
+        wheels: radii and separation; with `odometry`, its assumed wheels times the factors.
         knowledge: None for methods that give no uncertainty.
         created: time, ISO 8601; "" if the file does not contain it.
         logs: recordings used for the calibration.
-        wheel_joints: names of the wheel joints if the wheels were read from joint states.
+        wheel_joints: names of the wheel joints if one wheel of each side was read from joint states.
+        side_joints: the same for several wheels a side.
+        odometry: the odometry that stands for wheels, if the recording had no wheels.
         nominal_wheels: nominal wheels, if any.
         head_joints: names of the head's joints that were read from joint states.
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
@@ -105,6 +107,8 @@ class CalibratedRobot:
     created: str = ""
     logs: tuple[LogSource, ...] = ()
     wheel_joints: Mapping[Side, str] = field(default_factory=dict)
+    side_joints: Mapping[Side, tuple[str, ...]] = field(default_factory=dict)
+    odometry: AssumedOdometry | None = None
     nominal_wheels: WheelGeometry | None = None
     head_joints: tuple[str, ...] = ()
     rectified: bool = False
@@ -121,3 +125,37 @@ class CalibratedRobot:
         if self.knowledge is None:
             return np.zeros(9, dtype=np.bool_)
         return np.asarray(~self.knowledge.observable & (np.diag(self.knowledge.covariance) > 0))
+
+    @property
+    def factors(self) -> FloatArray:
+        """(5,) factors of the odometry, in the order of `FACTORS`; empty for a robot with wheels."""
+        return np.zeros(0) if self.odometry is None else self.odometry.factors(self.wheels)
+
+    @property
+    def factors_std(self) -> FloatArray:
+        """(5,) standard deviations of `factors`; empty where there are none."""
+        if self.odometry is None or self.knowledge is None:
+            return np.zeros(0)
+        covariance = self.odometry.covariance(self.wheels, self.knowledge.covariance[6:, 6:])
+        return np.asarray(np.sqrt(np.diag(covariance)))
+
+    def with_assumed(self, wheels: WheelGeometry) -> CalibratedRobot:
+        """The same calibration of odometry for other assumed wheels.
+
+        Distance and rotation stay; the difference of the two radii is in proportion to the separation.
+        """
+        if self.odometry is None or self.odometry.wheels == wheels:
+            return self
+        old, new = self.odometry.wheels.vector, wheels.vector
+        wider = new[2] / old[2]
+        same, other = (1 + wider) / 2, (1 - wider) / 2
+        J = np.diag(new) @ np.array([[same, other, 0], [other, same, 0], [0, 0, 1]]) @ np.diag(1 / old)
+        knowledge = self.knowledge
+        if knowledge is not None:
+            whole = np.eye(9)
+            whole[6:, 6:] = J
+            knowledge = replace(knowledge, covariance=whole @ knowledge.covariance @ whole.T)
+        odometry = replace(self.odometry, wheels=wheels)
+        return replace(
+            self, wheels=WheelGeometry.of(J @ self.wheels.vector), knowledge=knowledge, odometry=odometry
+        )

@@ -58,8 +58,8 @@ class AtWork:
     """Expected errors (standard deviations) when the calibration is used.
 
     Attributes:
-        camera_m, camera_rad: position and rotation of the left camera in the base over all directions, root mean square
-            over the head's poses in the recording, with the estimated constants of the head applied; without
+        camera_m, camera_rad: position and rotation of the first camera in the base over all directions, root mean
+            square over the head's poses in the recording, with the estimated constants of the head applied; without
             estimated constants: on the head.
         point_m: position of a point two meters ahead of the camera, the same way.
         along_m_per_m, heading_rad_per_m: distance and heading by dead reckoning in straight driving.
@@ -165,7 +165,7 @@ class Jump:
     """A moment from which on a part of the robot, or the board, is not where it was before.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "right camera", "right wheel" or "left wheel"; "" if unknown.
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel"; "" if unknown.
         log: index of the recording.
         station: index of the first observation after it.
         time_ns: its time.

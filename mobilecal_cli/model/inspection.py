@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from mobilecal_cli.model.rig import HeadChain, Rig, Side, StereoRig, WheelSource
+from mobilecal_cli.model.rig import CameraRig, HeadChain, Rig, Side, WheelSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,16 +105,16 @@ class Parts:
     """Parts of the rig that are known, also where others are not.
 
     Attributes:
-        images: image topic of each side.
-        cameras: the stereo pair.
+        images: image topic of each camera.
+        cameras: the cameras.
         wheels: source of each wheel's rotation.
         chain: the head chain.
         chain_from: source of the chain.
         joints: topics with the readings of the chain's joints.
     """
 
-    images: Mapping[Side, str] | None = None
-    cameras: StereoRig | None = None
+    images: Mapping[str, str] | None = None
+    cameras: CameraRig | None = None
     wheels: Mapping[Side, WheelSource] | None = None
     chain: HeadChain | None = None
     chain_from: str = ""
@@ -136,7 +136,7 @@ class Inspection:
         parts: the parts of it that are known.
         board: None if no image can be read.
         motion: None if joints or wheels cannot be read.
-        covered: number of left images within the time of right images, joints and wheels, and of all left images; None
+        covered: number of images of the first camera within the time of the others, joints and wheels, and of all; None
             if their times are unknown.
         missing: what prevents a calibration.
         weak: what limits a calibration.

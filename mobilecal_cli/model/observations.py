@@ -52,7 +52,7 @@ class Corners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """The board in both cameras at one station.
+    """The board in the cameras at one station.
 
     Attributes:
         log: index of the recording; legs connect stations of one recording only.
@@ -61,15 +61,15 @@ class Observation:
         at_rest: see `Station`.
         joints: (J,) see `Station`.
         joints_std: (J,) see `Station`.
-        left, right: corners in each camera, same numbering.
-        points_c: (M, 3) triangulated corners in the left camera's frame, m; corners not detected by both cameras
+        views: corners in each camera of the rig, same numbering; none of them `seen` in a camera without the board.
+        points_c: (M, 3) triangulated corners in the first camera's frame, m; corners not detected by two cameras
             come from the fitted board.
         points_cov: (M, 3, 3) their covariances, m^2.
-        T_c_k: (4, 4) board coordinates to left camera coordinates, minimizing the stereo reprojection error.
+        T_c_k: (4, 4) board coordinates to first camera coordinates, minimizing the reprojection error.
         T_c_k_cov: (6, 6) covariance of T_c_k, tangent order of `se3` (rotation, then translation), left
             perturbation: T = exp(delta) T_c_k.
-        square_m: square size from the triangulated points, m.
-        reprojection_px: rms of the stereo reprojection residual per coordinate, px.
+        square_m: square size from the triangulated points, m; as stated where one camera alone shows the board.
+        reprojection_px: rms of the reprojection residual per coordinate, px.
     """
 
     log: int
@@ -78,8 +78,7 @@ class Observation:
     at_rest: bool
     joints: FloatArray
     joints_std: FloatArray
-    left: Corners
-    right: Corners
+    views: tuple[Corners, ...]
     points_c: FloatArray
     points_cov: FloatArray
     T_c_k: FloatArray
@@ -97,6 +96,11 @@ class Observation:
             T_c_k=(4, 4),
             T_c_k_cov=(6, 6),
         )
+
+    @property
+    def shown(self) -> bool:
+        """Whether any corner was detected; otherwise the pose was measured."""
+        return any(bool(view.seen.any()) for view in self.views)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +220,7 @@ class Extraction:
     @property
     def measured(self) -> bool:
         """Whether poses were measured in place of corners."""
-        return not any(o.left.seen.any() or o.right.seen.any() for o in self.observations)
+        return not any(o.shown for o in self.observations)
 
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""
@@ -235,10 +239,9 @@ class Snapshot:
 
     Attributes:
         log, station: the observation.
-        left_jpeg, right_jpeg: encoded gray images at full size.
+        jpegs: name of each camera with an image → encoded gray image at full size.
     """
 
     log: int
     station: int
-    left_jpeg: bytes
-    right_jpeg: bytes
+    jpegs: Mapping[str, bytes]

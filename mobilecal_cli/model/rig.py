@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
@@ -88,37 +88,101 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StereoRig:
-    """The stereo pair. Frame c is the optical frame of the left camera, r that of the right one.
+class CameraRig:
+    """The cameras, rigidly joined: one or more. Frame c is the optical frame of the first one.
 
     Attributes:
-        left, right: the two cameras, for the images as recorded (raw or rectified).
-        T_c_r: (4, 4) right camera coordinates to left camera coordinates, m.
-        rectified: the images are rectified, so c and r are the rectified optical frames.
-        R_rect_c, R_rect_r: (3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
-        reference: the camera of the calibrated head-eye transform.
+        names: of the cameras: "left" and "right" for a stereo pair.
+        each: the cameras, for the images as recorded (raw or rectified).
+        T_c_each: (4, 4) coordinates of each camera to those of the first, m; the first one is the identity.
+        rectified: the images are rectified, so the frames are the rectified optical frames.
+        R_rect: (3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
+        reference: name of the camera of the calibrated head-eye transform.
+        calibrated: a stereo pair, calibrated together: its baseline gives the scale. The poses of other cameras are
+            from a drawing of the robot, which states them less exactly.
     """
 
-    left: Camera
-    right: Camera
-    T_c_r: FloatArray
+    names: tuple[str, ...]
+    each: tuple[Camera, ...]
+    T_c_each: tuple[FloatArray, ...]
     rectified: bool
-    R_rect_c: FloatArray
-    R_rect_r: FloatArray
-    reference: Side = "left"
+    R_rect: tuple[FloatArray, ...]
+    reference: str
+    calibrated: bool = False
 
     def __post_init__(self) -> None:
-        freeze(self, T_c_r=(4, 4), R_rect_c=(3, 3), R_rect_r=(3, 3))
+        sizes = {len(self.names), len(set(self.names)), len(self.each), len(self.T_c_each), len(self.R_rect)}
+        if len(sizes) > 1 or (self.calibrated and len(self.each) != 2) or self.reference not in self.names:
+            raise ValueError(f"cameras {self.names} with reference {self.reference!r}: numbers do not match")
+        for name, size in (("T_c_each", 4), ("R_rect", 3)):
+            matrices = tuple(np.array(T, dtype=np.float64) for T in getattr(self, name))
+            if any(T.shape != (size, size) for T in matrices):
+                raise ValueError(f"{name}: not all are {size} x {size}")
+            for T in matrices:
+                T.setflags(write=False)
+            object.__setattr__(self, name, matrices)
+
+    @classmethod
+    def pair(
+        cls,
+        left: Camera,
+        right: Camera,
+        T_c_r: FloatArray,
+        rectified: bool,
+        R_rect_c: FloatArray,
+        R_rect_r: FloatArray,
+        reference: str = "left",
+    ) -> CameraRig:
+        """A stereo pair; see the attributes."""
+        poses = (np.eye(4), T_c_r)
+        return cls(SIDES, (left, right), poses, rectified, (R_rect_c, R_rect_r), reference, calibrated=True)
 
     @property
-    def baseline_m(self) -> float:
-        """Distance between the two optical centers, m."""
-        return float(np.linalg.norm(self.T_c_r[:3, 3]))
+    def first(self) -> Camera:
+        """The camera whose frame is c."""
+        return self.each[0]
+
+    @property
+    def of_reference(self) -> Camera:
+        """The camera of the head-eye transform."""
+        return self.each[self.names.index(self.reference)]
+
+    @property
+    def baseline_m(self) -> float | None:
+        """Distance between the optical centers of a stereo pair, m; None for other cameras."""
+        return float(np.linalg.norm(self.T_c_each[1][:3, 3])) if self.calibrated else None
+
+    @property
+    def fewest(self) -> int:
+        """Least number of cameras that measure the board: both of a stereo pair, which gives the scale."""
+        return 2 if self.calibrated else 1
+
+    @property
+    def images_words(self) -> str:
+        """Where the whole board must be, in texts."""
+        return {1: "the image", 2: "both images"}.get(len(self.each), "an image")
+
+    def some(self, cameras: Sequence[int]) -> CameraRig:
+        """Some of the cameras, by their indices; c stays the frame of the first of all."""
+        names = tuple(self.names[k] for k in cameras)
+        return CameraRig(
+            names,
+            tuple(self.each[k] for k in cameras),
+            tuple(self.T_c_each[k] for k in cameras),
+            self.rectified,
+            tuple(self.R_rect[k] for k in cameras),
+            names[0],
+        )
 
     @property
     def T_c_reference(self) -> FloatArray:
-        """Reference camera coordinates to left camera coordinates, (4, 4), m."""
-        return np.eye(4) if self.reference == "left" else self.T_c_r
+        """Reference camera coordinates to those of the first camera, (4, 4), m."""
+        return self.T_c_each[self.names.index(self.reference)]
+
+
+def camera_words(name: str) -> str:
+    """A camera in texts: "left" → "left camera", "camera" → "camera"."""
+    return name if "cam" in name else f"{name} camera"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +285,7 @@ class Board:
 
     Attributes:
         columns, rows: inner corners along x and along y; aprilgrid: tags.
-        square_m: size of a square (aprilgrid: of a tag), m; None if the stereo baseline gives the scale.
+        square_m: size of a square (aprilgrid: of a tag), m; None if a stereo baseline gives the scale.
         markers: None for a plain checkerboard.
     """
 
@@ -265,6 +329,7 @@ class WheelSource:
         sign: +1, or -1 for a counter that decreases when the robot drives forward.
         baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
         assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
+        separation_share: relative standard deviation of the separation in `baked_in`, where it is assumed.
         others: further wheels of this side; the side's rotation is the mean of all that agree.
     """
 
@@ -276,6 +341,7 @@ class WheelSource:
     sign: Literal[1, -1] = 1
     baked_in: WheelGeometry | None = None
     assumed: bool = False
+    separation_share: float = 0.0
     others: tuple[WheelSource, ...] = ()
 
     @property
@@ -342,16 +408,16 @@ class Sources:
     """The topics used.
 
     Attributes:
-        image: image topic of each side.
-        info: camera-info topic of each side, "" if the camera calibration is not from the recording.
+        image: image topic of each camera.
+        info: camera-info topic of each camera, "" if the camera calibration is not from the recording.
         joints: joint-state topics for the head's joints.
         wheels: source of each wheel.
         elsewhere: sources of head joints that are not in joint states.
-        layout: the two images of a stereo pair in separate messages, or both in one image of one topic.
+        layout: the images of the cameras in separate messages, or both of a pair in one image of one topic.
     """
 
-    image: Mapping[Side, str]
-    info: Mapping[Side, str]
+    image: Mapping[str, str]
+    info: Mapping[str, str]
     joints: tuple[str, ...]
     wheels: Mapping[Side, WheelSource]
     elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
@@ -367,6 +433,19 @@ class Sources:
     def assumed_wheels(self) -> WheelGeometry | None:
         """Wheels assumed for odometry whose driver's wheels are unknown: results are factors of them."""
         return next((source.baked_in for source in self.wheels.values() if source.assumed), None)
+
+    @property
+    def assumed_odometry(self) -> AssumedOdometry | None:
+        """`assumed_wheels`, with their topic and the uncertainty of their separation."""
+        source = next((source for source in self.wheels.values() if source.assumed), None)
+        if source is None or source.baked_in is None:
+            return None
+        return AssumedOdometry(source.topic, source.baked_in, source.separation_share)
+
+    @property
+    def several_wheels(self) -> bool:
+        """Whether a side has more than one wheel: the base turns with slip."""
+        return any(source.others for source in self.wheels.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,6 +466,56 @@ class WheelGeometry:
     def vector(self) -> FloatArray:
         """(3,) right radius, left radius, separation, m."""
         return np.array([self.radius_right_m, self.radius_left_m, self.separation_m])
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedOdometry:
+    """Odometry of a driver with unknown wheels. It is read as the rotation of assumed wheels, and the result is the
+    factors between these and the wheels that explain the motion.
+
+    With the factors kR, kL and m of the right and left radius and of the separation b, odometry of a run ds and a turn
+    means (kR + kL)/2 ds + (kR - kL) b/4 turn, and a turn of (kR - kL)/(m b) ds + (kR + kL)/(2 m) turn. So distance and
+    rotation do not depend on the assumed wheels. The difference kR - kL is in proportion to the assumed separation:
+    only the drift (kR - kL)/(m b) shows.
+
+    Attributes:
+        topic: of the odometry.
+        wheels: the assumed wheels.
+        separation_share: relative standard deviation of their separation.
+    """
+
+    topic: str
+    wheels: WheelGeometry
+    separation_share: float = 0.0
+
+    def factors(self, wheels: WheelGeometry) -> FloatArray:
+        """(5,) factors for estimated wheels, in the order of `FACTORS`."""
+        right, left, separation = wheels.vector / self.wheels.vector
+        linear = (right + left) / 2
+        return np.array([right, left, separation, linear, linear / separation])
+
+    def covariance(self, wheels: WheelGeometry, of_wheels: FloatArray) -> FloatArray:
+        """(5, 5) covariance of the factors, from that of the wheels, (3, 3) m^2, and of the assumed separation."""
+        right, left, separation, linear, _ = self.factors(wheels)
+        J = np.zeros((5, 3))
+        J[:3] = np.eye(3)
+        J[3] = [0.5, 0.5, 0.0]
+        J[4] = [0.5 / separation, 0.5 / separation, -linear / separation**2]
+        J = J / self.wheels.vector
+        half = (right - left) / 2 * self.separation_share
+        apart = np.array([half, -half, 0.0, 0.0, 0.0])
+        return np.asarray(J @ of_wheels @ J.T + np.outer(apart, apart))
+
+
+#: What odometry is wrong by, in the order of `AssumedOdometry.factors`: as diff_drive_controller takes it, then as
+#: drivers take it that scale distance and rotation.
+FACTORS = (
+    "right_wheel_radius_multiplier",
+    "left_wheel_radius_multiplier",
+    "wheel_separation_multiplier",
+    "linear_scale",
+    "angular_scale",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -436,7 +565,7 @@ class Rig:
     """The robot before the calibration.
 
     Attributes:
-        cameras: the stereo pair.
+        cameras: the cameras.
         chain: kinematic chain from base to head.
         nominal: nominal values.
         sources: the topics used.
@@ -446,7 +575,7 @@ class Rig:
             stated value is exact, infinite (math.inf) if nothing is known.
     """
 
-    cameras: StereoRig
+    cameras: CameraRig
     chain: HeadChain
     nominal: Nominal
     sources: Sources

@@ -87,29 +87,38 @@ class Signals:
     Attributes:
         joints: head joint name → track.
         wheels: side → unwrapped wheel rotation, rad, positive when driving forward.
-        images: side → its images.
+        images: name of each camera → its images.
         notes: irregularities: clocks that step, duplicate stamps, gaps, zero stamps. Whole sentences.
         infos: camera-info topic → calibration in most of its messages, where its first message states another.
     """
 
     joints: Mapping[str, Track]
     wheels: Mapping[Side, Track]
-    images: Mapping[Side, PictureIndex]
+    images: Mapping[str, PictureIndex]
     notes: tuple[str, ...]
     infos: Mapping[str, CameraInfo] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class StereoPair:
-    """A stereo pair to search for the board, identified by the stamps of its images, ns."""
+class Shot:
+    """Images of the cameras taken together, to search for the board: the stamp of each, ns; None for no image."""
 
-    left_ns: int
-    right_ns: int
+    times_ns: tuple[int | None, ...]
+
+    @property
+    def taken_ns(self) -> list[int]:
+        """Stamps of the images that there are."""
+        return [time_ns for time_ns in self.times_ns if time_ns is not None]
 
     @property
     def time_ns(self) -> int:
-        """Time of the pair: midway between the two stamps."""
-        return (self.left_ns + self.right_ns) // 2
+        """Time of the images: the mean of their stamps."""
+        return sum(self.taken_ns) // len(self.taken_ns)
+
+    @property
+    def apart_ns(self) -> int:
+        """Time between the first and the last image."""
+        return max(self.taken_ns) - min(self.taken_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,16 +127,16 @@ class Station:
 
     Attributes:
         index: number in its recording, from 0, sorted by time.
-        at_rest: base and head stood still during all pairs.
-        pairs: the stereo pairs to search: several at a rest, one otherwise.
-        time_ns: mean time of the pairs.
-        joints: (J,) head joint readings at the pairs, in the order of `HeadChain.joints`, rad or m.
-        joints_std: (J,) scatter of the readings over the pairs; 0 with one pair.
+        at_rest: base and head stood still during all shots.
+        shots: the images to search: several of each camera at a rest, one otherwise.
+        time_ns: mean time of the shots.
+        joints: (J,) head joint readings at the shots, in the order of `HeadChain.joints`, rad or m.
+        joints_std: (J,) scatter of the readings over the shots; 0 with one shot.
     """
 
     index: int
     at_rest: bool
-    pairs: tuple[StereoPair, ...]
+    shots: tuple[Shot, ...]
     time_ns: int
     joints: FloatArray
     joints_std: FloatArray

@@ -23,7 +23,7 @@ from mobilecal_cli.model.findings import (
     Suggestion,
 )
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import StereoRig
+from mobilecal_cli.model.rig import CameraRig
 
 #: Standard deviation of what has no noise, rad, m, s.
 EXACT = 1e-6
@@ -272,8 +272,7 @@ class Residuals:
 
     legs: IntArray
     leg_point_rms_m: FloatArray
-    predicted_left_px: FloatArray
-    predicted_right_px: FloatArray
+    predicted_px: FloatArray
     leg_reprojection_px: FloatArray
     T_w_v: FloatArray
     T_w_k: FloatArray
@@ -283,8 +282,7 @@ class Residuals:
         freeze(
             self,
             leg_point_rms_m=(legs,),
-            predicted_left_px=(legs, "M", 2),
-            predicted_right_px=(legs, "M", 2),
+            predicted_px=("C", legs, "M", 2),
             leg_reprojection_px=(legs,),
             T_w_v=("N", 4, 4),
             T_w_k=("N", 4, 4),
@@ -321,7 +319,7 @@ class Solution:
 
     method: Method
     parameters: Parameters
-    cameras: StereoRig
+    cameras: CameraRig
     linear: LinearEstimate
     refinement: Refinement | None
     residuals: Residuals

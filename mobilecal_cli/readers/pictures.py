@@ -16,7 +16,6 @@ from mobilecal_cli.model import (
     IntArray,
     PictureIndex,
     Rejection,
-    Side,
     Sources,
     StereoLayout,
 )
@@ -53,12 +52,12 @@ class Pictures:
         return PictureIndex(stamp_ns, stamp_ns, logged_ns)
 
 
-def find_pictures(recording: Recording, image_topics: Mapping[Side, str]) -> Pictures | None:
+def find_pictures(recording: Recording, image_topics: Mapping[str, str]) -> Pictures | None:
     """Log times and approximate stamps of the images, without reading them all.
 
     Args:
         recording: the open recording.
-        image_topics: image topic of each side.
+        image_topics: image topic of each camera.
 
     Returns:
         None if they cannot be determined: no index, no such topic, missing stamps, undecodable images, identical
@@ -151,31 +150,31 @@ _GLANCE_BYTES = 2**25
 
 def read_images(
     recording: Recording,
-    image_topics: Mapping[Side, str],
-    wanted: Mapping[Side, PictureIndex],
+    image_topics: Mapping[str, str],
+    wanted: Mapping[str, PictureIndex],
     layout: StereoLayout = "separate",
-) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
+) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
     """Selected images, one at a time, in the order of the recording.
 
     Args:
         recording: the open recording.
-        image_topics: image topic of each side.
-        `wanted`: rows of the index of each side's images.
+        image_topics: image topic of each camera.
+        `wanted`: rows of the index of each camera's images.
         layout: arrangement of the two images of a pair.
 
     Yields:
-        Side, time, and the image as (height, width) uint8; or the reason why it cannot be decoded.
+        Camera, time, and the image as (height, width) uint8; or the reason why it cannot be decoded.
 
     Raises:
         RecordingError: see `Recording.messages`.
     """
-    missing: dict[str, dict[tuple[int, int], list[tuple[Side, int]]]] = {}
-    for side, index in wanted.items():
-        places = missing.setdefault(image_topics[side], {})
+    missing: dict[str, dict[tuple[int, int], list[tuple[str, int]]]] = {}
+    for name, index in wanted.items():
+        places = missing.setdefault(image_topics[name], {})
         for time_ns, *place in zip(
             *(a.tolist() for a in (index.time_ns, index.log_ns, index.stamp_ns)), strict=True
         ):
-            places.setdefault(tuple(place), []).append((side, time_ns))
+            places.setdefault(tuple(place), []).append((name, time_ns))
     if not any(index.sequential for index in wanted.values()):
         logged = np.unique(np.concatenate([index.log_ns for index in wanted.values()]))
         yield from _read(recording, missing, layout, Extent(at_ns=logged))
@@ -185,15 +184,15 @@ def read_images(
 
 def _read(
     recording: Recording,
-    missing: dict[str, dict[tuple[int, int], list[tuple[Side, int]]]],
+    missing: dict[str, dict[tuple[int, int], list[tuple[str, int]]]],
     layout: StereoLayout,
     extent: Extent,
-) -> Iterator[tuple[Side, int, GrayImage | Rejection]]:
+) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
     """One pass for the missing images; removes those that are found.
 
     Args:
         recording: the open recording.
-        missing: topic → log time and stamp of an image → its sides, and the times to return.
+        missing: topic → log time and stamp of an image → its cameras, and the times to return.
         layout: see `read_images`.
         extent: how much of the recording is read.
     """
@@ -214,8 +213,8 @@ def _read(
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
-        for side, time_ns in wanted:
-            yield side, time_ns, picture if isinstance(picture, Rejection) else _part(picture, side, layout)
+        for name, time_ns in wanted:
+            yield name, time_ns, picture if isinstance(picture, Rejection) else _part(picture, name, layout)
         if not any(missing.values()):
             return
 
@@ -223,7 +222,7 @@ def _read(
 def pictures_near(
     recording: Recording, sources: Sources, times_ns: Sequence[int]
 ) -> Iterator[GrayImage | Rejection]:
-    """First images of both cameras after given times, without reading the whole recording.
+    """First images of all cameras after given times, without reading the whole recording.
 
     Args:
         recording: the open recording.
@@ -233,11 +232,11 @@ def pictures_near(
     Yields:
         (height, width) uint8, or the reason why an image cannot be decoded.
     """
-    sides: dict[str, list[Side]] = {}
-    for side, topic in sources.image.items():
-        sides.setdefault(topic, []).append(side)
+    names: dict[str, list[str]] = {}
+    for name, topic in sources.image.items():
+        names.setdefault(topic, []).append(name)
     videos = []
-    for message in recording.near(sides, times_ns):
+    for message in recording.near(names, times_ns):
         try:
             decoded = message.decode()
             if codec_of(decoded) is not None:
@@ -247,12 +246,12 @@ def pictures_near(
         except RecordingError as error:
             yield Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
             continue
-        for side in sides[message.topic]:
-            yield _part(picture, side, sources.layout)
+        for name in names[message.topic]:
+            yield _part(picture, name, sources.layout)
     for topic in dict.fromkeys(videos):
         for frame in _key_frames(recording, topic, times_ns):
-            for side in sides[topic]:
-                yield _part(frame, side, sources.layout)
+            for name in names[topic]:
+                yield _part(frame, name, sources.layout)
 
 
 def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> Iterator[GrayImage]:
@@ -284,9 +283,9 @@ def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None: 
     return videos[topic]
 
 
-def _part(picture: GrayImage, side: Side, layout: StereoLayout) -> GrayImage:
+def _part(picture: GrayImage, name: str, layout: StereoLayout) -> GrayImage:
     """One camera's part of an image."""
     if layout == "separate":
         return picture
     first, second = np.array_split(picture, 2, axis=1 if layout == "side_by_side" else 0)
-    return np.ascontiguousarray(first if side == "left" else second)
+    return np.ascontiguousarray(first if name == "left" else second)

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, NINE, Extraction
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, FACTORS, NINE, AssumedOdometry, Extraction
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
 from mobilecal_cli.report.decomposition import error_parts
@@ -300,7 +300,11 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
     wheels = made.solution.parameters.wheels
     right, left = wheels.radius_right_m, wheels.radius_left_m
     apart = 100 * (max(right, left) / min(right, left) - 1)
+    assumed = made.extraction.rig.sources.assumed_wheels
     sizes = f"right {right:.4f} m, left {left:.4f} m"
+    if assumed is not None:
+        right, left = right / assumed.radius_right_m, left / assumed.radius_left_m
+        sizes = f"right {right:.4f}, left {left:.4f} times those of the driver"
     yield Check(
         "wheel_difference", apart, bad, graded(apart, bad),
         "difference between the wheel radii",
@@ -321,10 +325,17 @@ def nominal(made: Calibration) -> Iterator[Check]:
     """
     bad = 25.0
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
+    sources = made.extraction.rig.sources
+    if sources.assumed_odometry is not None:
+        yield from _factors(made, sources.assumed_odometry)
+        return
     if stated is None:
         return
     ratios = dict(zip(NINE[6:], (wheels.vector / stated.vector).tolist(), strict=True))
     for parameter, found_m, stated_m in zip(PARAMETERS[6:], wheels.vector, stated.vector, strict=True):
+        if sources.several_wheels and parameter.name == "separation":
+            yield from _effective_separation(made)
+            continue
         off, ratio = 100 * (float(found_m / stated_m) - 1), ratios[parameter.name]
         usual = {"about half of": 0.5, "about twice": 2.0}
         times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
@@ -356,6 +367,45 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction
     else:
         causes.append("the unit of the wheel positions (rad at the wheel, not at the motor)")
     return f"Measure the wheel with a ruler. If it is as stated, check {', and '.join(causes)}."
+
+
+#: An effective separation is at least the geometric one, and at most this many times.
+_LEAST_EFFECTIVE, _MOST_EFFECTIVE = 0.95, 2.5
+
+
+def _effective_separation(made: Calibration) -> Iterator[Check]:
+    """Effective over nominal separation of a base that turns with slip."""
+    stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
+    assert stated is not None
+    ratio = wheels.separation_m / stated.separation_m
+    usual = _LEAST_EFFECTIVE <= ratio <= _MOST_EFFECTIVE
+    found_m, nominal_m = wheels.separation_m, stated.separation_m
+    yield Check(
+        "nominal.separation", 100 * (ratio - 1), 100 * (_MOST_EFFECTIVE - 1), "pass" if usual else "fail",
+        "effective wheel separation against the nominal one",
+        f"{found_m:.4f} m, {ratio:.2f} times",
+        f"{_LEAST_EFFECTIVE:g} to {_MOST_EFFECTIVE:g} times {nominal_m:.4f} m",
+        f"The effective wheel separation is {found_m:.4f} m, {ratio:.2f} times the nominal {nominal_m:.4f} m.",
+        "Check ticks_per_revolution and the sides of the wheels. The effective separation of a skid-steered base is 1 "
+        "to 2.5 times the distance between its wheels.",
+    )  # fmt: skip
+
+
+def _factors(made: Calibration, assumed: AssumedOdometry) -> Iterator[Check]:
+    """Factors of odometry against 1. That of the separation is larger on bases that turn with slip."""
+    bad = 0.25
+    values = assumed.factors(made.solution.parameters.wheels)
+    for parameter, name, value in zip(PARAMETERS[6:], FACTORS, values.tolist(), strict=False):
+        off = abs(value - 1)
+        ok = parameter.name == "separation" and 1 <= value <= _MOST_EFFECTIVE
+        yield Check(
+            f"nominal.{parameter.name}", 100 * (value - 1), 100 * bad, "pass" if ok else graded(off, bad),
+            f"{name.replace('_', ' ')} against 1",
+            f"{value:.4f}, {100 * (value - 1):+.1f} %",
+            f"within {100 * bad:g} %",
+            f"The {name.replace('_', ' ')} of the odometry on {assumed.topic} is {value:.3f}.",
+            "Check the wheel radius and the wheel separation in the driver, and board.square_m in rig.yaml.",
+        )  # fmt: skip
 
 
 @criterion(Metric("stereo_error", "px"))
@@ -442,7 +492,10 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     if len(residuals.legs) < least_legs:
         return
     bad = max(bad, encoder_steps * encoder_heading_rad(made.solution, made.extraction))
-    distance_mm, focal_px = board_distance_m(made.extraction) * 1e3, float(made.solution.cameras.left.K[0, 0])
+    distance_mm, focal_px = (
+        board_distance_m(made.extraction) * 1e3,
+        float(made.solution.cameras.first.K[0, 0]),
+    )
     for kind, unit, errors, scale in (
         ("point", "mm", residuals.leg_point_rms_m * 1e3, distance_mm),
         ("reprojection", "px", residuals.leg_reprojection_px, focal_px),
@@ -502,7 +555,7 @@ def errors(made: Calibration) -> Iterator[Check]:
         f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
         cure,
     )  # fmt: skip
-    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.left.K[0, 0])
+    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
     px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts), 0.0))
     yield Check(
         "reprojection_error", px, limit, graded(px, limit),

@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
-from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, std_text
+from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, factors_of, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
 #: Significance level.
@@ -83,14 +83,16 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
     for name, found in zip(names[1:], differences, strict=True):
         lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
         rows = []
-        for k, parameter in enumerate(PARAMETERS):
+        nine = PARAMETERS if found.assumed is None else factors_of(found.assumed)
+        for k, parameter in enumerate(nine):
             change, s = found.change[k] * parameter.factor, found.std[k] * parameter.factor
             std, sigmas = (
                 (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
             )
-            rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
+            name = parameter.factor_name or parameter.name
+            rows.append((name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
-        lines += Table.of(heads, rows).lines((14, 12, 12, 10))
+        lines += Table.of(heads, rows).lines((14 if found.assumed is None else 32, 12, 12, 10))
         lines += ["", "  r is a small rotation about the head's axes.", ""]
         lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(found))]
         lines += ["", f"  {conclusion(found)}", ""]

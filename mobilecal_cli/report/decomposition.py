@@ -38,7 +38,7 @@ def error_parts(solution: Solution, extraction: Extraction) -> Mapping[str, Erro
     T_v_c = head_pose(chain, joints) @ X
     points_c = np.stack([se3.act(o.T_c_k, extraction.board.grid() * o.square_m) for o in seen])  # (N, M, 3) m
     points_cov = np.stack([o.points_cov for o in seen])
-    _, by_point = project_with_jacobian(solution.cameras.left, points_c)  # (N, M, 2, 3) px/m
+    _, by_point = project_with_jacobian(solution.cameras.first, points_c)  # (N, M, 2, 3) px/m
     base = np.zeros((6, 3))  # twists of the base by roll, pitch and height of the floor
     base[0, 0] = base[1, 1] = math.hypot(noise.floor_rad, noise.sway_rad)
     base[5, 2] = math.hypot(noise.floor_m, noise.sway_m)

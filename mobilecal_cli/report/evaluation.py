@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli.comparison import nine_apart
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import BoolArray, CalibratedRobot, Evaluation, Extraction, FloatArray, StereoRig
+from mobilecal_cli.model import BoolArray, CalibratedRobot, CameraRig, Evaluation, Extraction, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
@@ -57,7 +57,7 @@ class OwnEstimate:
 
 def judge_evaluation(
     found: Evaluation,
-    cameras: StereoRig,
+    cameras: CameraRig,
     robot: CalibratedRobot,
     own: OwnEstimate | MobilecalError,
     used: Sequence[str] = (),
@@ -91,7 +91,7 @@ def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
 
 
 def _checks(
-    found: Evaluation, cameras: StereoRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
+    found: Evaluation, cameras: CameraRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
 ) -> Iterator[Check]:
     have, least = found.stations, MIN_STATIONS
     yield Check(
@@ -117,9 +117,9 @@ def _checks(
         yield from _agreement(robot, own)
 
 
-def _corner_error(found: Evaluation, cameras: StereoRig, own: OwnEstimate | MobilecalError) -> Check:
+def _corner_error(found: Evaluation, cameras: CameraRig, own: OwnEstimate | MobilecalError) -> Check:
     """A gross error of the calibration, or of a recording that no calibration explains."""
-    limit_px = PIXEL_ERROR_BAD * float(cameras.left.K[0, 0])
+    limit_px = PIXEL_ERROR_BAD * float(cameras.first.K[0, 0])
     px = float(np.median(found.reprojection_px))
     best_px = limit_px if isinstance(own, MobilecalError) else float(np.median(own.reprojection_px))
     limit = max(limit_px, _TIMES_OWN * best_px)

@@ -9,7 +9,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import BY_NAME, station_names, std_text, value_text
+from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import SOURCES
 
 #: Further constants of a group are named if they are so many standard deviations off.
@@ -143,20 +143,22 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
     names, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     sentences = []
     for suggestion in solution.suggestions:
-        shown = BY_NAME[suggestion.worst]
+        shown = parameters_of(extraction.rig)[NINE.index(suggestion.worst)]
         head = ", ".join(
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
             for name, at in zip(names, suggestion.joints, strict=True)
         )
-        now, then, unit = std_text(suggestion.std_now), std_text(suggestion.std_then), shown.unit
+        now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
+        unit = "" if shown.unit == "1" else f" {shown.unit}"
         path, worst = _path(suggestion), suggestion.worst
+        called = shown.factor_name or worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
-                f"the standard deviation of {worst} falls from {now} to {then} {unit}, and the least certain "
+                f"the standard deviation of {called} falls from {now} to {then}{unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            gain = f"{worst}, now unobservable, gets a standard deviation of {then} {unit}"
+            gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
         sentences.append(
             f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
             f"Expected result: {gain}."

@@ -7,19 +7,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-import numpy as np
-
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import (
     SIDES,
     BoardView,
+    CameraRig,
     Inspection,
     Lack,
     MotionView,
     Parts,
     Rig,
-    StereoRig,
     WheelSource,
+    camera_words,
     listed,
 )
 from mobilecal_cli.model.text import visible, wrapped
@@ -83,19 +82,18 @@ def _duration_s(found: Inspection) -> float | None:
     return (found.end_ns - found.start_ns) * 1e-9
 
 
-def _cameras(cameras: StereoRig) -> dict[str, Any]:
-    sides = {
-        side: {
+def _cameras(cameras: CameraRig) -> dict[str, Any]:
+    each: dict[str, Any] = {
+        name: {
             "frame": camera.frame_id,
             "width": camera.width,
             "height": camera.height,
             "focal_px": camera.K.diagonal()[:2],
             "distortion": camera.distortion,
         }
-        for side, camera in (("left", cameras.left), ("right", cameras.right))
+        for name, camera in zip(cameras.names, cameras.each, strict=True)
     }
-    baseline_m = float(np.linalg.norm(cameras.T_c_r[:3, 3]))
-    return {**sides, "baseline_m": baseline_m, "rectified": cameras.rectified}
+    return {**each, "baseline_m": cameras.baseline_m, "rectified": cameras.rectified}
 
 
 def inspection_text(found: Inspection) -> str:
@@ -142,10 +140,11 @@ def _roles(rig: Rig) -> Iterable[str]:
     cameras = rig.cameras
     for role, origin in rig.setting_sources.items():
         yield from wrapped(f"{role}: {_WHY.get(origin, origin)}")
-    for side, camera in (("left", cameras.left), ("right", cameras.right)):
+    for name, camera in zip(cameras.names, cameras.each, strict=True):
         size, focal = f"{camera.width} x {camera.height}", f"focal length {camera.K[0, 0]:.1f} px"
-        yield f"  {side} camera: {size}, {focal}, {camera.distortion}"
-    yield f"  stereo baseline: {np.linalg.norm(cameras.T_c_r[:3, 3]) * 1e3:.1f} mm"
+        yield f"  {camera_words(name)}: {size}, {focal}, {camera.distortion}"
+    if cameras.baseline_m is not None:
+        yield f"  stereo baseline: {cameras.baseline_m * 1e3:.1f} mm"
 
 
 def _motion_lines(motion: MotionView) -> Iterable[str]:
@@ -238,15 +237,16 @@ def _good(about: str, found: Inspection) -> list[Line]:
 def _known(parts: Parts) -> dict[str, str]:
     said = {}
     if parts.images is not None:
-        said["cameras"] = " and ".join(dict.fromkeys(parts.images[side] for side in SIDES))
+        said["cameras"] = " and ".join(dict.fromkeys(parts.images.values()))
     if parts.cameras is not None:
         sides = ", ".join(
-            f"{side} {camera.width} x {camera.height} {camera.distortion}"
-            for side, camera in zip(SIDES, (parts.cameras.left, parts.cameras.right), strict=True)
+            f"{name} {camera.width} x {camera.height} {camera.distortion}"
+            for name, camera in zip(parts.cameras.names, parts.cameras.each, strict=True)
         )
         kind = "rectified" if parts.cameras.rectified else "raw"
-        baseline_mm = np.linalg.norm(parts.cameras.T_c_r[:3, 3]) * 1e3
-        said["camera infos"] = f"{sides}; {kind} images; baseline {baseline_mm:.1f} mm"
+        baseline_m = parts.cameras.baseline_m
+        baseline = "" if baseline_m is None else f"; baseline {baseline_m * 1e3:.1f} mm"
+        said["camera infos"] = f"{sides}; {kind} images{baseline}"
     if parts.wheels is not None:
         said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in SIDES)
     if parts.chain is not None:

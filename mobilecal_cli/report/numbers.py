@@ -8,13 +8,24 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad, head_pose
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Parameters, Rejection, Solution, StereoRig
+from mobilecal_cli.model import (
+    FACTORS,
+    NINE,
+    CameraRig,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Rejection,
+    Rig,
+    Solution,
+    WheelGeometry,
+)
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import json_value
 
@@ -36,6 +47,7 @@ class Parameter:
         unit: "rad" or "m".
         shown_unit, factor: unit for people, and how many of it one `unit` is.
         digits: decimals to show where no standard deviation is known.
+        factor_name: of a factor of odometry, its name in params.yaml.
     """
 
     name: str
@@ -45,11 +57,19 @@ class Parameter:
     shown_unit: str
     factor: float
     digits: int
+    factor_name: str = ""
 
     @property
     def gate(self) -> str:
         """Name of the gate on its standard deviation."""
+        if self.unit == "1":
+            return f"std.odometry.{self.factor_name}"
         return f"std.{'wheels' if self.name in NINE[6:] else 'head_eye'}.{self.name}_{self.unit}"
+
+    @property
+    def per_unit(self) -> float:
+        """How many of `unit` a value of one in the code is: rad and m stay, of assumed wheels follow factors."""
+        return self.factor if self.unit == "1" else 1.0
 
 
 _ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
@@ -65,7 +85,27 @@ PARAMETERS = (
     ),
     *(Parameter(name, label, label, *_LENGTH) for name, label in zip(NINE[6:], _WHEELS, strict=True)),
 )
-BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+
+def parameters_of(rig: Rig) -> tuple[Parameter, ...]:
+    """The nine parameters of a robot: of one with odometry alone, the last three are factors of assumed wheels."""
+    assumed = rig.sources.assumed_wheels
+    return PARAMETERS if assumed is None else factors_of(assumed)
+
+
+def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
+    """The nine parameters, with factors of assumed wheels."""
+    sizes = zip(PARAMETERS[6:], FACTORS, assumed.vector.tolist(), strict=False)
+    return (
+        *PARAMETERS[:6],
+        *(
+            replace(
+                p, label=name.replace("_", " "), meaning=name.replace("_", " "), unit="1", shown_unit="factor",
+                factor=1 / size, digits=5, factor_name=name,
+            )
+            for p, name, size in sizes
+        ),
+    )  # fmt: skip
 
 
 def value_text(value: float, std: float | None, otherwise: int, sign: str = "") -> str:
@@ -120,30 +160,38 @@ class NumberData:
     std_text: str
 
 
-def numbers_of(solution: Solution) -> tuple[NumberData, ...]:
-    """Head-eye transform of the reference camera, and wheels: the numbers that every output shows."""
+def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
+    """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
+    shown, factors = parameters_of(rig), odometry_factors(rig, solution)
     T, found = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
     values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
     stds = reference_std(solution) or (None,) * len(PARAMETERS)
     numbers = []
-    for k, (parameter, value, std) in enumerate(zip(PARAMETERS, values, stds, strict=True)):
+    for k, (parameter, value, std) in enumerate(zip(shown, values, stds, strict=True)):
         state = ""
         if found is not None:
             state = "fixed" if std is None else "" if found.observable[k] else "not determined"
             state = "from the robot description" if found.described[k] else state
-        numbers.append(
-            NumberData(
-                name=parameter.name,
-                label=parameter.label,
-                unit=parameter.unit,
-                value=float(value),
-                std=std,
-                state=state,
-                value_text=value_text(float(value), std, _UNCERTAIN_DIGITS),
-                std_text="" if std is None else std_text(std),
-            )
-        )
+        name, unit = parameter.factor_name or parameter.name, parameter.unit
+        if parameter.factor_name:
+            (value, std), unit = factors.pop(name), parameter.shown_unit
+        numbers.append(_number(name, parameter.label, unit, float(value), std, state))
+    for name, (value, std) in factors.items():  # that follow from those above
+        numbers.append(_number(name, name.replace("_", " "), "factor", value, std, numbers[-1].state))
     return tuple(numbers)
+
+
+def _number(name: str, label: str, unit: str, value: float, std: float | None, state: str) -> NumberData:
+    return NumberData(
+        name=name,
+        label=label,
+        unit=unit,
+        value=value,
+        std=std,
+        state=state,
+        value_text=value_text(value, std, _UNCERTAIN_DIGITS),
+        std_text="" if std is None else std_text(std),
+    )
 
 
 def numbers_table(numbers: Sequence[NumberData]) -> list[tuple[str, str]]:
@@ -169,20 +217,35 @@ def stations_text(extraction: Extraction) -> str:
 NEAR_LOCK_DEG = 5.0
 
 
-def reference_pose(parameters: Parameters, cameras: StereoRig) -> FloatArray:
+def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
     return T
 
 
-def reference_frame(cameras: StereoRig) -> str:
+def reference_frame(cameras: CameraRig) -> str:
     """Name of the optical frame of the reference camera."""
-    return (cameras.left if cameras.reference == "left" else cameras.right).frame_id
+    return cameras.of_reference.frame_id
 
 
-def lengths_mm(parameters: Parameters, cameras: StereoRig) -> FloatArray:
-    """Translation of the reference camera, radii and separation, (6,) mm."""
-    return 1e3 * np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
+def shown_lengths(
+    parameters: Parameters, cameras: CameraRig, shown: Sequence[Parameter] = PARAMETERS
+) -> FloatArray:
+    """Translation of the reference camera, radii and separation, (6,), in the units of `shown`: mm, or factors."""
+    lengths = np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
+    return np.asarray(lengths * [parameter.factor for parameter in shown[3:]])
+
+
+def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:
+    """Name → value and standard deviation of the factors of odometry; empty for robots with wheels."""
+    assumed, found = rig.sources.assumed_odometry, solution.uncertainty
+    if assumed is None:
+        return {}
+    wheels = solution.parameters.wheels
+    values, std = assumed.factors(wheels), [None] * len(FACTORS)
+    if found is not None:
+        std = np.sqrt(np.diag(assumed.covariance(wheels, found.reference_covariance[6:, 6:]))).tolist()
+    return {name: (value, s) for name, value, s in zip(FACTORS, values.tolist(), std, strict=True)}
 
 
 def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray | None]:
@@ -292,7 +355,7 @@ def plain_names(names: Sequence[str], extraction: Extraction) -> str:
         axes = [name[-1] for name in names if name.startswith(prefix) and name != height]
         which = f" {along} {' and '.join(axes)} of {visible(chain.head_frame)}" if len(axes) < 3 else ""
         parts += [f"the camera's {word}{which}"] if axes else []
-    parts += [f"the {BY_NAME[name].label}" for name in names if name in NINE[6:]]
+    parts += [f"the {p.label}" for p in parameters_of(extraction.rig)[6:] if p.name in names]
     said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{said} {'is' if len(parts) == 1 else 'are'}"
 

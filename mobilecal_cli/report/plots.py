@@ -17,15 +17,14 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.model import (
     NINE,
-    SIDES,
     Corners,
     Extraction,
     FloatArray,
-    Side,
     Snapshot,
     Solution,
     WheelGeometry,
     WheelTrack,
+    camera_words,
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import image_coverage, predicted_point_rms_m, station_names, std_text
@@ -61,7 +60,7 @@ class Overlay:
     Region and marks are in pixels of the whole image; a mark is the corner as detected and as predicted, (u, v) each.
     """
 
-    side: Side
+    camera: str
     x: int
     y: int
     width: int
@@ -72,7 +71,7 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True)
 class LegView:
-    """Both images of a leg's first station, with the corners predicted from the leg's other end.
+    """The images of a leg's first station, with the corners predicted from the leg's other end.
 
     The rank is "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
     """
@@ -83,7 +82,7 @@ class LegView:
     to_station: str
     error_mm: float
     error_px: float
-    pictures: tuple[Overlay, Overlay]
+    pictures: tuple[Overlay, ...]
 
 
 class Drawings(NamedTuple):
@@ -118,13 +117,13 @@ def plot(
     section: str,
     *,
     half: bool = False,
-    each: Literal["log", "side"] | None = None,
+    each: Literal["log", "camera"] | None = None,
     corners: bool = False,
 ) -> Callable[[_Draw], _Draw]:
     """Add a function to the plots of the page.
 
-    Its arguments are the solution, its data, and a log or side. It returns the SVG element ("" for none), alone or with
-    a caption: what this plot shows, from its numbers.
+    Its arguments are the solution, its data, and a log or a camera's index. It returns the SVG element ("" for none),
+    alone or with a caption: what this plot shows, from its numbers.
 
     Args:
         section, half: see `Figure`.
@@ -138,8 +137,9 @@ def plot(
             names = {log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]}
             titles: dict[tuple[Any, ...], str] = {(): ""}  # further arguments of the function → title
             if each is not None:
-                subjects: Iterable[Any] = names if each == "log" else SIDES
-                titles = {(subject,): names.get(subject, "") for subject in subjects}
+                cameras = range(len(extraction.rig.cameras.names))
+                subjects: Iterable[Any] = names if each == "log" else cameras
+                titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
             if corners and extraction.measured:
                 titles = {}
             parts, captions = [], []
@@ -315,12 +315,13 @@ def _short(name: str) -> str:
     return shown if len(shown) <= 30 else f"{shown[:29]}…"
 
 
-def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, Axes]:
+def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes]:
     """Axes over the image of one camera, with its frame: u to the right, v down, px."""
-    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
+    cameras = extraction.rig.cameras
+    camera = cameras.each[k]
     left, top, wide = 8.0, 26.0, HALF - 16.0
     canvas = Canvas(HALF, top + 6.0 + wide * camera.height / camera.width, title)
-    canvas.text(left, 16.0, f"{side} camera", "title")
+    canvas.text(left, 16.0, camera_words(cameras.names[k]), "title")
     axes = Axes(
         canvas,
         Scale(-0.5, camera.width - 0.5, start=left, end=left + wide),
@@ -331,24 +332,25 @@ def image_axes(extraction: Extraction, side: Side, title: str) -> tuple[Canvas, 
     return canvas, axes
 
 
-@plot("description", half=True, each="side", corners=True)
-def picture_coverage(_: Solution, extraction: Extraction, side: Side) -> Drawn:
+@plot("description", half=True, each="camera", corners=True)
+def picture_coverage(_: Solution, extraction: Extraction, k: int) -> Drawn:
     """Outlines of the board in the images of one camera."""
     import cv2  # slow to import, and other plots do not need it
 
-    canvas, axes = image_axes(extraction, side, f"outlines of the board in the images of the {side} camera")
+    of_camera = camera_words(extraction.rig.cameras.names[k])
+    canvas, axes = image_axes(extraction, k, f"outlines of the board in the images of the {of_camera}")
     seen, names = extraction.observations, station_names(extraction)
     for i in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int)).tolist():
-        corners = getattr(seen[i], side)
+        corners = seen[i].views[k]
         measured = corners.pixels[corners.seen]
         if not len(measured):
             continue
         hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
         axes.line(measured[hull.ravel()], "blue thin outline", [i], f"station {names[i]}", closed=True)
-    camera = extraction.rig.cameras.left if side == "left" else extraction.rig.cameras.right
-    pixels = np.concatenate([getattr(o, side).pixels[getattr(o, side).seen] for o in seen])
+    camera = extraction.rig.cameras.each[k]
+    pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
     share = image_coverage(pixels, camera.width, camera.height)
-    return canvas.svg, f"The board covers {100 * share:.0f} % of the {side} image."
+    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
 
 
 @plot("stations")
@@ -449,17 +451,18 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
 
 
-@plot("description", half=True, each="side", corners=True)
-def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
+@plot("description", half=True, each="camera", corners=True)
+def picture_residuals(_: Solution, extraction: Extraction, k: int) -> str:
     """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
 
-    The board's pose at each station comes from the stereo pair, so the robot's motion has no influence.
+    The board's pose at each station comes from the cameras, so the robot's motion has no influence.
     """
-    found = [_board_residuals(extraction, side, i) for i in range(len(extraction.observations))]
+    found = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
     lengths = np.concatenate([np.linalg.norm(r, axis=1) for _, r in found])
     if not len(lengths):
         return ""
-    canvas, axes = image_axes(extraction, side, f"corner residuals across the image of the {side} camera")
+    of_camera = camera_words(extraction.rig.cameras.names[k])
+    canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
     longest = float(np.percentile(lengths, 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
     every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
@@ -471,13 +474,13 @@ def picture_residuals(_: Solution, extraction: Extraction, side: Side) -> str:
     return canvas.svg
 
 
-def _board_residuals(extraction: Extraction, side: Side, i: int) -> tuple[FloatArray, FloatArray]:
+def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:
     """Detected corners of a station, (n, 2), and their residuals from the fitted board, (n, 2), px."""
     cameras, o = extraction.rig.cameras, extraction.observations[i]
-    camera, T = (cameras.left, np.eye(4)) if side == "left" else (cameras.right, se3.inverse(cameras.T_c_r))
-    corners = o.left if side == "left" else o.right
-    points = se3.act(T @ o.T_c_k, extraction.board.grid() * o.square_m)
-    return corners.pixels[corners.seen], (corners.pixels - project(camera, points))[corners.seen]
+    corners, T = o.views[k], se3.inverse(cameras.T_c_each[k])
+    points = se3.act(T @ o.T_c_k, extraction.board.grid()[corners.seen] * o.square_m)
+    measured = corners.pixels[corners.seen]
+    return measured, measured - project(cameras.each[k], points)
 
 
 @plot("limits")
@@ -560,6 +563,7 @@ def budget_bar(solution: Solution, use: Use, title: str) -> Bar:
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
     """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
     residuals, seen = solution.residuals, extraction.observations
+    cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
@@ -584,16 +588,22 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                 to_station=names[j],
                 error_mm=float(residuals.leg_point_rms_m[leg] * 1e3),
                 error_px=float(residuals.leg_reprojection_px[leg]),
-                pictures=(
-                    _overlay("left", snapshot.left_jpeg, seen[i].left, residuals.predicted_left_px[leg]),
-                    _overlay("right", snapshot.right_jpeg, seen[i].right, residuals.predicted_right_px[leg]),
+                pictures=tuple(
+                    _overlay(
+                        camera_words(name),
+                        snapshot.jpegs.get(name, b""),
+                        view,
+                        residuals.predicted_px[k, leg],
+                    )
+                    for k, (name, view) in enumerate(zip(cameras.names, seen[i].views, strict=True))
+                    if view.pictures or cameras.calibrated
                 ),
             )
         )
     return views
 
 
-def _overlay(side: Side, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:
+def _overlay(camera: str, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:
     import cv2  # slow to import
 
     detected, predicted = corners.pixels[corners.seen], predicted[corners.seen]
@@ -604,7 +614,7 @@ def _overlay(side: Side, jpeg: bytes, corners: Corners, predicted: FloatArray) -
     margin = _VIEW_MARGIN * float(np.max(high - low)) + 8
     bounds = np.array([[0, 0], [1 << 20, 1 << 20]] if picture is None else [[0, 0], picture.shape[::-1]])
     (x, y), (right, bottom) = np.clip([low - margin, high + margin], *bounds).astype(int).tolist()
-    place = (side, x, y, right - x, bottom - y)
+    place = (camera, x, y, right - x, bottom - y)
     if picture is None:
         return Overlay(*place, "", np.round(marks, 2).tolist())
     part = picture[y:bottom, x:right]

@@ -13,7 +13,7 @@ from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.formats import Table
 from mobilecal_cli.report.numbers import (
-    PARAMETERS,
+    parameters_of,
     reference_std,
     rejected_station,
     square_size_mm,
@@ -56,10 +56,16 @@ def change(case: Case) -> Rows:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
 
     return [
-        (p.name, value_text(value, std, p.digits, "+"), p.unit, shown(sigmas, 1), shown(percent, 2))
+        (
+            p.factor_name or p.name,
+            value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
+            p.shown_unit if p.factor_name else p.unit,
+            shown(sigmas, 1),
+            shown(percent, 2),
+        )
         for p, std, value, sigmas, percent in zip(
-            PARAMETERS,
-            reference_std(case.solution) or (None,) * len(PARAMETERS),
+            parameters_of(case.extraction.rig),
+            reference_std(case.solution) or (None,) * len(NINE),
             found.value.tolist(),
             found.sigmas.tolist(),
             found.percent.tolist(),
@@ -128,6 +134,7 @@ def separately(case: Case) -> Rows:
     if between is None or found is None:
         return ()
     present = sorted({o.log for o in case.extraction.observations})
+    per_unit = [parameter.per_unit for parameter in parameters_of(case.extraction.rig)]
     without = ["fixed" if by_user else "unobservable" for by_user in found.fixed]
 
     def one(shift: float, std: float) -> str:
@@ -137,16 +144,16 @@ def separately(case: Case) -> Rows:
         (
             f"recording {number}",
             *(
-                one(s, d) if ok else otherwise
-                for s, d, ok, otherwise in zip(shift, std, shown, without, strict=True)
+                one(s * u, d * u) if ok else otherwise
+                for u, s, d, ok, otherwise in zip(per_unit, shift, std, shown, without, strict=True)
             ),
         )
         for number, shift, std, shown in zip(present, between.shift, between.std, between.shown, strict=True)
     ]
     compared = between.shown.sum(axis=0) > 1
     spread = (
-        std_text(s) if ok else otherwise
-        for s, ok, otherwise in zip(between.between_std, compared, without, strict=True)
+        std_text(s * u) if ok else otherwise
+        for u, s, ok, otherwise in zip(per_unit, between.between_std, compared, without, strict=True)
     )
     return [*rows, ("spread between recordings", *spread)]
 
@@ -234,13 +241,13 @@ def inputs(case: Case) -> Rows:
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
     rows = [
-        ("images", ", ".join(sources.image[side] for side in SIDES)),
-        ("camera calibration", ", ".join(sources.info[side] or "not from the recording" for side in SIDES)),
+        ("images", ", ".join(sources.image.values())),
+        ("camera calibration", ", ".join(info or "not from the recording" for info in sources.info.values())),
         ("head joints", ", ".join((*sources.joints, *elsewhere))),
     ]
     for side in SIDES:
         wheel = sources.wheels[side]
-        parts = [f"{wheel.topic} {wheel.joint or wheel.field or ''}"]
+        parts = [f"{wheel.topic} {wheel.where if wheel.joint or wheel.field else ''}"]
         if wheel.ticks_per_revolution is not None:
             parts.append(f"{wheel.ticks_per_revolution:g} ticks per revolution")
         if wheel.sign < 0:

@@ -357,6 +357,8 @@ SOURCES: dict[str, Source] = {
                           "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."),
     "joint_axis": Source("the stated axes of the head joints", *_HEAD),
     "joint_position": Source("the stated positions of the head joints", *_HEAD),
+    "turn_slip": Source("slip in turns", "wheels", "turn at one rate", "no slip in turns",
+                        "Turn more slowly, or on a floor with more grip."),
     "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides",
                        "no backlash", "Repair the joint, or approach each head pose from the same side."),
     "nominal": Source("the uncertainty of the nominal values", "nominal values", "record more varied motion"),

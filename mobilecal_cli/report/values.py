@@ -17,6 +17,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     NINE,
     AtWork,
+    CameraRig,
     Evidence,
     Extraction,
     LogSource,
@@ -25,7 +26,6 @@ from mobilecal_cli.model import (
     Parameters,
     Rejection,
     Solution,
-    StereoRig,
 )
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.decomposition import error_parts
@@ -58,13 +58,14 @@ from mobilecal_cli.report.numbers import (
     NumberData,
     board_distance_m,
     image_coverage,
-    lengths_mm,
     numbers_of,
+    odometry_factors,
     predicted_point_rms_m,
     reference_frame,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
+    shown_lengths,
     square_size_mm,
     stated_priors,
     stations_looked_at,
@@ -88,9 +89,30 @@ class ParametersData:
     translation_x_mm: float
     translation_y_mm: float
     translation_z_mm: float
-    radius_right_mm: float
-    radius_left_mm: float
-    separation_mm: float
+    radius_right_mm: Number
+    radius_left_mm: Number
+    separation_mm: Number
+
+
+@json_value
+class FactorData:
+    """A factor of odometry."""
+
+    value: float
+    std: Number
+
+
+@json_value
+class OdometryData:
+    """Factors of the odometry, of a robot whose recording has no wheels.
+
+    `uncertainty` has them as radii and separation of the assumed wheels, m.
+    """
+
+    topic: str
+    factors: Mapping[str, FactorData]
+    assumed_radius_m: float
+    assumed_separation_m: float
 
 
 @json_value
@@ -101,8 +123,9 @@ class ResultData(ParametersData):
     euler_zyx_std_deg: Three | None
     parent_frame: str
     child_frame: str
-    camera: Literal["left", "right"]
+    camera: str
     rectified: bool
+    odometry: OdometryData | None
 
 
 @json_value
@@ -274,10 +297,8 @@ class StationData:
     time_ns: int
     at_rest: bool
     joints: ByName
-    images_left: int
-    images_right: int
-    corner_sigma_left_px: float
-    corner_sigma_right_px: float
+    images: ByName
+    corner_sigma_px: ByName
     stereo_reprojection_px: float
     square_mm: float
     board_distance_m: float
@@ -340,7 +361,7 @@ class ProvenanceData:
 class ReportData:
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     verdict: VerdictData
     numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
@@ -408,38 +429,40 @@ def build_report(case: Case) -> ReportData:
     linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
     scale, between, counts = solution.scale, solution.between, extraction.counts
     vector_std_deg, euler_std_deg = rotation_std_deg(solution)
+    alone = extraction.rig.sources.assumed_wheels is not None
     legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
     return ReportData(
-        schema_version=5,
+        schema_version=6,
         verdict=verdict_data(case.verdict),
-        numbers=numbers_of(solution),
+        numbers=numbers_of(solution, extraction.rig),
         metrics=case.verdict.metrics,
         parameters=ResultData(
-            **_nine(solution.parameters, cameras),
+            **_nine(solution.parameters, cameras, alone),
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
             child_frame=reference_frame(cameras),
             camera=cameras.reference,
             rectified=cameras.rectified,
+            odometry=_odometry(solution, extraction),
         ),
         quality=_quality(solution, extraction),
         linear=LinearData(
-            **_nine(linear.parameters, cameras),
+            **_nine(linear.parameters, cameras, alone),
             point_rms_mm=linear.point_rms_m * 1e3,
             second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
             iterations=linear.rounds,
             iterations_to_tolerance=linear.rounds_to_tolerance,
             initial_ratios=linear.start_ratios,
             initial_from=linear.start_from,
-            history=tuple(ParametersData(**_nine(each, cameras)) for each in linear.history),
+            history=tuple(ParametersData(**_nine(each, cameras, alone)) for each in linear.history),
         ),
         refinement=None
         if refinement is None
         else like(
             RefinementData,
             refinement,
-            **_nine(refinement.parameters, cameras),
+            **_nine(refinement.parameters, cameras, alone),
             point_rms_mm=refinement.point_rms_m * 1e3,
             point_rms_history_mm=refinement.point_rms_history_m * 1e3,
         ),
@@ -505,18 +528,34 @@ def build_report(case: Case) -> ReportData:
     )
 
 
-def _nine(parameters: Parameters, cameras: StereoRig) -> dict[str, Any]:
-    T, lengths = reference_pose(parameters, cameras), lengths_mm(parameters, cameras)
+def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) -> dict[str, Any]:
+    T, lengths = reference_pose(parameters, cameras), shown_lengths(parameters, cameras)
     lock_deg = se3.gimbal_margin_deg(T[:3, :3])
     names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
+    shown: list[float | None] = lengths.tolist()
+    if odometry:  # nobody measured these wheels
+        shown[3:] = [None] * 3
     return {
-        **dict(zip(names, lengths.tolist(), strict=True)),
+        **dict(zip(names, shown, strict=True)),
         "translation_m": T[:3, 3],
         "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
         "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= NEAR_LOCK_DEG else None,
         "gimbal_margin_deg": lock_deg,
     }
+
+
+def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None:
+    assumed = extraction.rig.sources.assumed_odometry
+    if assumed is None:
+        return None
+    factors = odometry_factors(extraction.rig, solution)
+    return OdometryData(
+        topic=assumed.topic,
+        factors={name: FactorData(value=value, std=std) for name, (value, std) in factors.items()},
+        assumed_radius_m=assumed.wheels.radius_right_m,
+        assumed_separation_m=assumed.wheels.separation_m,
+    )
 
 
 def _quality(solution: Solution, extraction: Extraction) -> QualityData:
@@ -617,15 +656,16 @@ def _suggestions(solution: Solution, extraction: Extraction) -> tuple[Suggestion
 
 def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, ...]:
     joints, residuals = extraction.rig.chain.joints, solution.residuals
+    cameras = extraction.rig.cameras.names
     return tuple(
         like(
             StationData,
             o,
             joints=dict(zip(joints, o.joints.tolist(), strict=True)),
-            images_left=o.left.pictures,
-            images_right=o.right.pictures,
-            corner_sigma_left_px=o.left.sigma_px,
-            corner_sigma_right_px=o.right.sigma_px,
+            images={name: view.pictures for name, view in zip(cameras, o.views, strict=True)},
+            corner_sigma_px={
+                name: view.sigma_px for name, view in zip(cameras, o.views, strict=True) if view.pictures
+            },
             stereo_reprojection_px=o.reprojection_px,
             square_mm=o.square_m * 1e3,
             board_distance_m=float(np.linalg.norm(o.points_c, axis=-1).mean()),
@@ -651,11 +691,10 @@ def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
 
 
 def _coverage(extraction: Extraction) -> dict[str, float]:
-    """Side → share of its image in which corners were detected, 0 to 1."""
+    """Camera → share of its image in which corners were detected, 0 to 1."""
     cameras, seen = extraction.rig.cameras, extraction.observations
     shares = {}
-    for side, camera in (("left", cameras.left), ("right", cameras.right)) if seen else ():
-        corners = [getattr(o, side) for o in seen]
-        pixels = np.concatenate([c.pixels[c.seen] for c in corners])
-        shares[side] = image_coverage(pixels, camera.width, camera.height)
+    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True) if seen else ()):
+        pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
+        shares[name] = image_coverage(pixels, camera.width, camera.height)
     return shares

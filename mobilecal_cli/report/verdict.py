@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
+from mobilecal_cli.model import FACTORS, Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
-from mobilecal_cli.report.numbers import PARAMETERS, reference_std
+from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
 from mobilecal_cli.report.use import FIGURES, MOTION, Error, advice, next_step_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
@@ -163,6 +163,7 @@ def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
     first = (
         *_SOLVED,
         *(Metric(parameter.gate, parameter.unit) for parameter in PARAMETERS),
+        *(Metric(f"std.odometry.{name}", "1") for name in FACTORS),
         *(judged[figure.name] for figure in FIGURES),
         *(replace(metric, name=f"hold_out.{metric.name}") for metric in _EVALUATED),
     )
@@ -249,7 +250,10 @@ def figures_of(
         noise = [name for name in figures if name.startswith("noise.")]
         figures |= dict.fromkeys(noise, 0.0)  # levels of zero have no criterion
         figures["observable"] = float(np.sum(found.observable | found.fixed))
-        figures |= {p.gate: std for p, std in zip(PARAMETERS, reference_std(solution), strict=True)}
+        factors = odometry_factors(extraction.rig, solution)
+        named = PARAMETERS[:6] if factors else PARAMETERS
+        figures |= {p.gate: std for p, std in zip(named, reference_std(solution), strict=False)}
+        figures |= {f"std.odometry.{name}": std for name, (_, std) in factors.items()}
         figures |= {figure.name: figure.of(found.at_work) for figure in FIGURES}
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}

@@ -1,6 +1,9 @@
-"""Topics of the stereo pair, and its geometry from camera_info."""
+"""Topics of the cameras, and their geometry from camera_info, configuration or URDF."""
 
 from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,15 +14,17 @@ from mobilecal_cli.model import (
     SIDES,
     Camera,
     CameraInfo,
+    CameraRig,
     FloatArray,
     RobotDescription,
     Side,
-    StereoRig,
+    TopicInfo,
+    camera_words,
     listed,
 )
 from mobilecal_cli.ranges import Range
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.names import mirrored, pairs, side_of, words
+from mobilecal_cli.rig.names import mirrored, numbered_pairs, pairs, side_of, words
 
 #: Distance between the cameras of a stereo pair.
 BASELINE = Range(1e-4, 5.0, "m")
@@ -41,93 +46,209 @@ def is_rectified(topic: str) -> bool:
     return any(word.startswith("rect") for word in words(topic))
 
 
-def image_topics(config: RigConfig, description: RobotDescription) -> dict[Side, str]:
-    """Image topics of both sides: as configured, or a pair whose names differ only in the side.
+#: Cameras that this tool serves, for refusals.
+_SERVED = "a stereo pair, a single camera (of an RGB-D camera, the color camera), or several named cameras"
+
+
+def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, str]:
+    """Image topic of each camera: as configured, a stereo pair whose names differ only in the side, or one camera.
 
     Raw images are preferred to rectified ones (the reprojection error is then in raw pixels), and full messages to
-    compressed ones.
+    compressed ones. The color camera of an RGB-D camera is preferred to its pair of infrared cameras if the size of
+    the squares is stated, which a single camera needs.
 
     Raises:
-        RecordingError: no such pair; the hint lists the topics present.
-        ConfigError: several stereo cameras.
+        RecordingError: no such camera; the hint lists the topics present.
+        ConfigError: several cameras could be meant.
     """
     present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
-    configured: dict[Side, str | None] = {side: getattr(config.cameras, side).image for side in SIDES}
-    for side, name in configured.items():
-        if name is not None and name not in present:
+    cameras = config.cameras
+    configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
+    if not configured:
+        configured = {side: cameras.of(side).image for side in SIDES}
+    for name, topic in configured.items():
+        if topic is not None and topic not in present:
             raise RecordingError(
-                f"cameras.{side}.image: the topic {name} contains no images in this recording",
+                f"cameras.{name}.image: the topic {topic} contains no images in this recording",
                 f"image topics present: {listed(sorted(present))}; all topics: {_present(description)}",
             )
     if not present:
         raise RecordingError(
             "no image topics were recorded",
-            "record the images of both cameras (sensor_msgs/Image or CompressedImage) with the joint states; "
-            f"topics present: {_present(description)}",
+            "record the images of the cameras (sensor_msgs/Image or CompressedImage) with the wheels and the head's "
+            f"joints; topics present: {_present(description)}",
         )
-    candidates = [
-        pair for pair in pairs(present) if all(configured[side] in (None, pair[side]) for side in SIDES)
-    ]
-    if config.cameras.both is not None:
-        both = config.cameras.both.image
+    if cameras.both is not None:
+        both = cameras.both.image
         if both not in present:
             raise RecordingError(
                 f"cameras.both.image: the topic {both} contains no images in this recording",
                 f"image topics present: {listed(sorted(present))}",
             )
         return {"left": both, "right": both}
-    if configured["left"] and configured["right"]:
-        if configured["left"] == configured["right"]:
-            raise ConfigError(
-                f"cameras.left.image and cameras.right.image are both {configured['left']}",
-                "set them to different topics; for both cameras in one image, set cameras.both.image",
-            )
-        return {"left": configured["left"], "right": configured["right"]}
+    chosen = {name: topic for name, topic in configured.items() if topic is not None}
+    if len(chosen) == len(configured):
+        for one, other in itertools.combinations(chosen, 2):
+            if chosen[one] == chosen[other]:
+                raise ConfigError(
+                    f"cameras.{one}.image and cameras.{other}.image are both {chosen[one]}",
+                    "set them to different topics; for both cameras in one image, set cameras.both.image",
+                )
+        return chosen
+    pair = _pair(config, description, present, chosen)
+    single = None if chosen else _single(present, cameras.rectified)
+    if pair is not None:
+        of_rgbd = config.board.square_m is not None and single is not None and _is_infrared(pair["left"])
+        if not (of_rgbd and single is not None and _is_color(single)):
+            return {"left": pair["left"], "right": pair["right"]}
+    if single is not None:
+        return {SINGLE: single}
+    raise RecordingError(
+        "no camera: no two image topics have names that differ only in left and right, and there is not one "
+        f"single camera; this tool serves {_SERVED}",
+        f"set cameras.left.image and cameras.right.image, or cameras.{SINGLE}.image for one camera; "
+        f"topics present: {_present(description)}",
+    )
+
+
+#: Name of a camera that was found alone.
+SINGLE = "camera"
+_DEPTH = {"depth", "disparity", "points", "confidence", "mask", "thermal", "aligned"}
+_INFRARED = {"infra", "infra1", "infra2", "ir", "infrared"}
+_COLOR = {"color", "colour", "rgb"}
+
+
+def _is_infrared(topic: str) -> bool:
+    return bool(_INFRARED & set(words(topic)))
+
+
+def _is_color(topic: str) -> bool:
+    return bool(_COLOR & set(words(topic)))
+
+
+def _is_depth(topic: str) -> bool:
+    """Whether the name of an image topic indicates depth, or another image in which no board is found."""
+    found = set(words(topic))
+    return bool(found & _DEPTH) or ("stereo" in found and side_of(topic) is None)
+
+
+def _camera_of(topic: str) -> tuple[str, ...]:
+    """Words in a topic's name that name the camera, not the form of its images."""
+    return tuple(w for w in mirrored(topic) if w not in _FORMS and not w.startswith("rect"))
+
+
+def _preferred(topics: Iterable[str], present: Mapping[str, TopicInfo]) -> str:
+    """Of one camera's topics: raw rather than rectified images, full messages rather than compressed ones."""
+    return min(topics, key=lambda name: (is_rectified(name), "CompressedImage" in present[name].type, name))
+
+
+def _pair(
+    config: RigConfig,
+    description: RobotDescription,
+    present: Mapping[str, TopicInfo],
+    chosen: Mapping[str, str],
+) -> dict[Side, str] | None:
+    """Image topics of the stereo pair, None if there is none.
+
+    Raises:
+        ConfigError: several stereo cameras.
+    """
+    found = pairs(present)
+    numbered = [pair for pair in numbered_pairs(present) if pair not in found]
+    # A number says less than a side: its camera infos must be those of a pair.
+    found += [pair for pair in numbered if _has_baseline(pair, config, description)]
+    candidates = [pair for pair in found if all(pair[side] == chosen.get(side, pair[side]) for side in SIDES)]
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
         candidates = fitting or candidates
     if not candidates:
-        raise RecordingError(
-            "no stereo pair: no two image topics have names that differ only in left and right",
-            f"set cameras.left.image and cameras.right.image; topics present: {_present(description)}",
-        )
-
+        return None
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
     for pair in candidates:
-        camera_words = (w for w in mirrored(pair["left"]) if w not in _FORMS and not w.startswith("rect"))
-        cameras.setdefault(tuple(camera_words), pair)
-    if len(cameras) > 1 and configured["left"] is None and configured["right"] is None:
+        cameras.setdefault(_camera_of(pair["left"]), pair)
+    if len(cameras) > 1 and not chosen:
         several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in cameras.values())
         raise ConfigError(
             f"several pairs of image topics could be the stereo pair: {several}",
             "set cameras.left.image and cameras.right.image in rig.yaml",
         )
-
-    def preference(pair: dict[Side, str]) -> tuple[bool, bool, str]:
-        return is_rectified(pair["left"]), "CompressedImage" in present[pair["left"]].type, pair["left"]
-
-    return min(candidates, key=preference)
+    left = _preferred((pair["left"] for pair in candidates), present)
+    return next(pair for pair in candidates if pair["left"] == left)
 
 
-def info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
+def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: RobotDescription) -> bool:
+    try:
+        infos = [description.infos[info_topic(side, pair[side], config, description)] for side in SIDES]
+        stereo_rig(infos[0], infos[1], rectified=False)
+    except (RecordingError, np.linalg.LinAlgError):
+        return False
+    return True
+
+
+def _single(present: Mapping[str, TopicInfo], rectified: bool | None) -> str | None:
+    """Image topic of the only camera, or of the only color camera; None if there is none.
+
+    Raises:
+        ConfigError: several cameras.
+    """
+    topics = [name for name in present if not _is_depth(name)]
+    if rectified is not None:
+        topics = [name for name in topics if is_rectified(name) == rectified] or topics
+    # Not `mirrored`: the two cameras of a pair are two cameras.
+    cameras: dict[tuple[str, ...], list[str]] = {}
+    for name in topics:
+        own = tuple(w for w in words(name) if w not in _FORMS and not w.startswith("rect"))
+        cameras.setdefault(own, []).append(name)
+    color = {own: names for own, names in cameras.items() if any(_is_color(name) for name in names)}
+    visible = {own: names for own, names in cameras.items() if not _is_infrared(names[0])}
+    for some in (cameras, color, visible):
+        if len(some) == 1:
+            ((_, names),) = some.items()
+            return _preferred(names, present)
+    if len(cameras) > 1 and not pairs(present):
+        several = "; ".join(sorted(names[0] for names in cameras.values()))
+        raise ConfigError(
+            f"several cameras could be meant: {several}",
+            f"name one or more in rig.yaml, the first as the reference, such as cameras: {{front: {{image: "
+            f"{min(names[0] for names in cameras.values())}}}}}",
+        )
+    return None
+
+
+def note_on_choice(
+    images: Mapping[str, str], config: RigConfig, description: RobotDescription
+) -> tuple[str, ...]:
+    """What was chosen, where a recording has more cameras than the single one that is used."""
+    if tuple(images) != (SINGLE,) or SINGLE in config.cameras.named:
+        return ()
+    others = [topic.name for topic in description.topics if topic.type in IMAGES]
+    others = [name for name in others if _camera_of(name) != _camera_of(images[SINGLE]) or _is_depth(name)]
+    if not others:
+        return ()
+    return (
+        f"The single camera on {images[SINGLE]} is used; these are not: {listed(others)} (depth is never used).",
+    )
+
+
+def info_topic(name: str, image: str, config: RigConfig, description: RobotDescription) -> str:
     """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
     Raises:
         RecordingError: no topic matches, or its calibration cannot be used.
     """
-    topic = _info_topic(side, image, config, description)
+    topic = _info_topic(name, image, config, description)
     if topic in description.unusable:
         raise description.unusable[topic]
     return topic
 
 
-def _info_topic(side: Side, image: str, config: RigConfig, description: RobotDescription) -> str:
+def _info_topic(name: str, image: str, config: RigConfig, description: RobotDescription) -> str:
     present = {*description.infos, *description.unusable}
-    configured: str | None = getattr(config.cameras, side).info
+    configured = config.cameras.of(name).info
     if configured is not None:
         if configured not in present:
             raise RecordingError(
-                f"cameras.{side}.info: the topic {configured} contains no camera info in this recording",
+                f"cameras.{name}.info: the topic {configured} contains no camera info in this recording",
                 f"camera-info topics present: {listed(sorted(present))}",
             )
         return configured
@@ -137,15 +258,17 @@ def _info_topic(side: Side, image: str, config: RigConfig, description: RobotDes
     if beside in present and not both:
         return beside
     frame = "" if both else description.image_frames.get(image, "")
-    same_frame = sorted(name for name, info in description.infos.items() if frame and info.frame_id == frame)
-    same_side = sorted(name for name in present if side_of(name) == side)
+    same_frame = sorted(
+        topic for topic, info in description.infos.items() if frame and info.frame_id == frame
+    )
+    same_side = sorted(topic for topic in present if side_of(topic) == name)
     for topics in (same_frame, same_side):
         if len(topics) == 1:
             return topics[0]
     raise RecordingError(
-        f"no camera info for the {side} images on {image}: expected "
-        + (f"one topic named {side}" if both else beside),
-        f"set cameras.{side}.info; camera-info topics present: {listed(sorted(present))}",
+        f"no camera info for the {name} images on {image}: expected "
+        + (f"one topic named {name}" if both else beside),
+        f"set cameras.{name}.info; camera-info topics present: {listed(sorted(present))}",
     )
 
 
@@ -155,7 +278,13 @@ def _camera(info: CameraInfo, rectified: bool) -> Camera:
     return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
 
-def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: Side = "left") -> StereoRig:
+def stereo_rig(
+    left: CameraInfo,
+    right: CameraInfo,
+    rectified: bool,
+    names: Sequence[str] = SIDES,
+    reference: str | None = None,
+) -> CameraRig:
     """Geometry of the stereo pair from its two camera infos, by ROS conventions.
 
     Raw coordinates x of a camera become rectified coordinates R x. The rectified frames are parallel, and
@@ -188,9 +317,72 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     check_baseline(offset)
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
-    return StereoRig(
-        _camera(left, rectified), _camera(right, rectified), T_c_r, rectified, left.R, right.R, reference
+    return CameraRig(
+        tuple(names),
+        (_camera(left, rectified), _camera(right, rectified)),
+        (np.eye(4), T_c_r),
+        rectified,
+        (left.R, right.R),
+        reference or names[0],
+        calibrated=True,
     )
+
+
+def camera_rig(
+    infos: Mapping[str, CameraInfo],
+    rectified: bool,
+    config: RigConfig,
+    drawn: Callable[[str, str], FloatArray | None],
+) -> CameraRig:
+    """Geometry of the cameras: a stereo pair by its camera infos, others by their configured or drawn poses.
+
+    Args:
+        infos: calibration of each camera.
+        rectified: whether the images are rectified.
+        config: poses, and the reference camera.
+        drawn: pose of an optical frame in another, by the URDF or the recording's transforms; None if unknown.
+
+    Raises:
+        RecordingError: camera infos or poses that are missing or contradict each other.
+        ConfigError: one camera, or several without a calibrated baseline, without the size of the squares.
+    """
+    names = tuple(infos)
+    reference = config.cameras.reference or names[0]
+    if reference not in names:
+        raise ConfigError(
+            f"cameras.reference: {reference!r} is not one of the cameras ({', '.join(names)})", "correct it"
+        )
+    posed = any(config.cameras.of(name).pose is not None for name in names)
+    if names == SIDES and not posed:
+        return stereo_rig(infos["left"], infos["right"], rectified, names, reference)
+    if config.board.square_m is None:
+        what = (
+            "one camera does" if len(names) == 1 else f"{len(names)} cameras without a calibrated baseline do"
+        )
+        raise ConfigError(
+            f"{what} not show the size of the board's squares, which gives the scale; it is not stated",
+            "measure ten squares with a ruler and add to rig.yaml: board: {square_m: 0.08} (or --square-m 0.08)",
+        )
+    first, poses = infos[names[0]], [np.eye(4)]
+    for name in names[1:]:
+        pose = config.cameras.of(name).pose
+        if pose is not None:
+            rotation = se3.from_quaternion_xyzw(np.array(pose.quaternion_xyzw))
+            poses.append(se3.transform(rotation, np.array(pose.translation_m)))
+            continue
+        T = drawn(first.frame_id, infos[name].frame_id)
+        if T is None:
+            raise RecordingError(
+                f"the pose of camera {name} ({infos[name].frame_id!r}) in the frame of camera {names[0]} "
+                f"({first.frame_id!r}) is unknown: no fixed joints of a URDF or of the transforms connect them",
+                f"set cameras.{name}.pose in rig.yaml: {{translation_m: [x, y, z], quaternion_xyzw: [x, y, z, w]}}",
+            )
+        if rectified:
+            T = se3.transform(first.R, np.zeros(3)) @ T @ se3.transform(infos[name].R.T, np.zeros(3))
+        poses.append(T)
+    rotations = tuple(info.R for info in infos.values())
+    each = tuple(_camera(info, rectified) for info in infos.values())
+    return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
 
 
 def check_baseline(offset_m: FloatArray) -> None:
@@ -207,11 +399,11 @@ def check_baseline(offset_m: FloatArray) -> None:
         )
 
 
-def check_sizes(infos: dict[Side, CameraInfo]) -> None:
+def check_sizes(infos: Mapping[str, CameraInfo]) -> None:
     """Raise a ConfigError if a camera info contains no image size."""
-    for side, info in infos.items():
+    for name, info in infos.items():
         if info.width <= 0 or info.height <= 0:
             raise ConfigError(
-                f"camera info of the {side} camera: the image size is {info.width} x {info.height} pixels",
+                f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
                 "calibrate the camera and record its camera_info again",
             )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -89,7 +90,8 @@ class BoardConfig(_Section):
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
     rows: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a column")
     square_m: Square | None = Field(
-        None, description="side of a square (of a tag), m; measured by the stereo pair if not given"
+        None,
+        description="side of a square (of a tag), m; measured by the stereo pair if not given, needed without one",
     )
     dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
     marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
@@ -121,11 +123,29 @@ class BoardConfig(_Section):
         return self
 
 
+class Pose(_Section):
+    """A pose."""
+
+    translation_m: Position
+    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+    @model_validator(mode="after")
+    def _unit_quaternion(self) -> Self:
+        norm = math.hypot(*self.quaternion_xyzw)
+        if abs(norm - 1) > 1e-3:
+            raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
+        return self
+
+
 class CameraTopics(_Section):
-    """One camera's topics."""
+    """One camera's topics, and its pose in the frame of the first camera."""
 
     image: Text | None = None
     info: Text | None = None
+    pose: Pose | None = Field(
+        None,
+        description="optical frame in that of the first camera, if neither camera_info nor a URDF states it",
+    )
 
 
 class BothInOneConfig(_Section):
@@ -136,8 +156,10 @@ class BothInOneConfig(_Section):
 
 
 class CamerasConfig(_Section):
-    """The stereo pair."""
+    """A stereo pair (left and right, or both), or one or more cameras with other names, the first one first."""
 
+    model_config = ConfigDict(frozen=True, extra="allow", strict=False)
+    __pydantic_extra__: dict[str, CameraTopics] = Field(init=False)
     example: ClassVar[str] = (
         "left:  {image: /stereo/left/image_raw, info: /stereo/left/camera_info}\n"
         "right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}"
@@ -146,14 +168,48 @@ class CamerasConfig(_Section):
     left: CameraTopics = CameraTopics()
     right: CameraTopics = CameraTopics()
     both: BothInOneConfig | None = None
-    reference: Literal["left", "right"] = "left"
+    reference: Text | None = Field(
+        None, description="camera of the head-eye transform; the first one (left) by default"
+    )
     rectified: bool | None = None
+
+    @property
+    def named(self) -> dict[str, CameraTopics]:
+        """The cameras with other names than left and right."""
+        return dict(self.__pydantic_extra__ or {})
+
+    def of(self, name: str) -> CameraTopics:
+        """What is configured of a camera."""
+        topics: CameraTopics = self.named.get(name) or getattr(self, name, None) or CameraTopics()
+        return topics if isinstance(topics, CameraTopics) else CameraTopics()
 
     @model_validator(mode="after")
     def _both_or_each(self) -> CamerasConfig:
         if self.both is not None and (self.left.image or self.right.image):
             raise ValueError("give both.image, or left.image and right.image")
+        named = self.named
+        if named and (self.both or self.left.image or self.right.image):
+            raise ValueError(
+                f"give left and right (or both) for a stereo pair, or cameras with other names ({', '.join(named)})"
+            )
+        for name, topics in named.items():
+            if not _CAMERA_NAME.fullmatch(name):
+                raise ValueError(
+                    f"{name!r} cannot name a camera: lower-case letters, digits and _, not joints or wheels"
+                )
+            if topics.image is None:
+                near = difflib.get_close_matches(name, CamerasConfig.model_fields, n=1, cutoff=0.7)
+                raise ValueError(
+                    f"{name} has no image topic" + (f"; did you mean {near[0]}?" if near else "")
+                )
+        if self.reference is not None and self.reference not in (named or ("left", "right", "camera")):
+            known = ", ".join(named or ("left", "right"))
+            raise ValueError(f"cameras.reference {self.reference!r} is not one of the cameras ({known})")
         return self
+
+
+#: Not a part of the names of other constants of the robot.
+_CAMERA_NAME = re.compile(r"(?!(?:joints|wheels|left|right|both|aspect_.*)$)[a-z][a-z0-9_]{0,39}")
 
 
 class JointFieldConfig(_Section):
@@ -276,20 +332,10 @@ chain:
         return self
 
 
-class HeadEyeNominal(_Section):
+class HeadEyeNominal(Pose):
     """Nominal head-eye transform."""
 
     example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
-
-    translation_m: Position
-    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-
-    @model_validator(mode="after")
-    def _unit_quaternion(self) -> HeadEyeNominal:
-        norm = math.hypot(*self.quaternion_xyzw)
-        if abs(norm - 1) > 1e-3:
-            raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
-        return self
 
 
 class WheelsNominal(_Section):
@@ -437,6 +483,9 @@ def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
         if value == "" or name in measured:
             continue
         known[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
+    if section is CamerasConfig:
+        others = {name: value for name, value in data.items() if isinstance(value, Mapping)}
+        known |= {name: _known(value, CameraTopics) for name, value in others.items() if name not in known}
     return known
 
 

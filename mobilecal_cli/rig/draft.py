@@ -284,13 +284,13 @@ def _cameras(page: _Page) -> None:
         page.ask_for("cameras", "cameras", *_example("cameras", CamerasConfig))
         return
     page.add("cameras:")
-    for side in SIDES:
-        info = infos.get(side)
-        entry = f"image: {_quoted(images[side])}" + ("" if info is None else f", info: {_quoted(info)}")
-        value = images[side] if info is None else f"{images[side]}, {info}"
-        page.fill(f"cameras.{side}", f"{{{entry}}}", "recording: names and types of the topics", value)
+    for name, image in images.items():
+        info = infos.get(name)
+        entry = f"image: {_quoted(image)}" + ("" if info is None else f", info: {_quoted(info)}")
+        value = image if info is None else f"{image}, {info}"
+        page.fill(f"cameras.{name}", f"{{{entry}}}", "recording: names and types of the topics", value)
     page.ask_for("camera infos", "cameras", indent="  ")
-    page.add("  reference: left  # default: camera of the head-eye transform")
+    page.add(f"  reference: {next(iter(images))}  # default: camera of the head-eye transform")
     rectified = "true" if page.survey.rectified else "false"
     page.fill("cameras.rectified", rectified, "name of the image topic")
 

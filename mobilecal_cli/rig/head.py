@@ -224,6 +224,22 @@ def _drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | No
     return reduce(np.matmul, (joint.T_parent_child for joint in path), np.eye(4))
 
 
+def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:
+    """(4, 4) pose of another frame in a frame, by fixed joints of the URDF; None unless these connect them."""
+    if urdf is None or not {frame, other} <= set(urdf.links):
+        return None
+    above = {joint.child: joint for joint in urdf.joints.values()}
+
+    def rooted(link: str) -> tuple[str, FloatArray]:
+        T = np.eye(4)
+        while link in above and above[link].kind == "fixed":
+            T, link = above[link].T_parent_child @ T, above[link].parent
+        return link, T
+
+    (root, T_root_frame), (other_root, T_root_other) = rooted(frame), rooted(other)
+    return se3.inverse(T_root_frame) @ T_root_other if root == other_root else None
+
+
 def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
     """Joints that would publish these transforms, each named by its child frame.
 

@@ -11,7 +11,12 @@ HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
 TILT_WORDS = {"tilt", "pitch"}
 COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
-_SIDES: dict[str, Side] = {"left": "left", "l": "left", "right": "right", "r": "right"}
+_SIDES: dict[str, Side] = {
+    **dict.fromkeys(("left", "l", "cameraleft", "leftcamera"), "left"),
+    **dict.fromkeys(("right", "r", "cameraright", "rightcamera"), "right"),
+}
+#: A camera with a number in its name: camera1, camera_0, cam0, fisheye2, infra1.
+_NUMBERED_CAMERA = re.compile(r"(?<![a-z])(camera|cam|fisheye|infra|ir)_?([0-9])(?![0-9])", re.IGNORECASE)
 _NUMBERED: dict[str, Side] = {"infra1": "left", "infra2": "right", "cam0": "left", "cam1": "right"}
 
 
@@ -40,6 +45,17 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
         if side is not None:
             by_key.setdefault(mirrored(name), {}).setdefault(side, name)
     return [found for found in by_key.values() if len(found) == 2]
+
+
+def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
+    """Pairs of names of cameras that differ only in two consecutive numbers, of which the lower one is the left."""
+    by_key: dict[str, dict[int, str]] = {}
+    for name in sorted(names):
+        numbers = {int(number) for _, number in _NUMBERED_CAMERA.findall(name)}
+        if len(numbers) == 1:
+            by_key.setdefault(_NUMBERED_CAMERA.sub(r"\1*", name), {})[numbers.pop()] = name
+    pairs = (sorted(found.items()) for found in by_key.values() if len(found) == 2)
+    return [{"left": low[1], "right": high[1]} for low, high in pairs if high[0] == low[0] + 1]
 
 
 def joint_state_names(description: RobotDescription) -> list[str]:

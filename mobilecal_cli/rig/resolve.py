@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import (
-    SIDES,
+    CameraRig,
     JointField,
     JointTransform,
     KnownNoise,
@@ -19,12 +19,19 @@ from mobilecal_cli.model import (
     Side,
     Sources,
     StereoLayout,
-    StereoRig,
     WheelSource,
+    camera_words,
 )
-from mobilecal_cli.rig.cameras import check_sizes, image_topics, info_topic, is_rectified, stereo_rig
+from mobilecal_cli.rig.cameras import (
+    camera_rig,
+    check_sizes,
+    image_topics,
+    info_topic,
+    is_rectified,
+    note_on_choice,
+)
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.head import Head, head_of
+from mobilecal_cli.rig.head import Head, fixed_pose, head_of
 from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
@@ -40,25 +47,27 @@ class Survey:
     """The parts of a rig that configuration and recording determine, and why the others are unknown.
 
     Attributes:
-        images, infos: topics of each side.
+        images, infos: topics of each camera.
         rectified: whether the images are rectified.
-        cameras: the stereo pair.
+        cameras: the cameras.
         wheels: source of each wheel's rotation.
         head: the head chain.
         elsewhere: the head's joints without joint states.
         joints: JointState topics.
+        notes: remarks for the report.
         lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
             error has none of its own.
     """
 
-    images: dict[Side, str] | None
-    infos: dict[Side, str]
+    images: dict[str, str] | None
+    infos: dict[str, str]
     rectified: bool
-    cameras: StereoRig | None
+    cameras: CameraRig | None
     wheels: dict[Side, WheelSource] | None
     head: Head | None
     elsewhere: dict[str, JointField | JointTransform]
     joints: tuple[str, ...] | None
+    notes: tuple[str, ...]
     lacks: tuple[tuple[Part, _Lack], ...]
 
 
@@ -109,14 +118,19 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
     setting_sources = {
         "board size": source_of("board.columns", "images"),
         "board square_m": source_of("board.square_m", "stereo"),
-        f"left images {images['left']}": source_of("cameras.left.image"),
-        f"right images {images['right']}": source_of("cameras.right.image"),
-        f"left camera info {infos['left']}": source_of("cameras.left.info"),
-        f"right camera info {infos['right']}": source_of("cameras.right.info"),
+        **{f"{name} images {topic}": source_of(f"cameras.{name}.image") for name, topic in images.items()},
+        **{
+            f"{camera_words(name)} info {topic}": source_of(f"cameras.{name}.info")
+            for name, topic in infos.items()
+        },
         f"images are {'rectified' if survey.rectified else 'raw'}": source_of(
             "cameras.rectified", "topic name"
         ),
-        f"reference camera {config.cameras.reference}": source_of("cameras.reference", "default"),
+        **(
+            {f"reference camera {cameras.reference}": source_of("cameras.reference", "default")}
+            if len(images) > 1
+            else {}
+        ),
         **head_sources,
         **{
             f"{side} wheel {source.topic} {source.where}": source_of(f"wheels.{side}")
@@ -136,7 +150,7 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         KnownNoise(**config.noise.model_dump()),
         prior_sigmas(config.priors, cameras, chain),
     )
-    return rig, head.notes
+    return rig, (*survey.notes, *head.notes)
 
 
 def stereo_layout(config: RigConfig) -> StereoLayout:
@@ -155,25 +169,33 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
             lacks.append((part, error))
             return None
 
-    reference = config.cameras.reference
     images = tried("cameras", lambda: image_topics(config, description))
-    topics: dict[Side, str] = {}
+    topics: dict[str, str] = {}
     rectified, cameras = False, None
+    notes: tuple[str, ...] = ()
     if images is not None:
-        for side in SIDES:
-            topic = tried("camera infos", partial(info_topic, side, images[side], config, description))
-            topics |= {side: topic} if topic is not None else {}
+        for name, image in images.items():
+            topic = tried("camera infos", partial(info_topic, name, image, config, description))
+            topics |= {name: topic} if topic is not None else {}
         told = config.cameras.rectified
-        rectified = is_rectified(images["left"]) if told is None else told
-    infos = {side: description.infos[topic] for side, topic in topics.items()}
-    if len(infos) == len(SIDES):
+        rectified = is_rectified(next(iter(images.values()))) if told is None else told
+        notes = note_on_choice(images, config, description)
+    infos = {name: description.infos[topic] for name, topic in topics.items()}
+    whole = images is not None and len(infos) == len(images)
+    if whole:
         tried("camera infos", lambda: check_sizes(infos))
-        cameras = tried(
-            "camera infos", lambda: stereo_rig(infos["left"], infos["right"], rectified, reference)
-        )
     wheels = tried("wheels", lambda: wheel_sources(config, description))
+    reference = config.cameras.reference or next(iter(images or {}), "")
     frame = infos[reference].frame_id if reference in infos else ""
+    lacks_of_cameras = len(lacks)
     head = tried("head chain", lambda: head_of(config, description, urdf_text, wheels or {}, frame))
+    if whole:
+        urdf = None if head is None else head.urdf
+        own, lacks[lacks_of_cameras:] = lacks[lacks_of_cameras:], []
+        cameras = tried(
+            "camera infos", lambda: camera_rig(infos, rectified, config, partial(fixed_pose, urdf))
+        )
+        lacks += own
     if wheels is not None and head is not None and head.urdf is not None:
         wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
     elsewhere: dict[str, JointField | JointTransform] = {}
@@ -184,4 +206,4 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
         joints = tried("joints", lambda: joint_topics(config, description, head.chain, elsewhere))
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
-    return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, tuple(lacks))
+    return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, notes, tuple(lacks))

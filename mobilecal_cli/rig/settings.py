@@ -16,6 +16,7 @@ from mobilecal_cli.likelihood.nuisance import KINDS, table
 from mobilecal_cli.model import (
     SIDES,
     Board,
+    CameraRig,
     Extraction,
     FixedLink,
     FloatArray,
@@ -23,7 +24,6 @@ from mobilecal_cli.model import (
     Nominal,
     Rig,
     Side,
-    StereoRig,
     Track,
     WheelGeometry,
     WheelSource,
@@ -54,6 +54,17 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
     return links
 
 
+def _camera(rig: Rig, name: str) -> dict[str, Any]:
+    settings: dict[str, Any] = {"image": rig.sources.image[name], "info": rig.sources.info[name]}
+    if not rig.cameras.calibrated and name != rig.cameras.names[0]:
+        T = rig.cameras.T_c_each[rig.cameras.names.index(name)]
+        settings["pose"] = {
+            "translation_m": _numbers(T[:3, 3]),
+            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
+        }
+    return settings
+
+
 def _wheel(source: WheelSource) -> dict[str, Any]:
     parts = [asdict(part) for part in source.every]
     settings = parts[0]
@@ -63,8 +74,8 @@ def _wheel(source: WheelSource) -> dict[str, Any]:
     if len(parts) > 1:
         for name in ("topic", "joint", "field", "sign"):
             values = [part[name] for part in parts]
-            settings[f"{name}s"] = values
             if name != "topic" or len(set(values)) > 1:
+                settings[f"{name}s"] = values
                 settings.pop(name)
     return {key: value for key, value in settings.items() if value not in (None, [None] * len(parts))}
 
@@ -90,7 +101,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "board": _board(board, [o.square_m for o in extraction.observations]),
         "cameras": {
-            **{side: {"image": rig.sources.image[side], "info": rig.sources.info[side]} for side in SIDES},
+            **{name: _camera(rig, name) for name in rig.cameras.names},
             **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,
@@ -129,7 +140,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
 ALL = "all"
 
 
-def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: HeadChain) -> dict[str, float]:
+def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: CameraRig, chain: HeadChain) -> dict[str, float]:
     """Name of each constant that the configuration mentions → its prior sigma, see `Rig.prior_sigmas`.
 
     An entry for one constant overrides that of its kind, which overrides that of all. An entry is one standard
@@ -157,7 +168,7 @@ def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: StereoRig, chain: He
     return sigmas
 
 
-def shown_priors(sigmas: Mapping[str, float], cameras: StereoRig, chain: HeadChain) -> dict[str, PriorEntry]:
+def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadChain) -> dict[str, PriorEntry]:
     """The inverse of `prior_sigmas`: name → standard deviation in the kind's unit for people, "fixed" or "free"."""
     entries: dict[str, PriorEntry] = {}
     for row in table(cameras, chain):
@@ -215,7 +226,7 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
     rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
-    if "cameras.reference" in given:
+    if config.cameras.reference is not None and "cameras.reference" in given:
         rig = _seen_from(rig, config.cameras.reference)
     if any(key.startswith("nominal") for key in given):
         rig = _with_nominal(rig, config)
@@ -227,8 +238,12 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     return replace(extraction, rig=rig, wheels=tracks)
 
 
-def _seen_from(rig: Rig, reference: Side) -> Rig:
+def _seen_from(rig: Rig, reference: str) -> Rig:
     """The rig with another reference camera; the nominal head-eye transform is converted."""
+    if reference not in rig.cameras.names:
+        raise ConfigError(
+            f"cameras.reference: {reference!r} is not one of the cameras", ", ".join(rig.cameras.names)
+        )
     cameras, nominal = replace(rig.cameras, reference=reference), rig.nominal
     if nominal.T_h_reference is not None:
         T_h_c = nominal.T_h_reference @ se3.inverse(rig.cameras.T_c_reference)

@@ -11,6 +11,7 @@ import numpy as np
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
+from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import (
     ODOMETRY,
     SIDES,
@@ -37,6 +38,8 @@ from mobilecal_cli.rig.names import (
 
 #: Wheels that stand for odometry whose driver's wheels are unknown.
 ASSUMED = WheelGeometry(0.1, 0.1, 0.4)
+#: Relative standard deviation of a separation that nothing states.
+UNKNOWN_SHARE = 0.5
 #: Message type without its package's ROS release → counter steps per turn of the wheel, and width of the counter, as
 #: the drivers of these robots have them.
 KNOWN_COUNTERS: dict[str, tuple[float, Literal[16] | None]] = {
@@ -310,8 +313,12 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
     if wheels is not None:
         baked_in = WheelGeometry(**wheels.model_dump())
         return {side: WheelSource(topic, baked_in=baked_in) for side in SIDES}
-    assumed = replace(ASSUMED, separation_m=config.wheels.odometry_separation_m or ASSUMED.separation_m)
-    return {side: WheelSource(topic, baked_in=assumed, assumed=True) for side in SIDES}
+    stated_m = config.wheels.odometry_separation_m
+    assumed = replace(ASSUMED, separation_m=stated_m or ASSUMED.separation_m)
+    share = 0.0 if stated_m else UNKNOWN_SHARE
+    return {
+        side: WheelSource(topic, baked_in=assumed, assumed=True, separation_share=share) for side in SIDES
+    }
 
 
 def with_drawn_separation(
@@ -322,7 +329,11 @@ def with_drawn_separation(
     if drawn is None or drawn not in ranges.WHEEL_SEPARATION:
         return dict(sources)
     return {
-        side: replace(source, baked_in=replace(source.baked_in, separation_m=drawn))
+        side: replace(
+            source,
+            baked_in=replace(source.baked_in, separation_m=drawn),
+            separation_share=WHEEL_SIGMA,
+        )
         if source.assumed and source.baked_in is not None
         else source
         for side, source in sources.items()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli.model import Board, Camera, FloatArray, Side, StereoRig
+from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray
 from mobilecal_cli.simulate.robot import Lens, RobotJoint, SimulatedRobot, Vector, pose
 from mobilecal_cli.simulate.route import Route, base_in_world
 
@@ -82,24 +82,35 @@ class ActualRobot:
         return np.asarray(np.sum(parts, axis=0), dtype=np.float64)
 
     @property
-    def rig_cameras(self) -> StereoRig:
-        """The stereo pair as it is."""
+    def rig_cameras(self) -> CameraRig:
+        """The cameras as they are."""
         rig = self.stated.rig_cameras
-        T_c_r = rig.T_c_r.copy()
-        turn = self._vector("stereo_r", dict(zip("xyz", np.eye(3), strict=True)))
-        T_c_r[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T_c_r[:3, :3]
-        swing = self._vector("baseline", crosswise(T_c_r[:3, 3]))
-        T_c_r[:3, 3] = Rotation.from_rotvec(swing).apply(T_c_r[:3, 3]) * (1 + self._of("baseline_scale"))
-        return replace(
-            rig, left=self._camera(rig.left, "left"), right=self._camera(rig.right, "right"), T_c_r=T_c_r
-        )
+        poses = list(rig.T_c_each)
+        if rig.calibrated:
+            T_c_r = poses[1].copy()
+            turn = self._vector("stereo_r", dict(zip("xyz", np.eye(3), strict=True)))
+            T_c_r[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T_c_r[:3, :3]
+            swing = self._vector("baseline", crosswise(T_c_r[:3, 3]))
+            T_c_r[:3, 3] = Rotation.from_rotvec(swing).apply(T_c_r[:3, 3]) * (1 + self._of("baseline_scale"))
+            poses[1] = T_c_r
+        for k, name in enumerate(rig.names[1:], 1):
+            T = poses[k].copy()
+            turn, shift = (
+                np.array([self._of(f"{kind}_{name}_{letter}") for letter in "xyz"])
+                for kind in ("turn", "shift")
+            )
+            T[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T[:3, :3]
+            T[:3, 3] += shift
+            poses[k] = T
+        each = tuple(self._camera(camera, name) for camera, name in zip(rig.each, rig.names, strict=True))
+        return replace(rig, each=each, T_c_each=tuple(poses))
 
-    def _camera(self, stated: Camera, side: Side) -> Camera:
+    def _camera(self, stated: Camera, name: str) -> Camera:
         K = stated.K.copy()
-        aspect = self._of(f"focal_aspect_{side}") / 2
-        K[[0, 1], [0, 1]] *= 1 + self._of(f"focal_{side}") + np.array([aspect, -aspect])
-        K[:2, 2] += stated.width * np.array([self._of(f"principal_{side}_{letter}") for letter in "xy"])
-        shares = np.array([self._of(f"distortion_{side}_{term}") for term in DISTORTIONS])
+        aspect = self._of(f"focal_aspect_{name}") / 2
+        K[[0, 1], [0, 1]] *= 1 + self._of(f"focal_{name}") + np.array([aspect, -aspect])
+        K[:2, 2] += stated.width * np.array([self._of(f"principal_{name}_{letter}") for letter in "xy"])
+        shares = np.array([self._of(f"distortion_{name}_{term}") for term in DISTORTIONS])
         size = (stated.frame_id, stated.width, stated.height)
         if not np.any(shares):
             return Camera(*size, K, stated.D, stated.distortion)
@@ -154,7 +165,7 @@ class ActualRobot:
 
 
 def camera_in_world(actual: ActualRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> FloatArray:
-    """T_w_c of the left camera at given times, (N, 4, 4); `floor` as from `imperfect.floor_in_base`."""
+    """T_w_c of the first camera at given times, (N, 4, 4); `floor` as from `imperfect.floor_in_base`."""
     robot = replace(actual.stated, joints=actual.joints)
     heads = np.array([robot.head_pose(joints) for joints in route.joints(times_s)])
     return np.asarray(base_in_world(route.drive.poses(times_s)) @ floor @ actual.lean @ heads @ robot.T_h_c)

@@ -72,14 +72,19 @@ STATION_NOISE = Noise(floor_rad=np.radians(0.1), floor_m=0.0005, stamp_s=0.0005,
 def constant_kinds(robot: SimulatedRobot) -> dict[str, str]:
     """All constants of a robot and its board: name → kind."""
     kinds: dict[str, str] = {}
-    for side in ("left", "right"):
+    rig = robot.rig_cameras
+    for side in rig.names:
         kinds[f"focal_{side}"] = "focal_length"
         kinds |= dict.fromkeys((f"principal_{side}_{letter}" for letter in "xy"), "principal_point")
         kinds |= dict.fromkeys((f"distortion_{side}_{term}" for term in DISTORTIONS), "distortion")
-    kinds |= dict.fromkeys((f"stereo_r_{letter}" for letter in "xyz"), "stereo_rotation")
-    baseline = crosswise(robot.rig_cameras.T_c_r[:3, 3])
-    kinds |= dict.fromkeys((f"baseline_{letter}" for letter in baseline), "baseline_direction")
-    kinds |= {"baseline_scale": "baseline_length"}
+    if rig.calibrated:
+        kinds |= dict.fromkeys((f"stereo_r_{letter}" for letter in "xyz"), "stereo_rotation")
+        baseline = crosswise(rig.T_c_each[1][:3, 3])
+        kinds |= dict.fromkeys((f"baseline_{letter}" for letter in baseline), "baseline_direction")
+        kinds |= {"baseline_scale": "baseline_length"}
+    for name in () if rig.calibrated else rig.names[1:]:
+        kinds |= {f"turn_{name}_{letter}": "camera_rotation" for letter in "xyz"}
+        kinds |= {f"shift_{name}_{letter}": "camera_position" for letter in "xyz"}
     kinds |= {"square_scale": "square_size", "square_aspect": "square_aspect"}
     kinds |= {"board_bend_x": "board_bend", "board_bend_y": "board_bend"}
     moving = [joint for joint in robot.joints if joint.name]
@@ -92,14 +97,14 @@ def constant_kinds(robot: SimulatedRobot) -> dict[str, str]:
         kinds |= dict.fromkeys((f"{key}_position_{letter}" for letter in letters), "joint_position")
         kinds[f"backlash_{key}"] = "backlash"
     kinds |= {"time_joints": "clock", "time_wheels": "clock"}
-    kinds |= {f"focal_aspect_{side}": "focal_aspect" for side in ("left", "right")}
+    kinds |= {f"focal_aspect_{side}": "focal_aspect" for side in rig.names}
     kinds |= {
         "board_twist": "board_bend",
         "board_shear": "board_shear",
         "lean_roll": "lean",
         "lean_pitch": "lean",
     }
-    return kinds | {"time_right": "stereo_clock", "readout": "readout"}
+    return kinds | {f"time_{name}": "stereo_clock" for name in rig.names[1:]} | {"readout": "readout"}
 
 
 def draw(

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import SIDES, CameraInfo, FloatArray
+from mobilecal_cli.model import CameraInfo, FloatArray, WheelGeometry
 from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
     START_NS,
@@ -35,6 +35,7 @@ from mobilecal_cli.simulate.scenario import Container, Scenario
 
 Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
+_OWN_SLIP = 0.001  # of one of several wheels of a side, rad per sqrt(rad)
 _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
 
 
@@ -84,6 +85,28 @@ class Publisher:
             **named,
         )
 
+    def odometry(self, pose: FloatArray, time_ns: int) -> Any:  # noqa: ANN401
+        """nav_msgs/Odometry of a pose x, y (m), heading (rad), with a covariance that means nothing."""
+        x, y, heading = (float(value) for value in pose)
+        at = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+        turned = {"x": 0.0, "y": 0.0, "z": float(np.sin(heading / 2)), "w": float(np.cos(heading / 2))}
+        placed = self.make(
+            "geometry_msgs/msg/Pose",
+            position=at,
+            orientation=self.make("geometry_msgs/msg/Quaternion", **turned),
+        )
+        still = [self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0) for _ in range(2)]
+        twist = self.make("geometry_msgs/msg/Twist", linear=still[0], angular=still[1])
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(time_ns, "odom"),
+            child_frame_id="base_link",
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=placed, covariance=np.eye(6).ravel()),
+            twist=self.make(
+                "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.eye(6).ravel()
+            ),
+        )
+
     def picture(self, grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) -> tuple[str, Any]:
         """8-bit image in the scenario's format: message type and message."""
         image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
@@ -121,7 +144,7 @@ def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator
     """(n, 2) readings of the right and left encoder, rad."""
     robot = world.actual.stated
     late_s = world.actual.constants.get("time_wheels", 0.0)
-    angles = world.route.drive.wheel_angles(times_s - late_s, robot.wheels)
+    angles = world.route.drive.wheel_angles(times_s - late_s, robot.wheels, robot.slip)
     if world.scenario.exact:
         return angles
     noise = replace(world.noise, wheel_rad_per_sqrt_rad=world.scenario.wheel_noise_rad_per_sqrt_rad)
@@ -129,6 +152,23 @@ def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator
     # The first angle twice: every reading has random numbers of its own.
     rolled = rolled_as_read(np.concatenate([angles[:1], angles]), leg, noise, random)[1:]
     return np.asarray(np.floor(rolled / robot.encoder_step_rad) * robot.encoder_step_rad)
+
+
+def _each_slips(rolled: FloatArray, robot: SimulatedRobot, random: np.random.Generator) -> FloatArray:
+    """(n, 4) readings of wheels that roll alike, each with a slip of its own."""
+    steps = np.diff(rolled, axis=0, prepend=rolled[:1])
+    slip = np.cumsum(_OWN_SLIP * np.sqrt(np.abs(steps)) * random.normal(size=steps.shape), axis=0)
+    return np.asarray(np.floor((rolled + slip) / robot.encoder_step_rad) * robot.encoder_step_rad)
+
+
+def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
+    """(n, 3) x, y and heading that a driver computes from wheel readings, (n, 2), with nominal wheels."""
+    right, left = (np.diff(wheels, axis=0, prepend=wheels[:1]) * nominal.vector[:2]).T
+    turn, run = (right - left) / nominal.separation_m, (right + left) / 2
+    heading = np.cumsum(turn)
+    chord = run * np.sinc(turn / (2 * np.pi))
+    middle = heading - turn / 2
+    return np.stack([np.cumsum(chord * np.cos(middle)), np.cumsum(chord * np.sin(middle)), heading], axis=1)
 
 
 def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
@@ -145,18 +185,29 @@ def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
     wheels = _noisy_wheels(world, times_s, random)
     names = list(robot.joint_names)
     counters = robot.wheel_signal == "ticks"
-    for time_ns, head, wheel in zip(nanoseconds(times_s), joints, wheels, strict=True):
+    apart = counters or robot.wheel_signal == "odometry"
+    names += [] if apart else [name for side in ("right", "left") for name in robot.wheel_joints[side]]
+    each = len(robot.wheel_joints["left"])
+    positions = np.repeat(wheels, each, axis=1)
+    if each > 1 and not scenario.exact:
+        positions = _each_slips(positions, robot, np.random.default_rng([scenario.seed, 7]))
+    odometry = driver_odometry(wheels, robot.nominal_wheels)
+    for time_ns, head, wheel, rolled, pose in zip(
+        nanoseconds(times_s), joints, wheels, positions, odometry, strict=True
+    ):
         stamp = int(time_ns)
         kind, nothing = "sensor_msgs/msg/JointState", np.zeros(0)
         state = publisher.make(
             kind,
             header=publisher.header(stamp),
-            name=names if counters else [*names, "wheel_right_joint", "wheel_left_joint"],
-            position=head if counters else np.concatenate([head, wheel]),
+            name=names,
+            position=head if apart else np.concatenate([head, rolled]),
             velocity=nothing,
             effort=nothing,
         )
         yield Published(stamp, "/joint_states", kind, state)
+        if robot.wheel_signal == "odometry":
+            yield Published(stamp, "/odom", "nav_msgs/msg/Odometry", publisher.odometry(pose, stamp))
         if counters:
             kind = f"std_msgs/msg/{_COUNTER_TYPES[robot.tick_bits]}"
             for side, angle in (("right", wheel[0]), ("left", wheel[1])):
@@ -183,23 +234,21 @@ def _picture_messages(
     scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 4])
     rig, shape = world.actual.rig_cameras, world.actual.shape(route.board)
-    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in (rig.left, rig.right)]
+    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in rig.each]
     times_s = np.array(scenario.picture_times_s(route))
     floor, jitter_s = _floor_and_jitter(world, times_s)
     stamps = nanoseconds(times_s + scenario.camera_late_s + jitter_s)
     topics = robot.topics(compressed=scenario.pictures != "mono8")
     for i, T_w_c in enumerate(camera_in_world(world.actual, route, times_s, floor)):
         stamp = int(stamps[i])
-        for side, info, renderer, T_c_x in zip(
-            SIDES, robot.infos, renderers, (np.eye(4), rig.T_c_r), strict=True
-        ):
+        for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
             grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k)
             if not scenario.exact:
                 grey = grey + scenario.pixel_noise_grey * random.normal(size=grey.shape)
             kind, message = publisher.picture(grey, info.frame_id, stamp, scenario)
-            yield Published(stamp, topics.image[side], kind, message)
+            yield Published(stamp, topics.image[name], kind, message)
             kind = "sensor_msgs/msg/CameraInfo"
-            yield Published(stamp, topics.info[side], kind, publisher.camera_info(info, stamp))
+            yield Published(stamp, topics.info[name], kind, publisher.camera_info(info, stamp))
         drawn(i + 1, len(stamps))
 
 
@@ -215,7 +264,7 @@ def published(
     Args:
         scenario, robot, route: what to record.
         publisher: for ROS 1 or 2.
-        drawn: called with the number of rendered stereo pairs and their total.
+        drawn: called with the number of rendered moments and their total.
     """
     constants, noise = scenario.imperfections(robot)
     world = World(scenario, route, ActualRobot(robot, constants), noise)

@@ -6,8 +6,8 @@ kinematics are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 from xml.sax.saxutils import quoteattr
@@ -19,19 +19,21 @@ from mobilecal_cli.model import (
     SIDES,
     Camera,
     CameraInfo,
+    CameraRig,
     FixedLink,
     FloatArray,
     HeadChain,
     JointLink,
     Nominal,
     Rig,
+    Side,
     Sources,
-    StereoRig,
     WheelGeometry,
     WheelSource,
 )
 
 WIDTH, HEIGHT = 640, 480
+_WHEELBASE_M = 0.262
 BASELINE_M = 0.12
 #: Displaced by 0.4 % of the width: to 1e-8 px, because each round shrinks the error 50 times.
 _DISPLACEMENT_ROUNDS = 5
@@ -76,16 +78,18 @@ def stereo_infos(
     return left, right
 
 
-def stereo_rig(left: CameraInfo, right: CameraInfo) -> StereoRig:
-    """Stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+def camera_rig(infos: Sequence[CameraInfo]) -> CameraRig:
+    """One camera, or a stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+    cameras = [
+        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion) for info in infos
+    ]
+    if len(infos) == 1:
+        return CameraRig(("camera",), (cameras[0],), (np.eye(4),), False, (infos[0].R,), "camera")
+    left, right = infos
     T_c_r = np.eye(4)
     T_c_r[:3, :3] = left.R.T @ right.R
     T_c_r[:3, 3] = left.R.T @ np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
-    cameras = [
-        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
-        for info in (left, right)
-    ]
-    return StereoRig(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
+    return CameraRig.pair(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
 
 
 def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
@@ -197,13 +201,16 @@ class SimulatedRobot:
         name: of the robot.
         joints: from base to head.
         pan, tilt: names of the pan and the tilt joint, "" for none.
-        infos: CameraInfo of the left and right camera.
-        T_h_c: (4, 4) true head-eye transform: left camera to head coordinates, m.
+        infos: CameraInfo of the left and right camera, or of a single one.
+        T_h_c: (4, 4) true head-eye transform: first camera to head coordinates, m.
         wheels: true wheel radii and separation.
         nominal_wheels: nominal values, used in the URDF.
         T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
         encoder_step_rad: resolution of the wheel encoders, rad.
-        wheel_signal: wheels as positions in the joint states, or as separate tick counters.
+        wheel_signal: wheels as positions in the joint states, one or two a side, as separate tick counters, or only as
+            the odometry of a driver with the nominal wheels.
+        slip: relative change of the effective separation with the turning rate, s/rad; `wheels` has that of a turn in
+            place.
         ticks_per_revolution, tick_bits: of the tick counters.
         joint_noise_rad: sigma of one joint reading, rad.
         joint_rate_hz: rate of the joint states (and ticks), Hz.
@@ -213,13 +220,14 @@ class SimulatedRobot:
     joints: tuple[RobotJoint, ...]
     pan: str
     tilt: str
-    infos: tuple[CameraInfo, CameraInfo]
+    infos: tuple[CameraInfo, ...]
     T_h_c: FloatArray
     wheels: WheelGeometry
     nominal_wheels: WheelGeometry
     T_h_c_nominal: FloatArray
     encoder_step_rad: float
-    wheel_signal: Literal["joint_states", "ticks"] = "joint_states"
+    wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
+    slip: float = 0.0
     ticks_per_revolution: int = 4096
     tick_bits: Literal[8, 16, 32, 64] = 16
     joint_noise_rad: float = np.radians(0.01)
@@ -241,9 +249,9 @@ class SimulatedRobot:
         return tuple(joint.name for joint in self.joints if joint.name)
 
     @property
-    def rig_cameras(self) -> StereoRig:
-        """The stereo pair, for raw images."""
-        return stereo_rig(*self.infos)
+    def rig_cameras(self) -> CameraRig:
+        """The cameras, for raw images."""
+        return camera_rig(self.infos)
 
     @property
     def chain(self) -> HeadChain:
@@ -268,18 +276,30 @@ class SimulatedRobot:
     def topics(self, compressed: bool = False) -> Sources:
         """The topics of this robot's recordings."""
         suffix = "/compressed" if compressed else ""
-        ticks, per_turn = self.wheel_signal == "ticks", float(self.ticks_per_revolution)
+        names = self.rig_cameras.names
+        places = {name: f"/stereo/{name}" for name in SIDES} | {"camera": "/camera/color"}
         return Sources(
-            image={side: f"/stereo/{side}/image_raw{suffix}" for side in SIDES},
-            info={side: f"/stereo/{side}/camera_info" for side in SIDES},
+            image={name: f"{places[name]}/image_raw{suffix}" for name in names},
+            info={name: f"{places[name]}/camera_info" for name in names},
             joints=("/joint_states",),
-            wheels={
-                side: WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
-                if ticks
-                else WheelSource("/joint_states", f"wheel_{side}_joint")
-                for side in SIDES
-            },
+            wheels={side: self._wheel_source(side) for side in SIDES},
         )
+
+    def _wheel_source(self, side: Side) -> WheelSource:
+        if self.wheel_signal == "ticks":
+            per_turn = float(self.ticks_per_revolution)
+            return WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
+        if self.wheel_signal == "odometry":
+            return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
+        first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])
+        return replace(first, others=tuple(others))
+
+    @property
+    def wheel_joints(self) -> dict[Side, tuple[str, ...]]:
+        """Names of the wheels' joints."""
+        if self.wheel_signal == "four_joints":
+            return {side: (f"front_{side}_wheel_joint", f"rear_{side}_wheel_joint") for side in SIDES}
+        return {side: (f"wheel_{side}_joint",) for side in SIDES}
 
     def rig(self, nominal: bool = True) -> Rig:
         """Robot description for a calibration.
@@ -376,11 +396,61 @@ def fixed_camera_robot() -> SimulatedRobot:
     )
 
 
+@cache
+def skid_steer_robot() -> SimulatedRobot:
+    """Skid-steered robot with four wheel joints: the effective separation is larger than the geometric one."""
+    return replace(
+        tick_robot(),
+        name="skid_steer",
+        wheels=WheelGeometry(radius_right_m=0.0986, radius_left_m=0.0979, separation_m=0.5612),
+        nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.376),
+        wheel_signal="four_joints",
+        slip=0.02,
+    )
+
+
+@cache
+def odometry_only_robot() -> SimulatedRobot:
+    """Robot with a pan-tilt head whose recording has the odometry of its driver, and neither wheels nor counters."""
+    return replace(
+        tick_robot(),
+        name="odometry_only",
+        wheels=WheelGeometry(radius_right_m=0.0344, radius_left_m=0.0347, separation_m=0.2361),
+        nominal_wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0352, separation_m=0.2300),
+        wheel_signal="odometry",
+    )
+
+
+@cache
+def rgbd_robot() -> SimulatedRobot:
+    """Small robot with the color camera of an RGB-D camera on its base."""
+    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    T_h_c = pose(
+        (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * optical
+    )
+    color = replace(stereo_infos("camera_color", focal_px=605.0)[0], frame_id="camera_color_optical_frame")
+    return SimulatedRobot(
+        name="rgbd",
+        joints=(),
+        pan="",
+        tilt="",
+        infos=(replace(color, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
+        T_h_c=T_h_c,
+        wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
+        nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
+        T_h_c_nominal=T_h_c @ _NOMINAL,
+        encoder_step_rad=2 * np.pi / 4096,
+    )
+
+
 #: Name, as in `targets.ROBOTS` → the robot.
 ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
     "paper": paper_robot,
     "tick": tick_robot,
     "fixed_camera": fixed_camera_robot,
+    "rgbd": rgbd_robot,
+    "skid_steer": skid_steer_robot,
+    "odometry_only": odometry_only_robot,
 }
 
 
@@ -417,16 +487,18 @@ def urdf_text(robot: SimulatedRobot) -> str:
             "  </joint>",
         ]
     wheels = robot.nominal_wheels
-    for side, y, radius in (
-        ("left", wheels.separation_m / 2, wheels.radius_left_m),
-        ("right", -wheels.separation_m / 2, wheels.radius_right_m),
-    ):
-        lines += [
-            f'  <link name="wheel_{side}_link"><collision><geometry>',
-            f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
-            f'  <joint name="wheel_{side}_joint" type="continuous">',
-            f'    <parent link="base_link"/><child link="wheel_{side}_link"/>',
-            f'    <origin xyz={_numbers((0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
-            "  </joint>",
-        ]
+    for side in SIDES:
+        left, names = side == "left", robot.wheel_joints[side]
+        y = wheels.separation_m / 2 if left else -wheels.separation_m / 2
+        radius = wheels.radius_left_m if left else wheels.radius_right_m
+        for name, x in zip(names, (_WHEELBASE_M / 2, -_WHEELBASE_M / 2), strict=False):
+            link = f"{name.removesuffix('_joint')}_link"
+            lines += [
+                f'  <link name="{link}"><collision><geometry>',
+                f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
+                f'  <joint name="{name}" type="continuous">',
+                f'    <parent link="base_link"/><child link="{link}"/>',
+                f'    <origin xyz={_numbers((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
+                "  </joint>",
+            ]
     return "\n".join([*lines, "</robot>"]) + "\n"

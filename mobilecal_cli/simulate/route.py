@@ -52,9 +52,9 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
     return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
 
 
-def wheel_speeds(stretch: Stretch, wheels: WheelGeometry) -> tuple[float, float]:
-    """Right and left wheel speeds, rad/s, for rolling without slip."""
-    half = wheels.separation_m / 2
+def wheel_speeds(stretch: Stretch, wheels: WheelGeometry, slip: float = 0.0) -> tuple[float, float]:
+    """Right and left wheel speeds, rad/s, for rolling without slip, or with a slip that grows with the turning rate."""
+    half = wheels.separation_m / 2 * (1 + slip * (abs(stretch.w_radps) - TURN_RADPS))
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
     return right, left
@@ -91,11 +91,11 @@ class Drive:
             ]
         )
 
-    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry) -> FloatArray:
+    def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry, slip: float = 0.0) -> FloatArray:
         """(n, 2) rotations of the right and left wheel since the start, rad; linear inside a segment."""
         rolled = [[0.0, 0.0]]
         for stretch in self.stretches:
-            right, left = wheel_speeds(stretch, wheels)
+            right, left = wheel_speeds(stretch, wheels, slip)
             before = rolled[-1]
             rolled.append([before[0] + right * stretch.duration_s, before[1] + left * stretch.duration_s])
         breaks, angles = self.breaks_s, np.array(rolled)
@@ -119,7 +119,8 @@ MOTIONS: tuple[str, ...] = get_args(Motion)
 
 REST_S = 1.2
 _SPEED_MPS = 0.3
-_TURN_RADPS = 0.7
+#: Rate of turns in place.
+TURN_RADPS = 0.7
 _MARGIN_PX = 22.0
 _SMALLEST_SQUARE_PX = 11.0
 _NEAREST_M, _FARTHEST_M = 1.05, 2.5
@@ -196,10 +197,10 @@ class Planner:
         self._aim = [(k, names.index(name)) for k, name in enumerate((robot.pan, robot.tilt)) if name]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
-        """Whether both images show the whole board, with squares large enough for detection."""
+        """Whether all images show the whole board, with squares large enough for detection."""
         rig = self._robot.rig_cameras
         T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
-        for camera, T_c_x in ((rig.left, np.eye(4)), (rig.right, rig.T_c_r)):
+        for camera, T_c_x in zip(rig.each, rig.T_c_each, strict=True):
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
             points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
             if points[:, 2].min() < 0.3:
@@ -214,7 +215,7 @@ class Planner:
         return True
 
     def look_at(self, base: Pose, point_w: FloatArray, resting_rad: FloatArray) -> FloatArray:
-        """Joint angles, (J,), that point the left camera at a point by pan and tilt."""
+        """Joint angles, (J,), that point the first camera at a point by pan and tilt."""
         if not self._aim:
             return np.array(resting_rad)
         T_v_w = np.linalg.inv(base_in_world(np.array([base]))[0])
@@ -269,8 +270,8 @@ class Planner:
             return [Stretch(abs(run) / _SPEED_MPS, math.copysign(_SPEED_MPS, run))]
         if motion == "spin":
             aim = facing + random.uniform(-0.7, 0.7) - base[2]
-            return [Stretch(abs(aim) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, aim))]
-        first = Stretch(abs(turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, turn))
+            return [Stretch(abs(aim) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, aim))]
+        first = Stretch(abs(turn) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, turn))
         duration = abs(run) / _SPEED_MPS
         arc = Stretch(duration, math.copysign(_SPEED_MPS, run), bend / duration)
         there = moved(moved(base, first, first.duration_s), arc, arc.duration_s)
@@ -284,7 +285,7 @@ class Planner:
             total = there[2] - base[2] + last_turn
             other, most = total - math.copysign(2 * math.pi, total), math.radians(300 if self._aim else 360)
             last_turn = last_turn + other - total if abs(other) <= most else last_turn
-        last = Stretch(abs(last_turn) / _TURN_RADPS, 0.0, math.copysign(_TURN_RADPS, last_turn))
+        last = Stretch(abs(last_turn) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, last_turn))
         return [s for s in (first, arc, last) if s.duration_s > 0]
 
     def route(

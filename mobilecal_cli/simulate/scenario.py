@@ -115,6 +115,22 @@ def _row(values: object) -> str:
     return "[" + ", ".join(_plain(float(value)) for value in np.asarray(values).ravel()) + "]"
 
 
+def _factors(robot: SimulatedRobot) -> list[str]:
+    """The factors of odometry, of a robot whose recording has nothing else; `wheels` are those that it has."""
+    if robot.wheel_signal != "odometry":
+        return []
+    right, left, separation = robot.wheels.vector / robot.nominal_wheels.vector
+    linear = (right + left) / 2
+    values = {
+        "left_wheel_radius_multiplier": left,
+        "right_wheel_radius_multiplier": right,
+        "wheel_separation_multiplier": separation,
+        "linear_scale": linear,
+        "angular_scale": linear / separation,
+    }
+    return ["odometry:", *(f"  {name}: {_plain(float(value))}" for name, value in values.items())]
+
+
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
     quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
@@ -130,6 +146,7 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  radius_left_m: {_plain(robot.wheels.radius_left_m)}",
         f"  radius_right_m: {_plain(robot.wheels.radius_right_m)}",
         f"  separation_m: {_plain(robot.wheels.separation_m)}",
+        *_factors(robot),
         "board:",
         f"  columns: {route.board.columns}",
         f"  rows: {route.board.rows}",

@@ -88,7 +88,8 @@ def scale_of(
     chi2 = (value / (1 - share)) ** 2 / (stated + after / (1 - share))
     wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
     apart_too_far = wrong or chi2 > _APART_CHI2
-    return ScaleCheck(1 + ratio, float(std), square_m, extraction.rig.cameras.baseline_m, apart_too_far)
+    baseline_m = extraction.rig.cameras.baseline_m
+    return ScaleCheck(1 + ratio, float(std), square_m, baseline_m or 0.0, apart_too_far)
 
 
 def jumps_of(
@@ -183,20 +184,20 @@ def jackknife_covariance(fit: Fit) -> FloatArray:
 
 
 def reference_jacobian(fit: Fit) -> FloatArray:
-    """(9, K) derivative of the nine parameters of the reference camera by those of the left one and the constants."""
+    """(9, K) derivative of the nine parameters of the reference camera by those of the first one and the constants."""
     data, state = fit.data, fit.lin.state
     J = np.eye(9, data.layout.size)
-    if data.cameras.reference == "left":
+    if data.cameras.reference == data.cameras.names[0]:
         return J
-    R_h_c, cameras = state.parameters.T_h_c[:3, :3], cameras_at(data, state)
-    J[3:6, :3] = -se3.skew(R_h_c @ cameras.T_c_r[:3, 3])
+    R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], cameras_at(data, state).T_c_reference
+    J[3:6, :3] = -se3.skew(R_h_c @ T_c_reference[:3, 3])
     for k, row in enumerate(data.layout.constants, 9):
         if isinstance(row.effect, CameraEffect):
             moved = {**state.constants, row.name: state.value(row.name) + _STEP}
-            T = camera_change(data.layout.constants, moved).apply(data.cameras).T_c_r
-            turn = se3.log_so3(T[:3, :3] @ cameras.T_c_r[:3, :3].T)
+            T = camera_change(data.cameras, data.layout.constants, moved).apply(data.cameras).T_c_reference
+            turn = se3.log_so3(T[:3, :3] @ T_c_reference[:3, :3].T)
             J[:3, k] = R_h_c @ turn / _STEP
-            J[3:6, k] = R_h_c @ (T[:3, 3] - cameras.T_c_r[:3, 3]) / _STEP
+            J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / _STEP
     return J
 
 

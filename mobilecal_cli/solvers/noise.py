@@ -176,7 +176,10 @@ def widths(lin: Linearization) -> dict[str, float]:
     """
     priors = lin.priors
     off = priors.displacement(lin.state) - priors.mean
-    squares, left = priors.stated_weight * off**2, 1 - priors.weight * np.diag(lin.covariance)
+    squares = priors.stated_weight * off**2
+    left = np.clip(
+        1 - priors.weight * np.diag(lin.covariance), 0.0, 1.0
+    )  # rounding may leave less than nothing
     used = priors.alike & (priors.weight > 0)
     columns: dict[str, list[int]] = {}
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):

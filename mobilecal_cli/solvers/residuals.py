@@ -16,16 +16,15 @@ from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at
 from mobilecal_cli.likelihood.views import view_rates
 from mobilecal_cli.model import (
     BoolArray,
-    Camera,
+    CameraRig,
     Extraction,
     FloatArray,
     Parameters,
     Residuals,
-    Side,
-    StereoRig,
 )
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
+_LEAST_DEPTH_M = 0.01  # of a point that a camera does not show
 _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels leaves 1e-6 px after three
 
 
@@ -42,28 +41,28 @@ def at_state(extraction: Extraction, data: Dataset, state: State) -> tuple[Extra
 
 
 def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extraction:
-    """The same with each corner where it was at its image's stamp, see `ImageClock`."""
-    change = camera_change(data.layout.constants, state.constants)
-    if not (change.right_late_s or change.readout_s):
+    """The same with each corner where it was at its image's stamp, see `ImageDelay` and `ReadOut`."""
+    change = camera_change(data.cameras, data.layout.constants, state.constants)
+    if not (change.readout_s or np.any(change.delay_s)):
         return extraction
     cameras, rates = change.apply(data.cameras), view_rates(data, state)[:, None]
-    points = se3.act(data.T_c_k, points_at(data, state))
-    velocity = np.cross(rates[..., :3], points) + rates[..., 3:]
+    points_c = se3.act(data.T_c_k, points_at(data, state))
+    velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
     moved = []
-    sides: tuple[tuple[Side, Camera], ...] = (("left", cameras.left), ("right", cameras.right))
-    for k, (side, camera) in enumerate(sides):
+    for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
         rows = (data.pixels[:, k, :, 1] + 0.5) / camera.height - 0.5
-        late = points + change.late_s(side, rows)[..., None] * velocity
-        if side == "right":
-            points, late = (se3.act(se3.inverse(cameras.T_c_r), at) for at in (points, late))
-        moved.append(project(camera, late) - project(camera, points))
+        late_c = points_c + change.late_s(k, rows)[..., None] * velocity
+        points, late = (se3.act(se3.inverse(T_c_camera), at) for at in (points_c, late_c))
+        by = project(camera, late) - project(camera, points)
+        moved.append(np.where(data.seen[:, k, :, None], by, 0.0))
     observations = tuple(
         replace(
             o,
-            left=replace(o.left, pixels=o.left.pixels - left),
-            right=replace(o.right, pixels=o.right.pixels - right),
+            views=tuple(
+                replace(view, pixels=view.pixels - by[i]) for view, by in zip(o.views, moved, strict=True)
+            ),
         )
-        for o, left, right in zip(extraction.observations, *moved, strict=True)
+        for i, o in enumerate(extraction.observations)
     )
     return replace(extraction, observations=observations)
 
@@ -106,28 +105,25 @@ def residuals_of(
         parameters: the prediction's.
         inliers: (L,) legs to compare; all by default.
     """
-    sides: tuple[Side, Side] = ("left", "right")
     kept = np.arange(len(pairs.legs)) if inliers is None else np.flatnonzero(inliers)
     i, j = pairs.legs[kept].T
-    cameras = extraction.rig.cameras
+    cameras, observations = extraction.rig.cameras, extraction.observations
     predicted_c = se3.act(camera_motion(pairs, parameters)[kept], pairs.points_c[j])
-    predicted_r = se3.act(se3.inverse(cameras.T_c_r), predicted_c)
-    measured = np.stack([[getattr(o, side).seen for o in extraction.observations] for side in sides])
-    predicted = {side: np.zeros((*predicted_c.shape[:2], 2)) for side in sides}
+    measured = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
+    pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
+    predicted = np.zeros((len(cameras.each), *predicted_c.shape[:2], 2))
     if measured.any():
-        predicted = {"left": project(cameras.left, predicted_c), "right": project(cameras.right, predicted_r)}
-    seen = {
-        "left": np.stack([o.left.pixels for o in extraction.observations])[i],
-        "right": np.stack([o.right.pixels for o in extraction.observations])[i],
-    }
-    squares = np.stack([(predicted[side] - seen[side]) ** 2 for side in sides])
+        for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
+            points = se3.act(se3.inverse(T_c_camera), predicted_c) if k else predicted_c
+            ahead = measured[k, i] | (points[..., 2] > _LEAST_DEPTH_M)
+            predicted[k] = project(camera, np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
+    squares = (predicted - pixels[:, i]) ** 2
     counted = measured[:, i, :, None]
     T_w_v = dead_reckoned(pairs, parameters)
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.mean(np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1), axis=-1)),
-        predicted_left_px=predicted["left"],
-        predicted_right_px=predicted["right"],
+        predicted_px=predicted,
         leg_reprojection_px=np.sqrt(
             np.sum(squares, axis=(0, 2, 3), where=counted) / np.maximum(counted.sum(axis=(0, 2, 3)), 1)
         ),
@@ -136,30 +132,33 @@ def residuals_of(
     )
 
 
-def triangulated_again(extraction: Extraction, cameras: StereoRig) -> FloatArray:
-    """Corners triangulated with other cameras than stated, (N, M, 3), m, in the left camera.
+def triangulated_again(extraction: Extraction, cameras: CameraRig) -> FloatArray:
+    """Corners triangulated with other cameras than stated, (N, M, 3), m, in the first camera.
 
     Gauss-Newton steps from the points of the stated cameras, none of which changes a depth by more than half of it;
     corners that only one camera sees stay as they are.
     """
-    seen = extraction.observations
-    points = np.stack([o.points_c for o in seen])
-    left, right = (np.stack([getattr(o, side).pixels for o in seen]) for side in ("left", "right"))
-    both = np.stack([o.left.seen & o.right.seen for o in seen])
-    if not both.any():
+    observations = extraction.observations
+    points = np.stack([o.points_c for o in observations])
+    seen = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
+    pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
+    several = seen.sum(axis=0) > 1
+    if not several.any():
         return points
-    T_r_c = se3.inverse(cameras.T_c_r)
     for _ in range(_TRIANGULATION_STEPS):
-        at, J = zip(
-            project_with_jacobian(cameras.left, points),
-            project_with_jacobian(cameras.right, se3.act(T_r_c, points)),
-            strict=True,
-        )
-        error = np.concatenate([left - at[0], right - at[1]], axis=-1)
-        by_point = np.concatenate([J[0], J[1] @ T_r_c[:3, :3]], axis=-2)
-        transposed = np.swapaxes(by_point, -1, -2)
-        step = np.linalg.solve(transposed @ by_point, transposed @ error[..., None])[..., 0]
+        errors, by_point = [], []
+        for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
+            T_camera_c = se3.inverse(T_c_camera)
+            usable = (seen[k] & several)[..., None]
+            own = se3.act(T_camera_c, points) if k else points
+            at, J = project_with_jacobian(camera, np.where(usable, own, [0.0, 0.0, 1.0]))
+            errors.append(np.where(usable, pixels[k] - at, 0.0))
+            by_point.append(np.where(usable[..., None], J @ T_camera_c[:3, :3] if k else J, 0.0))
+        A = np.concatenate(by_point, axis=-2)
+        A = np.where(several[..., None, None], A, np.eye(A.shape[-2], 3))
+        transposed, error = np.swapaxes(A, -1, -2), np.concatenate(errors, axis=-1)
+        step = np.linalg.solve(transposed @ A, transposed @ error[..., None])[..., 0]
         depth = points[..., 2:]
         step *= np.minimum(1.0, depth / 2 / np.maximum(np.abs(step[..., 2:]), 1e-12))
-        points = np.where(both[..., None], points + step, points)
+        points = np.where(several[..., None], points + step, points)
     return points

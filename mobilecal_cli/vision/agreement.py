@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, FloatArray, Rejection, StereoRig
+from mobilecal_cli.model import Board, CameraRig, FloatArray, Rejection
 from mobilecal_cli.vision.averaging import turned_board, turns_of
 from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
 from mobilecal_cli.vision.stereo import triangulate
@@ -45,7 +45,9 @@ def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | 
         The stations, and a note if all of them disagree with camera_info.
     """
     found = [one for one in measured if isinstance(one, Measured)]
-    epipolar_px, common_px = _limit([one.points.rms_px for one in found], _EPIPOLAR_PX)
+    epipolar_px, common_px = _limit(
+        [one.points.rms_px for one in found if one.points is not None], _EPIPOLAR_PX
+    )
     flat_px, _ = _limit([one.pose.rms_px for one in found], _FLAT_PX)
     notes: tuple[str, ...] = ()
     if common_px > _EPIPOLAR_PX:
@@ -66,7 +68,7 @@ def _limit(rms_px: Sequence[float], usual_px: float) -> tuple[float, float]:
 
 
 def _judged(one: Measured, epipolar_px: float, flat_px: float) -> Measured | Rejection:
-    if one.points.rms_px > epipolar_px:
+    if one.points is not None and one.points.rms_px > epipolar_px:
         detail = (
             f"distance from the epipolar lines {one.points.rms_px:.2f} px rms, limit {epipolar_px:.1f} px"
         )
@@ -79,20 +81,20 @@ def _judged(one: Measured, epipolar_px: float, flat_px: float) -> Measured | Rej
     return one.rejected(INCONSISTENT, detail)
 
 
-def _exchanged(_: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+def _exchanged(_: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
     return [(right, left)]
 
 
-def _mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    return [([rig.left.width - 1, 0] + left * [-1, 1], [rig.right.width - 1, 0] + right * [-1, 1])]
+def _mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    return [([rig.each[0].width - 1, 0] + left * [-1, 1], [rig.each[1].width - 1, 0] + right * [-1, 1])]
 
 
-def _left_mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+def _left_mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
     ((corners, _),) = _mirrored(rig, board, left, right)
     return [(numbered, right) for numbered in _as_mirrored(board, corners)]
 
 
-def _right_mirrored(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+def _right_mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
     ((_, corners),) = _mirrored(rig, board, left, right)
     return [(left, numbered) for numbered in _as_mirrored(board, corners)]
 
@@ -103,13 +105,13 @@ def _as_mirrored(board: Board, corners: FloatArray) -> list[FloatArray]:
     return [grid[:, ::-1].reshape(-1, 2), grid[::-1].reshape(-1, 2)]
 
 
-def _upside_down(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    ends = [[camera.width - 1, camera.height - 1] for camera in (rig.left, rig.right)]
+def _upside_down(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
+    ends = [[camera.width - 1, camera.height - 1] for camera in rig.each]
     return [(ends[0] - left, ends[1] - right)]
 
 
 #: What may have happened to the images, what undoes it on the corners, and the cure.
-_MISTAKES: Mapping[str, tuple[Callable[[StereoRig, Board, FloatArray, FloatArray], list[Pixels]], str]] = {
+_MISTAKES: Mapping[str, tuple[Callable[[CameraRig, Board, FloatArray, FloatArray], list[Pixels]], str]] = {
     "the left and the right images are exchanged": (
         _exchanged,
         "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
@@ -138,12 +140,12 @@ _EARLY = "the images of the left camera are those of the station before"
 _CLOCK = "check that both cameras send each image at once, with the time of its exposure, and record again"
 
 
-def _misfit_px(rig: StereoRig, board: Board, left: FloatArray, right: FloatArray, seen: Pair) -> float:
+def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray, seen: Pair) -> float:
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
     both = seen[0].seen & seen[1].seen
     best = np.inf
     for turns in turns_of(board):
-        points = triangulate(rig, left[both], turned_board(right, board, turns)[both], 1.0, 1.0)
+        points = triangulate(rig, [left[both], turned_board(right, board, turns)[both]], [1.0, 1.0])
         if isinstance(points, StereoPoints):
             best = min(best, points.rms_px)
     return best
@@ -174,9 +176,9 @@ def _check_repeated(pairs: Sequence[Pair]) -> None:
 
 
 def check_arrangement(
-    measured: Sequence[Measured | Rejection], pairs: Sequence[Pair], rig: StereoRig, board: Board
+    measured: Sequence[Measured | Rejection], pairs: Sequence[Pair], rig: CameraRig, board: Board
 ) -> None:
-    """Name the mistake if the images of most stations cannot belong to camera_info.
+    """Name the mistake if the images of a stereo pair cannot belong to camera_info at most stations.
 
     Args:
         measured: the stations of a recording.
@@ -187,10 +189,12 @@ def check_arrangement(
         ObservationError: the images are exchanged, mirrored, upside down, of one camera or of another station, or
             camera_info is grossly wrong.
     """
+    if not rig.calibrated:
+        return
     if len(pairs) >= _FEWEST:
         _check_repeated(pairs)
     gross = [
-        one.points.rms_px > _GROSS_PX if isinstance(one, Measured) else one.reason == INCONSISTENT
+        one.points is None or one.points.rms_px > _GROSS_PX if isinstance(one, Measured) else True
         for one in measured
         if isinstance(one, Measured) or one.reason == INCONSISTENT
     ]
@@ -230,7 +234,7 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     Raises:
         ObservationError: they differ at the median of enough stations; names a unit given as meters.
     """
-    sides_m = [one.square_m for one in measured if isinstance(one, Measured)]
+    sides_m = [one.square_m for one in measured if isinstance(one, Measured) and one.points is not None]
     if len(sides_m) < _FEWEST:
         return
     side_m = float(np.median(sides_m))

@@ -57,14 +57,13 @@ def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observa
     square_m = observation.square_m if board.square_m is None else board.square_m
     grid_m = square_m * board.grid()
     T_k_turned = absolute_orientation(renumber(grid_m), grid_m)
-    left, right = (
-        replace(corners, pixels=renumber(corners.pixels), relative_cov=renumber(corners.relative_cov))
-        for corners in (observation.left, observation.right)
+    views = tuple(
+        replace(view, pixels=renumber(view.pixels), relative_cov=renumber(view.relative_cov))
+        for view in observation.views
     )
     return replace(
         observation,
-        left=left,
-        right=right,
+        views=views,
         points_c=renumber(observation.points_c),
         points_cov=renumber(observation.points_cov),
         T_c_k=observation.T_c_k @ T_k_turned,

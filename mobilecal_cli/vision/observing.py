@@ -5,22 +5,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.camera import project
 from mobilecal_cli.model import (
     Board,
+    BoolArray,
+    CameraRig,
     Corners,
     FloatArray,
     Observation,
     Rejection,
     Station,
-    StereoRig,
 )
 from mobilecal_cli.vision.averaging import StationCorners, turned_board, turns_of
-from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
-from mobilecal_cli.vision.stereo import reproject, triangulate
+from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
+from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints
 
 _MAX_DRIFT_PX = 0.5
@@ -28,7 +31,7 @@ _DRIFT_SIGMAS = 4.0
 #: Largest acceptable difference of a square's measured side from the stated one, as a share.
 SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
-#: Reason of stations whose two images contradict each other.
+#: Reason of stations whose images contradict each other.
 INCONSISTENT: Reason = "left and right images inconsistent"
 _LEAST_IN_BOTH = 8  # for boards with markers, which may be partly visible
 
@@ -39,97 +42,80 @@ def _by_reason(misses: Sequence[Miss]) -> str:
     return "; ".join(f"{count} x {reason} ({first[reason]})" for reason, count in counts)
 
 
-def _no_pair(left: Sequence[Detection | Miss], right: Sequence[Detection | Miss]) -> tuple[str, str]:
-    """Reason and detail for a station without a stereo pair that shows the board in both images."""
-    misses = {
-        side: [item for item in items if isinstance(item, Miss)]
-        for side, items in (("left", left), ("right", right))
-    }
-    every = [*misses["left"], *misses["right"]]
+def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | None]]) -> tuple[str, str]:
+    """Reason and detail for a station without images that show the board to enough cameras."""
+    by_camera = zip(names, zip(*shots, strict=True), strict=True)
+    misses = {name: [item for item in items if isinstance(item, Miss)] for name, items in by_camera}
+    every = [miss for of_camera in misses.values() for miss in of_camera]
+    what = {1: "images", 2: "stereo pairs"}.get(len(names), "groups of images")
     if not every:
-        return "no stereo pairs", "the station has no stereo pairs"
-    sides = [f"{side}: {_by_reason(items)}" for side, items in misses.items() if items]
-    detail = f"{len(left)} stereo pairs; " + "; ".join(sides)
+        return f"no {what}", f"the station has no {what}"
+    details = [f"{name}: {_by_reason(items)}" for name, items in misses.items() if items]
+    detail = f"{len(shots)} {what}; " + "; ".join(details)
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
 def _best_fit(
-    rig: StereoRig, left: Corners, right: Corners, board: Board
-) -> tuple[StereoPoints | Miss, Corners]:
-    """Triangulate the corners that both cameras see, after renumbering the right image to match the left.
+    rig: CameraRig, views: Sequence[Corners], board: Board
+) -> tuple[StereoPoints | Miss, tuple[Corners, ...]]:
+    """Triangulate the corners that all cameras see, after renumbering the other images to match the first.
 
     The numbering that fits best is used. The rows of any other are several squares apart.
     """
-    both = left.seen & right.seen
-    fits = []
-    for k in turns_of(board):
-        option = replace(
-            right,
-            pixels=turned_board(right.pixels, board, k),
-            relative_cov=turned_board(right.relative_cov, board, k),
-        )
-        fit = triangulate(
-            rig, left.pixels[both], option.pixels[both], left.cov_px2[both], option.cov_px2[both]
-        )
-        fits.append((fit, option))
+    common = _common(views)
+    fits: list[tuple[StereoPoints | Miss, tuple[Corners, ...]]] = []
+    for turns in product(turns_of(board), repeat=len(views) - 1):
+        option = (views[0], *(_renumbered(view, board, k) for view, k in zip(views[1:], turns, strict=True)))
+        pixels, noises = _common_pixels(option, common)
+        fits.append((triangulate(rig, pixels, noises), option))
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Whole:
-    """All corners of the board: detected ones, and the others predicted from the board's pose."""
-
-    left: Corners
-    right: Corners
-    points_c: FloatArray
-    points_cov: FloatArray
-
-
-def _completed(
-    rig: StereoRig, pose: BoardPose, points_k: FloatArray, points: StereoPoints, left: Corners, right: Corners
-) -> _Whole:
-    both = left.seen & right.seen
-    if both.all():
-        return _Whole(left, right, points.points_c, points.points_cov)
-    points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
-    moves = np.concatenate([-se3.skew(points_c), np.broadcast_to(np.eye(3), (len(points_c), 3, 3))], axis=-1)
-    points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
-    expected, _ = reproject(rig, points_c)
-    points_c[both], points_cov[both] = points.points_c, points.points_cov
-    return _Whole(
-        replace(left, pixels=np.where(left.seen[:, None], left.pixels, expected[:, :2])),
-        replace(right, pixels=np.where(right.seen[:, None], right.pixels, expected[:, 2:])),
-        points_c,
-        points_cov,
+def _renumbered(view: Corners, board: Board, quarter_turns: int) -> Corners:
+    return replace(
+        view,
+        pixels=turned_board(view.pixels, board, quarter_turns),
+        relative_cov=turned_board(view.relative_cov, board, quarter_turns),
     )
+
+
+def _common(views: Sequence[Corners]) -> BoolArray:
+    """(M,) corners that all of these cameras see."""
+    return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
+
+
+def _common_pixels(views: Sequence[Corners], common: BoolArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Pixels (m, 2) and their covariances (m, 2, 2) in each camera."""
+    return [view.pixels[common] for view in views], [view.cov_px2[common] for view in views]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """The board at one station, with the square size given by the stereo baseline.
+    """The board at one station. With two or more cameras, their distance gives the size of its squares.
 
     Attributes:
         log, station: index of the recording, and the station.
-        rig, board: the cameras, and the board to detect.
-        left, right: all corners in each image; some may not be detected.
-        points: triangulated corners that both cameras see.
-        pose: of the board, with free scale; it is fitted to unit squares times `rough_m`.
+        rig, board: all cameras, and the board to detect.
+        shown: indices of the cameras that show the board.
+        views: all corners in the image of each of these; some may not be detected.
+        points: triangulated corners that all of these see; None for one camera.
+        pose: of the board, with free scale, fitted to unit squares times `rough_m`; of one camera, with stated size.
         rough_m: initial estimate of a square's side, m.
     """
 
     log: int
     station: Station
-    rig: StereoRig
+    rig: CameraRig
     board: Board
-    left: Corners
-    right: Corners
-    points: StereoPoints
+    shown: tuple[int, ...]
+    views: tuple[Corners, ...]
+    points: StereoPoints | None
     pose: BoardPose
     rough_m: float
 
     @property
     def square_m(self) -> float:
-        """Side of a square as measured at this station, m."""
+        """Side of a square as measured at this station, m; as stated, if one camera shows the board."""
         return self.rough_m * self.pose.scale
 
     def rejected(self, reason: str, detail: str) -> Rejection:
@@ -137,28 +123,34 @@ class Measured:
         return Rejection("vision", reason, detail, self.station.time_ns, self.station.index, self.log)
 
 
-def _seen_by_both(left: Corners, right: Corners) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pixels, (M, 2) px, and covariances, (M, 2, 2) px^2, of corners that both cameras see."""
-    both = left.seen & right.seen
-    return left.pixels[both], right.pixels[both], left.cov_px2[both], right.cov_px2[both]
+def _showing(
+    shots: Sequence[Sequence[Detection | Miss | None]], fewest: int
+) -> tuple[tuple[int, ...], list[list[Detection]]]:
+    """The largest group of cameras that show the board together, and their detections in each shot in which they do."""
+    groups = Counter(tuple(k for k, item in enumerate(shot) if isinstance(item, Detection)) for shot in shots)
+    enough = [group for group in groups if len(group) >= fewest]
+    if not enough:
+        return (), []
+    best = max(enough, key=lambda group: (len(group), groups[group]))
+    detected = [[item for k in best if isinstance(item := shot[k], Detection)] for shot in shots]
+    return best, [found for found in detected if len(found) == len(best)]
 
 
 def measure(
     log: int,
     station: Station,
-    left: Sequence[Detection | Miss],
-    right: Sequence[Detection | Miss],
-    rig: StereoRig,
+    shots: Sequence[Sequence[Detection | Miss | None]],
+    rig: CameraRig,
     board: Board,
 ) -> Measured | Rejection:
     """Average and triangulate the corners of a station.
 
     Args:
         log: index of the recording.
-        station: its stereo pairs and joint readings.
-        left, right: detections in the images of each stereo pair, in the order of `station.pairs`.
-        rig: the stereo pair of cameras.
-        board: the board's size.
+        station: its shots and joint readings.
+        shots: detection in the image of each camera, for each shot, in the order of `station.shots`; None: no image.
+        rig: the cameras.
+        board: the board's size, with the size of its squares where one camera may show it alone.
 
     Returns:
         The board at this station, or a rejection.
@@ -167,41 +159,87 @@ def measure(
     def rejected(reason: str, detail: str) -> Rejection:
         return Rejection("vision", reason, detail, station.time_ns, station.index, log)
 
-    detected = [
-        (a, b)
-        for a, b in zip(left, right, strict=True)
-        if isinstance(a, Detection) and isinstance(b, Detection)
-    ]
-    if not detected:
-        return rejected(*_no_pair(left, right))
-    images_left = StationCorners.of([a for a, _ in detected], board)
-    images_right = StationCorners.of([b for _, b in detected], board)
-    drift_px = np.maximum(images_left.drift_px, images_right.drift_px)
-    claimed_px = float(np.median([max(a.sigma_px, b.sigma_px) for a, b in detected]))
+    shown, detected = _showing(shots, max(rig.fewest, 1))
+    if not shown:
+        return rejected(*_unusable(rig.names, shots))
+    images = [StationCorners.of(found, board) for found in zip(*detected, strict=True)]
+    drift_px = np.max([of_camera.drift_px for of_camera in images], axis=0)
+    claimed_px = float(np.median([max(d.sigma_px for d in found) for found in detected]))
     limit_px = max(_MAX_DRIFT_PX, _DRIFT_SIGMAS * claimed_px)
     still = drift_px <= limit_px
     if 2 * np.sum(still) <= len(detected):
+        what = "stereo pairs" if len(shown) > 1 else "images"
         return rejected(
             "board or robot moved during the stop",
-            f"corners drift by {drift_px.max():.2f} px over {len(detected)} stereo pairs, limit {limit_px:.2f} px",
+            f"corners drift by {drift_px.max():.2f} px over {len(detected)} {what}, limit {limit_px:.2f} px",
         )
-    corners_left = images_left.select(still).average(board, rig.left)
-    corners_right = images_right.select(still).average(board, rig.right)
-    both = corners_left.seen & corners_right.seen
-    if both.sum() < _LEAST_IN_BOTH:
+    views = tuple(
+        of_camera.select(still).average(board, rig.each[k])
+        for k, of_camera in zip(shown, images, strict=True)
+    )
+    common, own = _common(views), rig.some(shown)
+    if common.sum() < _LEAST_IN_BOTH:
+        where = {1: "in the image", 2: "in both images"}.get(len(shown), "in all images")
         return rejected(
             "board partly occluded or outside the image",
-            f"{both.sum()} of {board.corners} corners visible in both images, minimum {_LEAST_IN_BOTH}",
+            f"{common.sum()} of {board.corners} corners visible {where}, minimum {_LEAST_IN_BOTH}",
         )
-    points, corners_right = _best_fit(rig, corners_left, corners_right, board)
+    grid = board.grid()[common]
+    if len(shown) == 1:
+        square_m = board.square_m or 1.0
+        ((pixels,), (noise,)) = _common_pixels(views, common)
+        pose = pose_from_one(own, square_m * grid, pixels, noise)
+        if isinstance(pose, Miss):
+            return rejected(pose.reason, pose.detail)
+        return Measured(log, station, rig, board, shown, views, None, pose, square_m)
+    points, views = _best_fit(own, views, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
-    grid = board.grid()[both]
     rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)
-    pictures = _seen_by_both(corners_left, corners_right)
-    pose = board_pose(rig, rough_m * grid, *pictures, start, free_scale=True)
-    return Measured(log, station, rig, board, corners_left, corners_right, points, pose, rough_m)
+    pose = board_pose(own, rough_m * grid, *_common_pixels(views, common), start, free_scale=True)
+    return Measured(log, station, rig, board, shown, views, points, pose, rough_m)
+
+
+def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k: FloatArray) -> Observation:
+    """The observation of all corners: detected ones, and the others predicted from the board's pose."""
+    common = _common(views)
+    points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
+    moves = np.concatenate([-se3.skew(points_c), np.broadcast_to(np.eye(3), (len(points_c), 3, 3))], axis=-1)
+    points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
+    whole: list[Corners] = []
+    for k, lens in enumerate(m.rig.each):
+        view = views[m.shown.index(k)] if k in m.shown else None
+        if view is not None and view.seen.all():
+            whole.append(view)
+            continue
+        own_points = se3.act(se3.inverse(m.rig.T_c_each[k]), points_c)
+        ahead = own_points[:, 2:] > 0
+        expected = np.where(ahead, project(lens, np.where(ahead, own_points, [0.0, 0.0, 1.0])), 0.0)
+        if view is None:
+            nothing = np.zeros(len(points_c), dtype=np.bool_)
+            whole.append(
+                Corners(expected, 1.0, 0, nothing, np.broadcast_to(np.eye(2), (len(points_c), 2, 2)))
+            )
+        else:
+            whole.append(replace(view, pixels=np.where(view.seen[:, None], view.pixels, expected)))
+    if m.points is not None:
+        points_c[common], points_cov[common] = m.points.points_c, m.points.points_cov
+    return Observation(
+        log=m.log,
+        station=m.station.index,
+        time_ns=m.station.time_ns,
+        at_rest=m.station.at_rest,
+        joints=m.station.joints,
+        joints_std=m.station.joints_std,
+        views=tuple(whole),
+        points_c=points_c,
+        points_cov=points_cov,
+        T_c_k=pose.T_c_k,
+        T_c_k_cov=pose.T_c_k_cov,
+        square_m=m.square_m,
+        reprojection_px=pose.rms_px,
+    )
 
 
 def resolve_square(measured: Measured, square_m: float | None) -> Observation | Rejection:
@@ -214,39 +252,23 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
     Returns:
         The observation, or a rejection. `Observation.square_m` is always the station's own estimate.
     """
-    m, pose, left, right = measured, measured.pose, measured.left, measured.right
-    if square_m is not None:
+    m, pose, views = measured, measured.pose, measured.views
+    if square_m is not None and m.points is not None:
         tolerance_m = max(SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
         if abs(m.square_m - square_m) > tolerance_m:
             return m.rejected(
                 "unexpected square size",
                 f"triangulated squares are {1e3 * m.square_m:.1f} mm wide, expected {1e3 * square_m:.1f} mm",
             )
-        grid = m.board.grid()[left.seen & right.seen]
+        common = _common(views)
         R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
-        pose = board_pose(m.rig, square_m * grid, *_seen_by_both(left, right), start)
+        grid = m.board.grid()[common]
+        pose = board_pose(m.rig.some(m.shown), square_m * grid, *_common_pixels(views, common), start)
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
-        left, right = (
-            replace(corners, sigma_px=max(min(corners.sigma_px, pose.rms_px), FLOOR_PX))
-            for corners in (left, right)
+        views = tuple(
+            replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views
         )
     side_m = m.square_m if square_m is None else square_m
-    whole = _completed(m.rig, pose, side_m * m.board.grid(), m.points, left, right)
-    return Observation(
-        log=m.log,
-        station=m.station.index,
-        time_ns=m.station.time_ns,
-        at_rest=m.station.at_rest,
-        joints=m.station.joints,
-        joints_std=m.station.joints_std,
-        left=whole.left,
-        right=whole.right,
-        points_c=whole.points_c,
-        points_cov=whole.points_cov,
-        T_c_k=pose.T_c_k,
-        T_c_k_cov=pose.T_c_k_cov,
-        square_m=m.square_m,
-        reprojection_px=pose.rms_px,
-    )
+    return _completed(m, pose, views, side_m * m.board.grid())

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from mobilecal_cli import se3
-from mobilecal_cli.model import FloatArray, StereoRig
+from mobilecal_cli import camera, se3
+from mobilecal_cli.model import CameraRig, FloatArray
 from mobilecal_cli.vision.stereo import Noise, depths, reproject, whitening
-from mobilecal_cli.vision.values import BoardPose, rms
+from mobilecal_cli.vision.values import BoardPose, Miss, rms
 
 _STEPS = 50
 _FACTOR = 10.0
@@ -56,20 +58,20 @@ def square_from_points(points_c: FloatArray, grid: FloatArray) -> float:
 
 
 def pose_residuals(
-    rig: StereoRig, T_c_k: FloatArray, points_k: FloatArray, measured: FloatArray
+    rig: CameraRig, T_c_k: FloatArray, points_k: FloatArray, measured: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Reprojection residuals of the board's corners in both images, and their Jacobian.
+    """Reprojection residuals of the board's corners in all images, and their Jacobian.
     With T = exp(delta) T_c_k a point moves by dx_c = -skew(x_c) rho + tau; the logarithm of a common factor
     on `points_k` moves it by x_c - p_c_k.
 
     Args:
-        rig: the stereo pair.
+        rig: the cameras.
         T_c_k: (4, 4) pose.
         points_k: (M, 3) corners on the board, m.
-        measured: (M, 4) left u v, right u v, px.
+        measured: (M, 2 C) u v of each camera, px.
 
     Returns:
-        (M, 4) measured minus predicted, px, and (M, 4, 7) derivative of the prediction with respect to (rho,
+        (M, 2 C) measured minus predicted, px, and (M, 2 C, 7) derivative of the prediction with respect to (rho,
         tau, log scale).
     """
     points_c = points_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
@@ -82,31 +84,29 @@ def pose_residuals(
 
 
 def board_pose(
-    rig: StereoRig,
+    rig: CameraRig,
     points_k: FloatArray,
-    pixels_left: FloatArray,
-    pixels_right: FloatArray,
-    noise_left: Noise,
-    noise_right: Noise,
+    pixels: Sequence[FloatArray],
+    noises: Sequence[Noise],
     start: FloatArray,
     free_scale: bool = False,
 ) -> BoardPose:
-    """Board pose of least reprojection error in both images (Levenberg-Marquardt, analytic Jacobians).
+    """Board pose of least reprojection error in all images (Levenberg-Marquardt, analytic Jacobians).
 
     Args:
-        rig: the stereo pair.
+        rig: the cameras.
         points_k: (M, 3) corners on the board, m.
-        pixels_left, pixels_right: (M, 2) corners in each image, px.
-        noise_left, noise_right: sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
-        start: (4, 4) initial T_c_k, in front of both cameras.
+        pixels: of each camera, (M, 2) corners, px.
+        noises: of each camera, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
+        start: (4, 4) initial T_c_k, in front of the cameras.
         free_scale: also estimate a common factor on `points_k`.
 
     Returns:
         The pose. Its covariance is (J^T W J)^-1 at the given noise, and includes the uncertainty of a free
         scale.
     """
-    measured = np.hstack([pixels_left, pixels_right])
-    root = whitening(noise_left, noise_right, len(points_k))
+    measured = np.hstack(pixels)
+    root = whitening(noises, len(points_k))
 
     def whitened(residual: FloatArray) -> FloatArray:
         return np.asarray((root @ residual[..., None])[..., 0])
@@ -146,3 +146,45 @@ def board_pose(
     covariance = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
     scale_sigma = float(np.sqrt(covariance[6, 6])) * scale if free_scale else 0.0
     return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms(residual))
+
+
+def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, noise: Noise) -> BoardPose | Miss:
+    """Board pose by a single camera, from corners in one plane with known distances.
+
+    The homography from the board to the image (Zhang, "A flexible new technique for camera calibration", 2000, section
+    3.1) gives one start. The board tilted the other way looks nearly the same, which gives the other.
+
+    Args:
+        rig: one camera.
+        points_k: (M, 3) corners on the board, m.
+        pixels: (M, 2) px.
+        noise: see `board_pose`.
+
+    Returns:
+        The pose with the smaller reprojection error, or a Miss if there is none in front of the camera.
+    """
+    (lens,), (T_c_camera,) = rig.each, rig.T_c_each
+    flat, good = camera.undistorted(lens, pixels)
+    if not good.all():
+        detail = f"{int(np.sum(~good))} corners are outside the valid range of the camera's distortion model"
+        return Miss("no pose of the board", detail)
+    middle, size = points_k.mean(axis=0), np.ptp(points_k, axis=0).max()
+    plane = np.column_stack([(points_k - middle)[:, :2] / size, np.ones(len(points_k))])
+    zeros = np.zeros_like(plane)
+    A = np.vstack(
+        [np.hstack([plane, zeros, -flat[:, :1] * plane]), np.hstack([zeros, plane, -flat[:, 1:] * plane])]
+    )
+    H = np.linalg.svd(A)[2][-1].reshape(3, 3)
+    H = H * np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
+    U, _, Vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
+    R, t = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, size * H[:, 2]
+    view = t / np.linalg.norm(t)
+    about_view, about_normal = 2 * np.outer(view, view) - np.eye(3), np.diag([-1.0, -1.0, 1.0])
+    poses = []
+    for R_start in (R, about_view @ R @ about_normal):
+        start = T_c_camera @ se3.transform(R_start, t - R_start @ middle)
+        if np.all(depths(rig, points_k @ start[:3, :3].T + start[:3, 3]) > 0):
+            poses.append(board_pose(rig, points_k, [pixels], [noise], start))
+    if not poses:
+        return Miss("no pose of the board", "the corners are behind the camera")
+    return min(poses, key=lambda pose: pose.rms_px)

@@ -1,11 +1,13 @@
-"""Stereo geometry: projection into both cameras, and triangulation."""
+"""Geometry of several cameras: projection into all of them, and triangulation."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from mobilecal_cli import camera, se3
-from mobilecal_cli.model import FloatArray, StereoRig
+from mobilecal_cli.model import CameraRig, FloatArray
 from mobilecal_cli.vision.values import Miss, StereoPoints, rms
 
 #: Sigma of one coordinate of all corners, px; or each corner's (M, 2, 2) covariance, px^2.
@@ -15,80 +17,79 @@ _STEPS = 12
 _MAX_RMS_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
 
 
-def reproject(rig: StereoRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Project points (..., 3) into both cameras: (..., 4) px, left u v, right u v; Jacobian (..., 4, 3)."""
-    T_r_c = se3.inverse(rig.T_c_r)
-    left, J_left = camera.project_with_jacobian(rig.left, points_c)
-    right, J_right = camera.project_with_jacobian(rig.right, points_c @ T_r_c[:3, :3].T + T_r_c[:3, 3])
-    return np.concatenate([left, right], axis=-1), np.concatenate([J_left, J_right @ T_r_c[:3, :3]], axis=-2)
+def reproject(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Project points (..., 3) into all C cameras: (..., 2 C) px, u v of each; Jacobian (..., 2 C, 3)."""
+    pixels, J = [], []
+    for lens, T_c_camera in zip(rig.each, rig.T_c_each, strict=True):
+        T = se3.inverse(T_c_camera)
+        at, by_own = camera.project_with_jacobian(lens, points_c @ T[:3, :3].T + T[:3, 3])
+        pixels.append(at)
+        J.append(by_own @ T[:3, :3])
+    return np.concatenate(pixels, axis=-1), np.concatenate(J, axis=-2)
 
 
-def whitening(noise_left: Noise, noise_right: Noise, count: int) -> FloatArray:
-    """Whitening matrices W, (M, 4, 4): W^T W is the inverse covariance of `reproject`'s four coordinates."""
-    W = np.zeros((count, 4, 4))
-    for at, noise in ((slice(0, 2), noise_left), (slice(2, 4), noise_right)):
+def whitening(noises: Sequence[Noise], count: int) -> FloatArray:
+    """Whitening matrices W, (M, 2 C, 2 C): W^T W is the inverse covariance of `reproject`'s coordinates."""
+    W = np.zeros((count, 2 * len(noises), 2 * len(noises)))
+    for k, noise in enumerate(noises):
+        at = slice(2 * k, 2 * k + 2)
         cov = noise if isinstance(noise, np.ndarray) else noise**2 * np.eye(2)
         W[:, at, at] = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(cov, (count, 2, 2))))
     return W
 
 
-def depths(rig: StereoRig, points_c: FloatArray) -> FloatArray:
-    """Depths of points in the left and right camera frame: (..., 3) → (..., 2), m."""
-    T_r_c = se3.inverse(rig.T_c_r)
-    return np.stack([points_c[..., 2], points_c @ T_r_c[2, :3] + T_r_c[2, 3]], axis=-1)
+def depths(rig: CameraRig, points_c: FloatArray) -> FloatArray:
+    """Depths of points in the frame of each camera: (..., 3) → (..., C), m."""
+    T = [se3.inverse(T_c_camera) for T_c_camera in rig.T_c_each]
+    return np.stack([points_c @ each[2, :3] + each[2, 3] for each in T], axis=-1)
 
 
-def _nearest_on_left_rays(rig: StereoRig, flat_left: FloatArray, flat_right: FloatArray) -> FloatArray:
-    """Midpoints between pairs of rays: (M, 2) and (M, 2) z = 1 coordinates → (M, 3), m."""
-    ones = np.ones((len(flat_left), 1))
-    ray_left = np.hstack([flat_left, ones])
-    ray_right = np.hstack([flat_right, ones]) @ rig.T_c_r[:3, :3].T
-    origin = rig.T_c_r[:3, 3]
-    ll = np.sum(ray_left * ray_left, axis=1)
-    rr = np.sum(ray_right * ray_right, axis=1)
-    lr = np.sum(ray_left * ray_right, axis=1)
+def _nearest_to_rays(rig: CameraRig, flat: Sequence[FloatArray]) -> FloatArray:
+    """Midpoints between the rays of the first two cameras: (M, 2) z = 1 coordinates of each → (M, 3), m."""
+    ones = np.ones((len(flat[0]), 1))
+    ray, other = (np.hstack([f, ones]) @ T[:3, :3].T for f, T in zip(flat[:2], rig.T_c_each, strict=False))
+    start, end = (T[:3, 3] for T in rig.T_c_each[:2])
+    origin = end - start
+    aa = np.sum(ray * ray, axis=1)
+    bb = np.sum(other * other, axis=1)
+    ab = np.sum(ray * other, axis=1)
     # Parallel rays intersect at infinity; a small determinant keeps the result finite.
-    determinant = ll * rr - lr * lr
+    determinant = aa * bb - ab * ab
     determinant = np.where(np.abs(determinant) < 1e-14, 1e-14, determinant)
-    along_left = (rr * (ray_left @ origin) - lr * (ray_right @ origin)) / determinant
-    along_right = (lr * (ray_left @ origin) - ll * (ray_right @ origin)) / determinant
-    midpoint: FloatArray = 0.5 * (along_left[:, None] * ray_left + origin + along_right[:, None] * ray_right)
+    along = (bb * (ray @ origin) - ab * (other @ origin)) / determinant
+    along_other = (ab * (ray @ origin) - aa * (other @ origin)) / determinant
+    midpoint: FloatArray = start + 0.5 * (along[:, None] * ray + origin + along_other[:, None] * other)
     return midpoint
 
 
-def triangulate(
-    rig: StereoRig,
-    pixels_left: FloatArray,
-    pixels_right: FloatArray,
-    noise_left: Noise,
-    noise_right: Noise,
-) -> StereoPoints | Miss:
-    """Triangulate pairs of pixels by minimizing the reprojection error.
+def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[Noise]) -> StereoPoints | Miss:
+    """Triangulate the pixels of two or more cameras by minimizing the reprojection error.
 
-    Starts from the midpoint of the rays and does Gauss-Newton iterations on the four residuals of each point,
-    weighted by the noise of the corners (the cost of Hartley and Sturm 1997, here for any stereo geometry and
+    Starts from the midpoint of two rays and does Gauss-Newton iterations on the residuals of each point,
+    weighted by the noise of the corners (the cost of Hartley and Sturm 1997, here for any number of cameras and
     with lens distortion). The covariance of a point is (J^T W J)^-1.
 
     Args:
-        rig: the stereo pair, raw or rectified.
-        pixels_left, pixels_right: (M, 2) the same points in each image, px.
-        noise_left, noise_right: sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
+        rig: the cameras, raw or rectified.
+        pixels: of each camera, (M, 2) the same points, px.
+        noises: of each camera, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
 
     Returns:
-        The points, or a Miss if they are behind a camera or the pairs are inconsistent.
+        The points, or a Miss if they are behind a camera or the pixels are inconsistent.
     """
-    flat_left, good_left = camera.undistorted(rig.left, pixels_left)
-    flat_right, good_right = camera.undistorted(rig.right, pixels_right)
-    if not (good_left.all() and good_right.all()):
-        count = int(np.sum(~good_left) + np.sum(~good_right))
+    flat, good = zip(
+        *(camera.undistorted(lens, at) for lens, at in zip(rig.each, pixels, strict=True)), strict=True
+    )
+    if not all(each.all() for each in good):
+        count = sum(int(np.sum(~each)) for each in good)
         return Miss(
             "left and right images inconsistent",
             f"{count} corners are outside the valid range of the cameras' distortion models",
         )
-    points = _nearest_on_left_rays(rig, flat_left, flat_right)
+    points = _nearest_to_rays(rig, flat)
     behind = Miss("left and right images inconsistent", "triangulated corners are behind a camera")
-    measured = np.hstack([pixels_left, pixels_right])
-    root = whitening(noise_left, noise_right, len(points))
+    measured = np.hstack(pixels)
+    root = whitening(noises, len(points))
     for _ in range(_STEPS):
         if np.any(depths(rig, points) <= 0):
             return behind

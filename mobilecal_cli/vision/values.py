@@ -22,6 +22,7 @@ Reason = Literal[
     "second board in view",
     "board of a different size",
     "left and right images inconsistent",
+    "no pose of the board",
 ]
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
@@ -86,13 +87,13 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoPoints:
-    """Corners seen by both cameras.
+    """Corners seen by two or more cameras.
 
     Attributes:
-        points_c: (M, 3) in the left camera's frame, m.
+        points_c: (M, 3) in the first camera's frame, m.
         points_cov: (M, 3, 3) their covariances, m^2.
-        rms_px: root mean square of the reprojection residuals (four per point), px; one of the four is the
-            distance from the epipolar line, the other three are fitted.
+        rms_px: root mean square of the reprojection residuals (two per point and camera), px; of two cameras' four, one
+            is the distance from the epipolar line, the other three are fitted.
     """
 
     points_c: FloatArray
@@ -108,7 +109,7 @@ class BoardPose:
     """Pose of the board.
 
     Attributes:
-        T_c_k: (4, 4) board coordinates to left camera coordinates, m.
+        T_c_k: (4, 4) board coordinates to first camera coordinates, m.
         T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
         scale: best factor on the board's points; 1 if it was fixed.
         scale_sigma: its standard deviation; 0 if it was fixed.

@@ -9,7 +9,18 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.bench.imperfect import ROBOTS, USUAL, Case, Run, all_kinds, bound_of, given, run_of, with_noise
+from tests.bench.imperfect import (
+    ROBOTS,
+    USUAL,
+    Case,
+    Run,
+    all_kinds,
+    bound_of,
+    given,
+    run_of,
+    true_robot,
+    with_noise,
+)
 from tests.bench.simulated import HEADER, RUNS_PER_ROUTE, as_described, conditions, errors, map_runs, row
 
 CASES = {
@@ -17,6 +28,8 @@ CASES = {
     "pan-tilt robot, N = 20": Case("pan-tilt", 20),
     "pan-tilt robot, N = 40": Case("pan-tilt", 40),
     "pan-tilt robot, moving, 40 images": Case("pan-tilt", 20, "moving"),
+    "skid-steered robot with four wheel joints, N = 20": Case("skid-steer", 20),
+    "odometry alone, N = 20": Case("odometry", 20),
 }
 _SHORT = HEADER.replace(" (deg)", "").replace(" (mm)", "")
 
@@ -30,13 +43,15 @@ def drawn(name: str) -> Case:
 def one_run(name: str, seed: int) -> tuple[Run, Run]:
     """Noise levels given, and estimated."""
     case = drawn(name)
-    extraction, robot = case.extraction(seed), ROBOTS[case.robot]()
+    extraction = case.extraction(seed)
+    robot = true_robot(ROBOTS[case.robot](), extraction, case.route(seed))
     return run_of(with_noise(extraction, given(USUAL)), robot), run_of(extraction, robot)
 
 
 def price_of(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Errors on a robot that is exactly as described: with uncertain constants, and taking everything for exact."""
-    extraction, robot = CASES[name].extraction(seed), ROBOTS[CASES[name].robot]()
+    extraction = CASES[name].extraction(seed)
+    robot = true_robot(ROBOTS[CASES[name].robot](), extraction, CASES[name].route(seed))
     fits = (maximum_likelihood(each) for each in (extraction, as_described(extraction)))
     uncertain, exact = (errors(fit.lin.state.parameters, robot) for fit in fits)
     return uncertain, exact

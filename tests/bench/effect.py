@@ -16,13 +16,14 @@ from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from mobilecal_cli.vision import Miss, board_pose, triangulate
+from mobilecal_cli.vision import Miss
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import DEGREES_MM, HEADER, JOINT_RAD, WHEEL, errors, map_runs, route_of, row
 from tests.bench.tables import paragraph
 from tests.extractions import Noise, ideal_extraction
+from tests.pairs import board_pose, triangulate, with_views
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
@@ -36,13 +37,13 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     rig, times_s = robot.rig_cameras, station_times_s(route)
     made = []
     T_w_v = base_in_world(route.drive.poses(times_s))
-    for k, camera in enumerate((rig.left, rig.right)):
+    for k, camera in enumerate((rig.each[0], rig.each[1])):
         renderer = BoardRenderer(
             camera, BoardShape(route.board), _BLUR_PX, np.random.default_rng([number, k])
         )
         for i, joints in enumerate(route.joints(times_s)):
             T_c_k = se3.inverse(T_w_v[i] @ robot.head_pose(joints) @ robot.T_h_c) @ route.T_w_k
-            T = T_c_k if k == 0 else se3.inverse(rig.T_c_r) @ T_c_k
+            T = T_c_k if k == 0 else se3.inverse(rig.T_c_each[1]) @ T_c_k
             corners = pixels(camera, route.corners_k() @ T[:3, :3].T + T[:3, 3])
             made.append((renderer.picture(T).copy(), corners.reshape(_SHAPE)))
     return tuple(made)
@@ -77,7 +78,7 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
             rig, points_k, left.pixels, right.pixels, left.cov_px2, right.cov_px2, observation.T_c_k
         )
         seen.append(
-            replace(
+            with_views(
                 observation, left=left, right=right, points_c=points.points_c, points_cov=points.points_cov,
                 T_c_k=pose.T_c_k, T_c_k_cov=pose.T_c_k_cov, reprojection_px=pose.rms_px,
             )

@@ -88,7 +88,7 @@ class Terms:
                 legs=1,
             )
             self._legs.append((alone, root))
-        self._T_r_c = se3.inverse(data.cameras.T_c_r)
+        self._T_r_c = se3.inverse(data.cameras.T_c_each[1])
 
     def first(self) -> Unknowns:
         """The unknowns at the start."""
@@ -135,8 +135,8 @@ class Terms:
         H = head_pose(data.chain, joints)
         p_h = (p_v - H[:3, 3]) @ H[:3, :3]
         p_c = (p_h - head_eye[3:]) @ R_X
-        at_left, J_left = project_with_jacobian(rig.left, p_c)
-        at_right, J_right = project_with_jacobian(rig.right, se3.act(self._T_r_c, p_c))
+        at_left, J_left = project_with_jacobian(rig.each[0], p_c)
+        at_right, J_right = project_with_jacobian(rig.each[1], se3.act(self._T_r_c, p_c))
         W, seen = data.whitening[station] / TRUE_NOISE.pixel_px, data.pixels[station]
         off = np.stack([at_left - seen[0], at_right - seen[1]])
         residual = (W @ off[..., None]).ravel()

@@ -14,11 +14,33 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import Extraction, FloatArray, Jump, KnownNoise, Noise, Parameters, Solution
+from mobilecal_cli.model import (
+    AssumedOdometry,
+    CalibratedRobot,
+    Extraction,
+    FloatArray,
+    Jump,
+    KnownNoise,
+    Noise,
+    Parameters,
+    Solution,
+    Track,
+    WheelGeometry,
+    WheelTrack,
+)
+from mobilecal_cli.readers.signals.sides import sides_of
+from mobilecal_cli.readers.signals.wheels import rotations
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.imperfect import PRIORS, draw
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, tick_robot
-from mobilecal_cli.simulate.route import Motion, Route, plan_route
+from mobilecal_cli.simulate.messages import driver_odometry
+from mobilecal_cli.simulate.robot import (
+    SimulatedRobot,
+    odometry_only_robot,
+    paper_robot,
+    skid_steer_robot,
+    tick_robot,
+)
+from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import Solver
@@ -26,7 +48,12 @@ from tests import extractions
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
 
-ROBOTS = {"paper": paper_robot, "pan-tilt": tick_robot}
+ROBOTS = {
+    "paper": paper_robot,
+    "pan-tilt": tick_robot,
+    "skid-steer": skid_steer_robot,
+    "odometry": odometry_only_robot,
+}
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
 #: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
 PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
@@ -80,11 +107,84 @@ class Case:
         outside = replace(self.outside, print_seed=seed) if self.outside.print_m else self.outside
         what = Imperfection(self.constants(seed), noise, outside)
         extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+        extraction = as_recorded(robot, extraction, seed)
         return _twice(extraction) if self.twice else extraction
 
     def route(self, seed: int) -> Route:
         """The route of one run."""
         return route_of(self.robot, self.motion, self.stations, seed // RUNS_PER_ROUTE)
+
+
+#: Slip of one of several wheels of a side, rad per sqrt(rad); and the separation that is assumed of a driver over its
+#: own, as a relative standard deviation.
+OWN_SLIP, ASSUMED_SHARE = 0.001, 0.2
+
+
+def as_recorded(robot: SimulatedRobot, extraction: Extraction, seed: int) -> Extraction:
+    """The wheels as this robot records them: several joints a side, or the odometry of its driver."""
+    random = np.random.default_rng([seed, 9])
+    if robot.wheel_signal == "four_joints":
+        tracks = tuple(_of_four(track, random) for track in extraction.wheels)
+        return replace(extraction, wheels=tracks)
+    if robot.wheel_signal != "odometry":
+        return extraction
+    driver = robot.nominal_wheels
+    assumed = replace(driver, separation_m=driver.separation_m * np.exp(ASSUMED_SHARE * random.normal()))
+    tracks = tuple(_of_odometry(track, driver, assumed) for track in extraction.wheels)
+    rig = extraction.rig
+    wheels = {
+        side: replace(source, baked_in=assumed, separation_share=ASSUMED_SHARE)
+        for side, source in rig.sources.wheels.items()
+    }
+    rig = replace(
+        rig, sources=replace(rig.sources, wheels=wheels), nominal=replace(rig.nominal, wheels=assumed)
+    )
+    return replace(extraction, wheels=tracks, rig=rig)
+
+
+def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
+    sides = {}
+    for side, own in (("right", track.right), ("left", track.left)):
+        steps = np.abs(np.diff(own.value, prepend=own.value[:1]))
+        each = [
+            Track(
+                own.time_ns, own.value + np.cumsum(OWN_SLIP * np.sqrt(steps) * random.normal(size=len(steps)))
+            )
+            for _ in range(2)
+        ]
+        sides[side] = [(f"{side} {k}", one) for k, one in enumerate(each)]
+    notes: list[str] = []
+    averaged = sides_of(sides, notes)
+    assert not notes
+    return WheelTrack(averaged["right"], averaged["left"])
+
+
+def _of_odometry(track: WheelTrack, driver: WheelGeometry, assumed: WheelGeometry) -> WheelTrack:
+    rolled = np.stack([track.right.value, track.left.value], axis=1)
+    poses = driver_odometry(rolled, driver)
+    right, left, jumps = rotations(poses[:, :2], poses[:, 2], assumed)
+    assert not jumps
+    return WheelTrack.at_same_times(track.time_ns, right, left)
+
+
+def true_robot(robot: SimulatedRobot, extraction: Extraction, route: Route) -> SimulatedRobot:
+    """The robot with the wheels that are true of an extraction.
+
+    Of odometry, these are factors of the assumed wheels; of wheels that slip, the separation is that at the mean
+    turning rate.
+    """
+    odometry = extraction.rig.sources.assumed_odometry
+    if robot.slip:
+        turns = [(abs(s.w_radps), abs(s.w_radps) * s.duration_s) for s in route.drive.stretches]
+        mean_radps = sum(rate * turn for rate, turn in turns) / sum(turn for _, turn in turns)
+        wheels = robot.wheels
+        wider = 1 + robot.slip * (mean_radps - TURN_RADPS)
+        return replace(robot, wheels=replace(wheels, separation_m=wheels.separation_m * wider))
+    if odometry is None:
+        return robot
+    driver = AssumedOdometry(odometry.topic, robot.nominal_wheels)
+    calibrated = CalibratedRobot("", "", np.eye(4), robot.wheels, odometry=driver)
+    return replace(robot, wheels=calibrated.with_assumed(odometry.wheels).wheels)
 
 
 def _twice(extraction: Extraction) -> Extraction:

@@ -20,6 +20,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import USUAL, Case, all_kinds
 from tests.bench.simulated import conditions
+from tests.pairs import with_views
 
 _NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 #: Cases, times of the priors that constants are drawn from, and number of recordings.
@@ -46,11 +47,13 @@ def shaken(extraction: Extraction) -> Extraction:
     """The same with 1e-6 px of noise on all corners."""
     random = np.random.default_rng(3)
     seen = [
-        replace(
+        with_views(
             o,
-            left=replace(o.left, pixels=o.left.pixels + _NOISE_PX * random.normal(size=o.left.pixels.shape)),
+            left=replace(
+                o.views[0], pixels=o.views[0].pixels + _NOISE_PX * random.normal(size=o.views[0].pixels.shape)
+            ),
             right=replace(
-                o.right, pixels=o.right.pixels + _NOISE_PX * random.normal(size=o.right.pixels.shape)
+                o.views[1], pixels=o.views[1].pixels + _NOISE_PX * random.normal(size=o.views[1].pixels.shape)
             ),
         )
         for o in extraction.observations

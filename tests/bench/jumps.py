@@ -161,7 +161,8 @@ class Run:
     Attributes:
         result: against the values after the change.
         beyond: one of the nine, or a constant that changed, is beyond five stated sigmas of its last value.
-        named: part, and number of stations from the first one after the change; None if nothing is named.
+        named: part, and number of stations from the first one after the change; None if nothing is named. A leg
+            that is left out names "wheel slip or moved board".
     """
 
     result: Result
@@ -183,6 +184,7 @@ def one_change(case: Case, part: str, factor: float, seed: int, known: Solution)
         if name in solution.constants
     ]
     named = [(jump.part, jump.station - first) for jump in solution.jumps]
+    named += [("board", o.observations[-1] - first) for o in solution.outliers if o.kind == "slip"]
     return Run(result, result.beyond or max(off, default=0.0) > FIVE_SIGMA, named[0] if named else None)
 
 

@@ -15,7 +15,7 @@ from mobilecal_cli.model import Board, Camera
 from tests.vision.scenes import opencv_pixels, painted, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
-CAMERA = stereo_rig("raw").left
+CAMERA = stereo_rig("raw").each[0]
 _MARGIN_PX = 3.0
 # The lens blurs what the pixels then average: a picture that is blurred after it was sampled has edges whose shape
 # depends on where they lie between the pixels, and shifts corners by 0.01 px. So it is drawn so many times as fine, by

@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     NINE,
     Board,
     Camera,
+    CameraRig,
     Corners,
     Evidence,
     Extraction,
@@ -30,7 +31,6 @@ from mobilecal_cli.model import (
     Rejection,
     Side,
     Station,
-    StereoRig,
     WheelTrack,
 )
 from mobilecal_cli.simulate.robot import tick_robot
@@ -42,16 +42,14 @@ from mobilecal_cli.vision import (
     Detection,
     Miss,
     absolute_orientation,
-    board_pose,
     detect,
-    measure,
     resolve_square,
     square_from_points,
-    triangulate,
 )
 from mobilecal_cli.vision.averaging import StationCorners
 from tests.bench import tables
 from tests.bench.simulated import conditions
+from tests.pairs import board_pose, measure, triangulate, with_pair
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 _SQUARE_M = 0.03  # stated with Bouguet's pictures; assumed for MRPT's
@@ -79,15 +77,15 @@ def pairs_in(folder: Path) -> tuple[tuple[Pair, ...], tuple[int, int]]:
 
 def _stereo(
     K: Sequence[FloatArray], D: Sequence[FloatArray], T_r_c: FloatArray, size: tuple[int, int]
-) -> StereoRig:
+) -> CameraRig:
     left, right = (
         Camera(side, *size, np.asarray(K[k], float), np.ravel(D[k]), "plumb_bob")
         for k, side in enumerate(("left", "right"))
     )
-    return StereoRig(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
 
 
-def published() -> StereoRig:
+def published() -> CameraRig:
     """Bouguet's stereo calibration over all of his pairs, published with them."""
     K = [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]], [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]
     D = [-0.288, 0.097, 0.001, -0.0003, 0], [-0.289, 0.107, 0.001, -0.0001, 0]
@@ -96,7 +94,7 @@ def published() -> StereoRig:
     return _stereo([np.array(k) for k in K], [np.array(d) for d in D], T_r_c, (640, 480))
 
 
-def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = False) -> StereoRig:
+def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = False) -> CameraRig:
     """OpenCV's calibration: each camera by itself, then the pair; jointly: all together after that."""
     points = [_POINTS_K.astype(np.float32)] * len(pairs)
     seen = [[pair[k].pixels.astype(np.float32)[:, None] for pair in pairs] for k in range(2)]
@@ -107,14 +105,14 @@ def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = Fals
     return _stereo([K_l, K_r], [D_l, D_r], se3.transform(R, t[:, 0]), size)
 
 
-def wrong_intrinsics(true: StereoRig, folder: Path) -> StereoRig:
+def wrong_intrinsics(true: CameraRig, folder: Path) -> CameraRig:
     """The pair with the wrong intrinsics that lie beside the pictures of OpenCV."""
     file = cv2.FileStorage(str(folder / "intrinsics_wrong.yml"), cv2.FILE_STORAGE_READ)
     left, right = (
         replace(camera, K=file.getNode(f"M{k}").mat(), D=np.ravel(file.getNode(f"D{k}").mat()))
-        for k, camera in ((1, true.left), (2, true.right))
+        for k, camera in ((1, true.each[0]), (2, true.each[1]))
     )
-    return replace(true, left=left, right=right)
+    return with_pair(true, left=left, right=right)
 
 
 # -- what is made wrong -------------------------------------------------------------------------------
@@ -139,15 +137,15 @@ class Case:
         constants = {name: factor * value for name, value in self.constants.items()}
         return Case(constants, {side: factor * value for side, value in self.k1.items()}, self.right)
 
-    def of(self, true: StereoRig) -> StereoRig:
+    def of(self, true: CameraRig) -> CameraRig:
         """The wrong stereo pair."""
-        rig = camera_change(table(true, tick_robot().chain), self.constants).apply(true)
-        sides: dict[Side, Camera] = {"left": rig.left, "right": rig.right}
+        rig = camera_change(true, table(true, tick_robot().chain), self.constants).apply(true)
+        sides: dict[Side, Camera] = {"left": rig.each[0], "right": rig.each[1]}
         for side, k1 in self.k1.items():
             sides[side] = replace(sides[side], D=sides[side].D + k1 * np.eye(len(sides[side].D))[0])
-        return replace(rig, left=sides["left"], right=sides["right"])
+        return with_pair(rig, left=sides["left"], right=sides["right"])
 
-    def expected(self, true: StereoRig) -> dict[str, float]:
+    def expected(self, true: CameraRig) -> dict[str, float]:
         """What the estimate should find, to first order in the errors: constants that make the pair right again."""
         found = {name: -value for name, value in self.constants.items()}
         for side in self.k1:
@@ -207,13 +205,13 @@ def cases(width: int) -> dict[str, Case]:
 # -- the estimate -------------------------------------------------------------------------------------
 
 
-def _corners(rig: StereoRig, pair: Pair) -> tuple[Corners, Corners]:
+def _corners(rig: CameraRig, pair: Pair) -> tuple[Corners, Corners]:
     """Corners of both pictures, with their noise as the stated cameras show it."""
     left, right = (StationCorners.of([d], _BOARD) for d in pair)
-    return left.average(_BOARD, rig.left), right.average(_BOARD, rig.right)
+    return left.average(_BOARD, rig.each[0]), right.average(_BOARD, rig.each[1])
 
 
-def _observation(rig: StereoRig, number: int, pair: Pair) -> Observation:
+def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
     """The board of one pair, whatever its residuals; a station that the product refuses is observed as well."""
     left, right = _corners(rig, pair)
     points = triangulate(rig, left.pixels, right.pixels, left.cov_px2, right.cov_px2)
@@ -229,8 +227,7 @@ def _observation(rig: StereoRig, number: int, pair: Pair) -> Observation:
         at_rest=True,
         joints=still,
         joints_std=still,
-        left=left,
-        right=right,
+        views=(left, right),
         points_c=points.points_c,
         points_cov=points.points_cov,
         T_c_k=pose.T_c_k,
@@ -240,7 +237,7 @@ def _observation(rig: StereoRig, number: int, pair: Pair) -> Observation:
     )
 
 
-def refusal(rig: StereoRig, pair: Pair) -> str | None:
+def refusal(rig: CameraRig, pair: Pair) -> str | None:
     """Why the product refuses a station with this pair; None if it does not."""
     still = np.zeros(len(tick_robot().joint_names))
     found = measure(
@@ -254,7 +251,7 @@ def refusal(rig: StereoRig, pair: Pair) -> str | None:
     return settled.detail if isinstance(settled, Rejection) else None
 
 
-def extraction_of(rig: StereoRig, pairs: Sequence[Pair]) -> Extraction:
+def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
     """A recording of one station for each pair, of a robot whose head and base are exact and do not move."""
     seen = tuple(_observation(rig, number, pair) for number, pair in enumerate(pairs))
     robot = replace(
@@ -280,7 +277,7 @@ class Estimate:
     contradictions: tuple[Evidence, ...]
 
     @classmethod
-    def of(cls, rig: StereoRig, pairs: Sequence[Pair]) -> Estimate:
+    def of(cls, rig: CameraRig, pairs: Sequence[Pair]) -> Estimate:
         """The product's estimate from a stated rig; the nine parameters are fixed."""
         extraction = extraction_of(rig, pairs)
         nominal = extraction.rig.nominal
@@ -296,7 +293,7 @@ class Estimate:
         return self.fit.data.layout.constants
 
     @property
-    def cameras(self) -> StereoRig:
+    def cameras(self) -> CameraRig:
         """The improved stereo pair."""
         return cameras_at(self.fit.data, self.fit.lin.state)
 
@@ -337,7 +334,7 @@ def _sides_mm(points: FloatArray) -> FloatArray:
     return np.asarray(1e3 * np.concatenate(sides))
 
 
-def _apart(rig: StereoRig, pair: Pair, start: FloatArray, first: FloatArray) -> FloatArray:
+def _apart(rig: CameraRig, pair: Pair, start: FloatArray, first: FloatArray) -> FloatArray:
     """(6,) board pose from the corners of the first half against that from the others, at the board's center."""
     center = np.eye(4)
     center[:3, 3] = _POINTS_K.mean(axis=0)
@@ -350,7 +347,7 @@ def _apart(rig: StereoRig, pair: Pair, start: FloatArray, first: FloatArray) -> 
     return np.concatenate([turn, poses[1][:3, 3] - poses[0][:3, 3]])
 
 
-def figures(rigs: Sequence[StereoRig], pairs: Sequence[Pair]) -> FloatArray:
+def figures(rigs: Sequence[CameraRig], pairs: Sequence[Pair]) -> FloatArray:
     """(7,) values of `FIGURES`, each pair seen by its own rig."""
     row, column = np.divmod(np.arange(_BOARD.corners), _BOARD.columns)
     splits = (row + column) % 2 == 0, column < _BOARD.columns / 2
@@ -399,7 +396,7 @@ class Task:
         others: whether each pair is also seen with a rig that was estimated without it.
     """
 
-    rig: StereoRig
+    rig: CameraRig
     pairs: Sequence[Pair]
     right: tuple[str, ...] = ()
     others: bool = True
@@ -439,7 +436,7 @@ def _named(result: Result, right: Sequence[str]) -> list[str]:
     return [str(len(result.refused)), str(result.left_out), ", ".join(said) or "none"]
 
 
-def _found_rows(name: str, case: Case, true: StereoRig, both: tuple[Result, Result]) -> Iterator[list[str]]:
+def _found_rows(name: str, case: Case, true: CameraRig, both: tuple[Result, Result]) -> Iterator[list[str]]:
     """Rows of the constants that were made wrong; both: with nothing wrong, and of the case."""
     nothing, result = both
     rows = {row.name: row for row in table(true, tick_robot().chain)}
@@ -456,9 +453,9 @@ def _tried(task: Task) -> Result:
     return task.result()
 
 
-def _study(true: StereoRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> str:
+def _study(true: CameraRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> str:
     """All tables of one set of pairs; more: name → rigs that are wrong in another way."""
-    of_case = cases(true.left.width)
+    of_case = cases(true.each[0].width)
     tasks = {name: Task(case.of(true), pairs, case.right) for name, case in of_case.items()}
     tasks |= more
     big = {name: Task(case.times(_BIG).of(true), pairs, case.right, False) for name, case in of_case.items()}

@@ -34,8 +34,9 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.vision import Miss, board_pose, triangulate
+from mobilecal_cli.vision import Miss
 from tests import extractions
+from tests.pairs import board_pose, triangulate, with_views
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -110,13 +111,13 @@ def spoiled(
         displaced[:3, 3] = way / np.linalg.norm(way) * random.uniform(0.02, 0.15)
         T_c_k = seen[i].T_c_k @ displaced
         both = []
-        for camera, T in ((rig.left, T_c_k), (rig.right, se3.inverse(rig.T_c_r) @ T_c_k)):
+        for camera, T in ((rig.each[0], T_c_k), (rig.each[1], se3.inverse(rig.T_c_each[1]) @ T_c_k)):
             at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
             both.append(at + PIXEL_PX * random.normal(size=at.shape))
         points = triangulate(rig, *both, PIXEL_PX, PIXEL_PX)
         assert not isinstance(points, Miss)
         found = board_pose(rig, corners_k, *both, PIXEL_PX, PIXEL_PX, T_c_k)
-        seen[i] = replace(
+        seen[i] = with_views(
             seen[i],
             left=Corners(both[0], PIXEL_PX, 1),
             right=Corners(both[1], PIXEL_PX, 1),

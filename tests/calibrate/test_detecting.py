@@ -15,23 +15,24 @@ from mobilecal_cli.calibrate import detect as detection_workers
 from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Station, StereoPair, Track, WheelTrack
+from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.stations import Plan
+from tests.pairs import with_pair
 
 EXTRACTING = sys.modules["mobilecal_cli.calibrate.extract"]  # the package's `extract` is the function in it
 
 
 def station(index: int, pairs: int) -> Station:
     times = [1000 * index + i for i in range(pairs)]
-    return Station(index, True, tuple(StereoPair(t, t) for t in times), times[0], np.zeros(2), np.zeros(2))
+    return Station(index, True, tuple(Shot((t, t)) for t in times), times[0], np.zeros(2), np.zeros(2))
 
 
 def plan(stations: list[Station]) -> Plan:
     """A plan with these stations, in images that nobody reads."""
-    times = np.array([pair.left_ns for station in stations for pair in station.pairs])
+    times = np.array([pair.times_ns[0] for station in stations for pair in station.shots])
     index, track = PictureIndex(times, times, times), Track(np.arange(2), np.zeros(2))
     return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, (), ())
 
@@ -40,8 +41,8 @@ def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
     segments = detecting.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
-    pairs = [sum(len(s.pairs) for s in segment.stations) for segment in segments]
-    assert max(pairs) <= detecting.SEGMENT_PAIRS
+    pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
+    assert max(pairs) <= detecting.SEGMENT_SHOTS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
     many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
@@ -69,9 +70,9 @@ def everything(log: Path, jobs: int):
 
 def same(a, b) -> bool:
     return len(a.observations) == len(b.observations) and all(
-        np.array_equal(x.left.pixels, y.left.pixels)
+        np.array_equal(x.views[0].pixels, y.views[0].pixels)
         and np.array_equal(x.T_c_k, y.T_c_k)
-        and np.array_equal(x.right.relative_cov, y.right.relative_cov)
+        and np.array_equal(x.views[1].relative_cov, y.views[1].relative_cov)
         for x, y in zip(a.observations, b.observations, strict=True)
     )
 
@@ -80,7 +81,7 @@ def same(a, b) -> bool:
 def alone(log):
     """What one process sees in a log that is split into several segments."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(detecting, "SEGMENT_PAIRS", 12)
+        patched.setattr(detecting, "SEGMENT_SHOTS", 12)
         return everything(log, 1)
 
 
@@ -89,7 +90,7 @@ def alone(log):
 )
 def segmented(request, monkeypatch) -> None:
     """A short log is split into several segments; the workers start before or after the planning."""
-    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
     monkeypatch.setattr(detection_workers, "_MEASURED_AT_ONCE", 7)
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
@@ -101,7 +102,7 @@ def test_processes_see_what_one_sees(log, alone, segmented):
     assert alone.counts["pictures"] == 2 * alone.counts["stations"]
     together, shown_together = everything(log, 2)
     assert same(alone, together)
-    assert [s.left_jpeg for s in shown] == [s.left_jpeg for s in shown_together]
+    assert [s.jpegs["left"] for s in shown] == [s.jpegs["left"] for s in shown_together]
 
 
 def test_the_threads_of_the_caller_are_left_as_they_are(log):
@@ -123,13 +124,13 @@ def test_where_processes_cannot_be_started_this_one_looks(log, alone, segmented,
 
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
-    monkeypatch.setattr(detecting, "SEGMENT_PAIRS", 12)
+    monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
     resolve = EXTRACTING.resolve_rig
 
     def other_size(*args):
         rig, notes = resolve(*args)
-        left = replace(rig.cameras.left, width=641)
-        return replace(rig, cameras=replace(rig.cameras, left=left)), notes
+        left = replace(rig.cameras.each[0], width=641)
+        return replace(rig, cameras=with_pair(rig.cameras, left=left)), notes
 
     monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:

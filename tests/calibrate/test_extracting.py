@@ -13,6 +13,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS
+from tests.pairs import with_pair
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
 
@@ -22,16 +23,16 @@ def seen(name, cameras):
 
 
 def changed(**fields):
-    return replace(CAMERAS, right=replace(CAMERAS.right, **fields))
+    return with_pair(CAMERAS, right=replace(CAMERAS.each[1], **fields))
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        changed(K=CAMERAS.right.K * np.array([[1.001], [1.001], [1]])),
-        changed(D=CAMERAS.right.D + 0.01),
+        changed(K=CAMERAS.each[1].K * np.array([[1.001], [1.001], [1]])),
+        changed(D=CAMERAS.each[1].D + 0.01),
         changed(D=np.zeros(8), distortion="rational_polynomial"),
-        replace(CAMERAS, T_c_r=CAMERAS.T_c_r + 1e-4),
+        with_pair(CAMERAS, T_c_r=CAMERAS.T_c_each[1] + 1e-4),
     ],
 )
 def test_other_cameras_are_told(other):
@@ -40,7 +41,7 @@ def test_other_cameras_are_told(other):
 
 
 def test_rounding_is_not_told():
-    other = changed(K=CAMERAS.right.K * (1 + 1e-9), D=CAMERAS.right.D + 1e-9)
+    other = changed(K=CAMERAS.each[1].K * (1 + 1e-9), D=CAMERAS.each[1].D + 1e-9)
     assert _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other)) == ()
 
 

@@ -104,7 +104,7 @@ def test_nominal_values_and_the_reference_camera(npz):
     turned = with_settings(again, load_rig(None, {"cameras.reference": "right"})).rig
     assert turned.cameras.reference == "right"
     np.testing.assert_allclose(
-        turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_r, atol=1e-12
+        turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_each[1], atol=1e-12
     )
     assert turned.nominal.wheels == rig.nominal.wheels
 

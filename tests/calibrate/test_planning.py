@@ -116,8 +116,8 @@ def planned(paths, joints_first, read=()):
         (plan,), notes = one_plan(recording)
         counts = dict(decoded)
         wanted = {
-            "left": {pair.left_ns for station in plan.stations for pair in station.pairs},
-            "right": {pair.right_ns for station in plan.stations for pair in station.pairs},
+            "left": {pair.times_ns[0] for station in plan.stations for pair in station.shots},
+            "right": {pair.times_ns[1] for station in plan.stations for pair in station.shots},
         }
         assert {side: set(index.stamp_ns.tolist()) for side, index in plan.images.items()} == wanted
         found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, plan.images)}
@@ -135,7 +135,7 @@ def same(found, expected):
     """Whether two plans are equal in everything."""
     assert len(found.stations) == len(expected.stations)
     for one, other in zip(found.stations, expected.stations, strict=True):
-        assert replace(one, joints=[], joints_std=[]).pairs == other.pairs
+        assert replace(one, joints=[], joints_std=[]).shots == other.shots
         assert (one.index, one.at_rest, one.time_ns) == (other.index, other.at_rest, other.time_ns)
         np.testing.assert_array_equal(one.joints, other.joints)
         np.testing.assert_array_equal(one.joints_std, other.joints_std)
@@ -152,7 +152,7 @@ def test_the_plan_is_that_of_one_pass(tmp_path, write):
     expected, expected_notes, all_decoded = planned(paths, joints_first=False)
     assert same(plan, expected)
     assert len(plan.stations) == 8
-    assert all(station.at_rest and len(station.pairs) == 10 for station in plan.stations)
+    assert all(station.at_rest and len(station.shots) == 10 for station in plan.stations)
     assert notes == expected_notes
     assert all_decoded["/l"] == all_decoded["/r"] == 237
     assert decoded["/l"] == decoded["/r"] == 80 + 17
@@ -196,9 +196,9 @@ def test_stamps_are_the_pictures_own_where_the_lag_varies(tmp_path):
     for k, station in enumerate(plan.stations):
         assert station.at_rest
         assert station.joints == pytest.approx([0.5 * k], abs=1e-12)
-        for pair in station.pairs:
-            assert pair.left_ns == pair.right_ns
-            assert (pair.left_ns - r.START_NS) % (100 * MS) == 0
+        for pair in station.shots:
+            assert pair.times_ns[0] == pair.times_ns[1]
+            assert (pair.times_ns[0] - r.START_NS) % (100 * MS) == 0
 
 
 def test_a_moving_log_whose_lag_varies_needs_all_stamps(tmp_path):
@@ -224,7 +224,7 @@ def test_a_lag_that_the_few_pictures_do_not_show(tmp_path):
         station.joints.round(9).tolist() for station in expected.stations
     ]
     for station in plan.stations:
-        times_s = np.array([(pair.time_ns - r.START_NS) / S for pair in station.pairs])
+        times_s = np.array([(pair.time_ns - r.START_NS) / S for pair in station.shots])
         assert np.all(np.abs(rests(times_s - 0.14) - rests(times_s + 0.14)) < 0.01)
     assert decoded["/l"] < 237
 
@@ -273,7 +273,7 @@ def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
     connection.close()
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording([file]) as recording:
         (plan,), notes = one_plan(recording)
-    assert len(plan.stations[0].pairs) == 9
+    assert len(plan.stations[0].shots) == 9
     assert "/l: 1 of the 80 selected images do not match their type; ignored" in notes
 
 
@@ -352,7 +352,7 @@ def test_repeated_images_need_one_pass(tmp_path, count):
         (plan,), notes = one_plan(recording)
     assert len(plan.stations) == 8
     assert any("images are identical to the image before them" in note for note in notes)
-    used = [pair.left_ns for station in plan.stations for pair in station.pairs]
+    used = [pair.times_ns[0] for station in plan.stations for pair in station.shots]
     own = {item.log_ns - LAG_NS["/l"]: k for k, item in enumerate(left)}
     if count == 3:
         numbers = [own[stamp] // 3 for stamp in used]

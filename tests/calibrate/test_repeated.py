@@ -110,7 +110,9 @@ def test_an_image_that_is_sent_twice_counts_once(sample_logs, tmp_path):
     found, _ = extract([log], SETTINGS)
     assert len(found.observations) == 12
     assert (
-        {o.left.pictures for o in found.observations} == {o.right.pictures for o in found.observations} == {1}
+        {o.views[0].pictures for o in found.observations}
+        == {o.views[1].pictures for o in found.observations}
+        == {1}
     )
     assert found.counts["pictures"] == 24
     assert found.notes == tuple(

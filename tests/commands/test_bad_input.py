@@ -87,7 +87,7 @@ def test_a_log_cut_off_early_is_too_little(paper, tmp_path, tmp_path_factory):
 
 
 def test_a_topic_that_is_not_there(paper, tmp_path):
-    result = run("calibrate", paper, "--set", "cameras.left.image=/nope", cwd=tmp_path)
+    result = run("calibrate", paper, "--set", "cameras.each[0].image=/nope", cwd=tmp_path)
     refused(result, 3, "/nope", "/stereo/left/image_raw")
 
 

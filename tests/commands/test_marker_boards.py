@@ -33,7 +33,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     }
     flags = {f"board.{key}": value for key, value in flags.items()}
     found, _ = steps.calibrate([log], tmp_path / "out", flags=flags)
-    seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.left, o.right)]
+    seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
     robot = paper_robot()

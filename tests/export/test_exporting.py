@@ -20,7 +20,7 @@ from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
 from mobilecal_cli.export.formats import foxglove, with_verdict
 from mobilecal_cli.export.formats.camchain import camchain_yaml
-from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.camera_info import camera_info_yaml
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import rectified_pair
@@ -30,11 +30,12 @@ from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run
 from tests.extractions import Noise, simulated
+from tests.pairs import with_pair
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]()
 LINES = {
-    "static_transform_yaml", "ros2_control", "camchain", "camera_info_left", "camera_info_right", "odometry_covariance",
+    "static_transform_yaml", "ros2_control", "camchain", "camera_info", "camera_info_left", "camera_info_right", "odometry_covariance",
 }  # fmt: skip
 
 
@@ -344,10 +345,10 @@ def kalibr_camera(entry):
 def test_kalibr_reads_the_camchain(model, count):
     cameras = ROBOT.rig_cameras
     left, right = (
-        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.left, cameras.right)
+        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.each[0], cameras.each[1])
     )
     data = yaml.safe_load(
-        camchain_yaml(replace(cameras, left=left, right=right), {"left": "/l", "right": "/r"})
+        camchain_yaml(with_pair(cameras, left=left, right=right), {"left": "/l", "right": "/r"})
     )
     assert list(data) == ["cam0", "cam1"]
     for entry in data.values():
@@ -371,9 +372,9 @@ def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, r
     """Matrices of fixed sizes, as many values as rows times columns, and the coefficients of sensor_msgs' models."""
     cameras = ROBOT.rig_cameras
     left, right = (
-        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.left, cameras.right)
+        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.each[0], cameras.each[1])
     )
-    pair = rectified_pair(replace(cameras, left=left, right=right))
+    pair = rectified_pair(with_pair(cameras, left=left, right=right))
     data = yaml.safe_load(camera_info_yaml(left, *pair["left"]))
     sizes = {
         "camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4),
@@ -400,7 +401,7 @@ def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, r
 )
 def test_foxglove_reads_the_camera_calibration(model, count, named, read):
     """Models and numbers of coefficients as in Foxglove's schema."""
-    camera = replace(ROBOT.rig_cameras.left, distortion=model, D=np.zeros(count))
+    camera = replace(ROBOT.rig_cameras.each[0], distortion=model, D=np.zeros(count))
     made = foxglove._calibration(camera, "camera", 0)
     assert (made.distortion_model, len(made.D)) == (named, read)
     assert (len(made.K), len(made.R), len(made.P)) == (9, 9, 12)

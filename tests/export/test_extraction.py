@@ -19,6 +19,7 @@ from mobilecal_cli.export.extraction import SCHEMA_VERSION
 from mobilecal_cli.model import (
     Board,
     Camera,
+    CameraRig,
     Corners,
     Extraction,
     FixedLink,
@@ -31,7 +32,6 @@ from mobilecal_cli.model import (
     Rejection,
     Rig,
     Sources,
-    StereoRig,
     Track,
     WheelGeometry,
     WheelSource,
@@ -76,14 +76,14 @@ sides = ("left", "right")
 rigs = st.builds(
     Rig,
     cameras=st.builds(
-        StereoRig,
-        left=cameras,
-        right=cameras,
-        T_c_r=arrays(4, 4),
+        CameraRig,
+        names=st.just(sides),
+        each=st.tuples(cameras, cameras),
+        T_c_each=st.tuples(arrays(4, 4), arrays(4, 4)),
         rectified=st.booleans(),
-        R_rect_c=arrays(3, 3),
-        R_rect_r=arrays(3, 3),
+        R_rect=st.tuples(arrays(3, 3), arrays(3, 3)),
         reference=st.sampled_from(sides),
+        calibrated=st.booleans(),
     ),
     chain=st.builds(HeadChain, names, names, st.lists(links, max_size=4).map(tuple), names, names),
     nominal=st.builds(
@@ -115,8 +115,7 @@ def observations(m, j):
         at_rest=st.booleans(),
         joints=arrays(j),
         joints_std=arrays(j),
-        left=corner_sets(m),
-        right=corner_sets(m),
+        views=st.tuples(corner_sets(m), corner_sets(m)),
         points_c=arrays(m, 3),
         points_cov=arrays(m, 3, 3),
         T_c_k=arrays(4, 4),
@@ -206,8 +205,17 @@ def test_a_file_without_priors_is_read():
         del rig["prior_sigmas"]
         for level in ("floor_rad", "floor_m", "stamp_s", "wheel_share"):
             del rig["noise"][level]
-        for side in ("left", "right"):
-            del rig["cameras"][side]["correction"]
+        pair = rig["cameras"]
+        for camera in pair["each"]:
+            del camera["correction"]
+        (left, right), (R_rect_c, R_rect_r) = pair["each"], pair["R_rect"]
+        rig["cameras"] = {
+            "left": left,
+            "right": right,
+            "T_c_r": pair["T_c_each"][1],
+            "rectified": pair["rectified"],
+        }
+        rig["cameras"] |= {"R_rect_c": R_rect_c, "R_rect_r": R_rect_r, "reference": pair["reference"]}
         for link in rig["chain"]["links"]:
             link.pop("shift_m", None)
 
@@ -250,8 +258,8 @@ def with_header(change):
         (lambda h: h.pop("rig"), "damaged"),
         (lambda h: h["rig"].update(extra=1), "Rig: extra or missing keys: ['extra']"),
         (lambda h: h["rig"]["chain"].update(pan=3), "Rig.chain.pan: int instead"),
-        (lambda h: h["rig"]["cameras"].update(reference="up"), "'up' is not one of"),
-        (lambda h: h["rig"]["cameras"]["left"].update(K=[[1]]), "Camera.K: shape"),
+        (lambda h: h["rig"]["cameras"].update(reference="up"), "reference 'up'"),
+        (lambda h: h["rig"]["cameras"]["each"][0].update(K=[[1]]), "Camera.K: shape"),
         (lambda h: h["rig"]["chain"]["links"][0].clear(), "match none of"),
         (lambda h: h.update(observations=3), "out of bounds"),
         (lambda h: h.update(wheels=2), "wheels.1.right.time_ns"),

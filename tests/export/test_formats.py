@@ -21,7 +21,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats.camchain import camchain_yaml
-from mobilecal_cli.export.formats.camera_info_left import camera_info_yaml
+from mobilecal_cli.export.formats.camera_info import camera_info_yaml
 from mobilecal_cli.export.formats.json import Json
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
@@ -30,6 +30,7 @@ from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
+from tests.pairs import with_pair
 
 T = se3.transform(se3.from_rpy(np.array([-1.6, 1.56, 0.4])), np.array([0.05, -0.0123456789, 2e-6]))
 ROBOT = CalibratedRobot(
@@ -70,7 +71,7 @@ def test_camera_formats_state_the_images():
     assert "those of the raw images" in camchain_yaml(CAMERAS, topics)
     assert "those of the rectified images" in camchain_yaml(replace(CAMERAS, rectified=True), topics)
     pair = rectified_pair(CAMERAS)
-    text = camera_info_yaml(CAMERAS.left, *pair["left"])
+    text = camera_info_yaml(CAMERAS.each[0], *pair["left"])
     assert "the optical frame of the raw images" in text
 
 
@@ -139,7 +140,10 @@ def test_camchain_projects_as_the_cameras_do():
     data = yaml.safe_load(camchain_yaml(CAMERAS, {"left": "/left", "right": "/right"}))
     points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
     pose = np.eye(4)
-    for name, camera, T_c in (("cam0", CAMERAS.left, np.eye(4)), ("cam1", CAMERAS.right, CAMERAS.T_c_r)):
+    for name, camera, T_c in (
+        ("cam0", CAMERAS.each[0], np.eye(4)),
+        ("cam1", CAMERAS.each[1], CAMERAS.T_c_each[1]),
+    ):
         chain = data[name]
         pose = np.array(chain.get("T_cn_cnm1", np.eye(4))) @ pose
         fu, fv, pu, pv = chain["intrinsics"]
@@ -154,12 +158,12 @@ def test_camchain_projects_as_the_cameras_do():
 
 
 def test_what_kalibr_has_no_model_for():
-    with_third = replace(CAMERAS.left, D=np.array([0.1, 0, 0, 0, 0.05]))
+    with_third = replace(CAMERAS.each[0], D=np.array([0.1, 0, 0, 0, 0.05]))
     with pytest.raises(ConfigError, match="no third radial"):
-        camchain_yaml(replace(CAMERAS, left=with_third), {"left": "", "right": ""})
-    rational = replace(CAMERAS.right, distortion="rational_polynomial", D=np.zeros(8))
+        camchain_yaml(with_pair(CAMERAS, left=with_third), {"left": "", "right": ""})
+    rational = replace(CAMERAS.each[1], distortion="rational_polynomial", D=np.zeros(8))
     with pytest.raises(ConfigError, match="no model for rational"):
-        camchain_yaml(replace(CAMERAS, right=rational), {"left": "", "right": ""})
+        camchain_yaml(with_pair(CAMERAS, right=rational), {"left": "", "right": ""})
 
 
 @pytest.mark.parametrize("distortion", ["plumb_bob", "equidistant"])
@@ -168,12 +172,15 @@ def test_camera_info_makes_rows_of_one_height(distortion):
     cameras = CAMERAS
     if distortion == "equidistant":
         D = np.array([0.01, -0.002, 0.001, 0.0])
-        left, right = (replace(c, distortion="equidistant", D=D) for c in (cameras.left, cameras.right))
-        cameras = replace(cameras, left=left, right=right)
+        left, right = (replace(c, distortion="equidistant", D=D) for c in (cameras.each[0], cameras.each[1]))
+        cameras = with_pair(cameras, left=left, right=right)
     pair = rectified_pair(cameras)
     points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
     rows, P = {}, {}
-    for side, camera, T_c in (("left", cameras.left, np.eye(4)), ("right", cameras.right, cameras.T_c_r)):
+    for side, camera, T_c in (
+        ("left", cameras.each[0], np.eye(4)),
+        ("right", cameras.each[1], cameras.T_c_each[1]),
+    ):
         data = yaml.safe_load(camera_info_yaml(camera, *pair[side]))
         read = {
             name: np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])

@@ -55,7 +55,7 @@ def fitted_cameras(extraction, solution):
     """The stereo pair of the fit, lens corrections included."""
     rig = extraction.rig
     values = {name: found.value for name, found in solution.constants.items()}
-    return camera_change(table(rig.cameras, rig.chain), values).apply(rig.cameras)
+    return camera_change(rig.cameras, table(rig.cameras, rig.chain), values).apply(rig.cameras)
 
 
 def over_the_image(camera):
@@ -80,13 +80,13 @@ def test_camera_info_projects_as_the_fitted_camera(calibrated, side):
         for name in ("camera_matrix", "distortion_coefficients")
     )
     assert data["distortion_model"] == "plumb_bob"
-    fitted = getattr(fitted_cameras(extraction, solution), side)
+    fitted = fitted_cameras(extraction, solution).each[side == "right"]
     assert pytest.approx(fitted.K, rel=1e-9) == K_made
     rays, pixels = over_the_image(fitted)
     ours = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D[0])[0][:, 0]
     off = np.linalg.norm(ours - pixels, axis=1).max()
     assert off <= stated_px(made.notes) * 1.05
-    stated = getattr(extraction.rig.cameras, side)
+    stated = extraction.rig.cameras.each[side == "right"]
     before = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), stated.K, stated.D)[0][:, 0]
     assert off < np.linalg.norm(before - pixels, axis=1).max() / 5
 
@@ -100,7 +100,7 @@ def test_camera_info_rectifies_the_fitted_pair(calibrated):
     )
     R_left, R_right = (np.array(data["rectification_matrix"]["data"]).reshape(3, 3) for data in (left, right))
     P_right = np.array(right["projection_matrix"]["data"]).reshape(3, 4)
-    T = se3.transform(R_left, np.zeros(3)) @ cameras.T_c_r @ se3.transform(R_right.T, np.zeros(3))
+    T = se3.transform(R_left, np.zeros(3)) @ cameras.T_c_each[1] @ se3.transform(R_right.T, np.zeros(3))
     assert T[:3, :3] == pytest.approx(np.eye(3), abs=1e-8)
     assert T[:3, 3] == pytest.approx([-P_right[0, 3] / P_right[0, 0], 0, 0], abs=1e-8)
 
@@ -110,8 +110,8 @@ def test_camchain_projects_as_the_fitted_pair(calibrated):
     made = export(params, Target.camchain)
     data = yaml.safe_load(made.content)
     cameras = fitted_cameras(extraction, solution)
-    assert np.array(data["cam1"]["T_cn_cnm1"]) == pytest.approx(se3.inverse(cameras.T_c_r), abs=1e-9)
-    for name, fitted in (("cam0", cameras.left), ("cam1", cameras.right)):
+    assert np.array(data["cam1"]["T_cn_cnm1"]) == pytest.approx(se3.inverse(cameras.T_c_each[1]), abs=1e-9)
+    for name, fitted in (("cam0", cameras.each[0]), ("cam1", cameras.each[1])):
         fu, fv, pu, pv = data[name]["intrinsics"]
         rays, pixels = over_the_image(fitted)
         K_made, D = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(data[name]["distortion_coeffs"])
@@ -167,7 +167,7 @@ def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
     made = export(tmp_path / "params.yaml", Target.camchain)
     assert made.notes == ("The stereo pair is as stated in the recording.",)
     intrinsics = yaml.safe_load(made.content)["cam0"]["intrinsics"]
-    assert intrinsics[:2] == pytest.approx(np.diag(extraction.rig.cameras.left.K)[:2])
+    assert intrinsics[:2] == pytest.approx(np.diag(extraction.rig.cameras.each[0].K)[:2])
     urdf = {"urdf": params.with_name("robot.urdf"), "with_chain": True}
     for target, options in ((Target.camera_info_left, {}), (Target.urdf, urdf)):
         with pytest.raises(ConfigError, match="not estimated"):

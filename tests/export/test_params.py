@@ -145,14 +145,14 @@ def test_head_eye_speaks_of_the_reference_camera(extraction, solution):
     solution = dataclasses.replace(solution, cameras=stereo)
     robot = parameters_from_yaml(params_yaml(solution, right, make_provenance(right)))
     assert robot.child_frame == "stereo_right_optical"
-    expected = solution.parameters.T_h_c @ stereo.T_c_r
+    expected = solution.parameters.T_h_c @ stereo.T_c_each[1]
     np.testing.assert_allclose(robot.T_parent_child, expected, rtol=0, atol=1e-12)
 
 
 def test_rectified_pictures_name_both_frames():
     extraction = make_extraction()
     R = se3.exp_so3(np.array([0.01, -0.02, 0.005]))
-    cameras = dataclasses.replace(extraction.rig.cameras, rectified=True, R_rect_c=R, R_rect_r=R)
+    cameras = dataclasses.replace(extraction.rig.cameras, rectified=True, R_rect=(R, R))
     extraction = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=cameras))
     solution = dataclasses.replace(make_solution(make_extraction()), cameras=cameras)
     data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
@@ -163,7 +163,7 @@ def test_rectified_pictures_name_both_frames():
     R_h_rect = se3.from_quaternion_xyzw(np.array(data["head_eye"]["quaternion_xyzw"]))
     R_h_raw = se3.from_quaternion_xyzw(np.array(raw["quaternion_xyzw"]))
     ray_raw = np.array([0.1, -0.2, 1.0])  # the same ray in both frames is the same ray in the head
-    ray_rect = extraction.rig.cameras.R_rect_c @ ray_raw
+    ray_rect = extraction.rig.cameras.R_rect[0] @ ray_raw
     np.testing.assert_allclose(R_h_raw @ ray_raw, R_h_rect @ ray_rect, atol=1e-11)
 
 
@@ -210,8 +210,8 @@ def test_read_back(extraction, solution):
     ("change", "said"),
     [
         (
-            ("schema_version: 3", "schema_version: 4"),
-            "schema_version: version 4 is not supported, only 1 to 3",
+            ("schema_version: 3", "schema_version: 5"),
+            "schema_version: version 5 is not supported, only 1 to 4",
         ),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
         (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),

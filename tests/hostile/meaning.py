@@ -19,12 +19,12 @@ from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
+    CameraRig,
     Corners,
     Extraction,
     FixedLink,
     FloatArray,
     Observation,
-    StereoRig,
     Track,
     WheelGeometry,
     WheelTrack,
@@ -34,9 +34,10 @@ from mobilecal_cli.rig.cameras import check_baseline
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.vision import Miss, board_pose, triangulate
+from mobilecal_cli.vision import Miss
 from tests.bench.simulated import errors
 from tests.extractions import Noise, ideal_extraction
+from tests.pairs import board_pose, triangulate, with_pair, with_views
 
 SIGMAS = 4.0
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))
@@ -182,9 +183,9 @@ def moved_board(rotvec_rad: tuple[float, float, float], shift_m: tuple[float, fl
 
         def shown(n: int, o: Observation) -> tuple[FloatArray, FloatArray]:
             if n < HALF:
-                return o.left.pixels, o.right.pixels
-            right = se3.act(se3.inverse(rig.T_c_r), o.points_c)
-            return project(rig.left, o.points_c), project(rig.right, right)
+                return o.views[0].pixels, o.views[1].pixels
+            right = se3.act(se3.inverse(rig.T_c_each[1]), o.points_c)
+            return project(rig.each[0], o.points_c), project(rig.each[1], right)
 
         return measured(shown)(moved)
 
@@ -196,33 +197,33 @@ def measured(pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]
     return lambda made: _measured(made, made.rig.cameras, pixels)
 
 
-def cameras(change: Callable[[StereoRig], StereoRig]) -> Change:
+def cameras(change: Callable[[CameraRig], CameraRig]) -> Change:
     """Other camera infos for the same images."""
 
     def changed(made: Extraction) -> Extraction:
         rig = change(made.rig.cameras)
         made = replace(made, rig=replace(made.rig, cameras=rig))
-        return _measured(made, rig, lambda n, o: (o.left.pixels, o.right.pixels))
+        return _measured(made, rig, lambda n, o: (o.views[0].pixels, o.views[1].pixels))
 
     return changed
 
 
 def _measured(
-    made: Extraction, rig: StereoRig, pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]
+    made: Extraction, rig: CameraRig, pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]
 ) -> Extraction:
     corners_k = made.board.grid() * (made.board.square_m or made.observations[0].square_m)
     found = []
     for n, o in enumerate(made.observations):
         left, right = pixels(n, o)
-        points = triangulate(rig, left, right, o.left.sigma_px, o.right.sigma_px)
+        points = triangulate(rig, left, right, o.views[0].sigma_px, o.views[1].sigma_px)
         if isinstance(points, Miss):
             continue
-        pose = board_pose(rig, corners_k, left, right, o.left.sigma_px, o.right.sigma_px, o.T_c_k)
+        pose = board_pose(rig, corners_k, left, right, o.views[0].sigma_px, o.views[1].sigma_px, o.T_c_k)
         found.append(
-            replace(
+            with_views(
                 o,
-                left=Corners(left, o.left.sigma_px, 1),
-                right=Corners(right, o.right.sigma_px, 1),
+                left=Corners(left, o.views[0].sigma_px, 1),
+                right=Corners(right, o.views[1].sigma_px, 1),
                 points_c=points.points_c,
                 points_cov=points.points_cov,
                 T_c_k=pose.T_c_k,
@@ -236,7 +237,7 @@ def _measured(
 def focal(left: float, right: float) -> Change:
     """Focal lengths in the infos, times the true ones."""
 
-    def change(rig: StereoRig) -> StereoRig:
+    def change(rig: CameraRig) -> CameraRig:
         scaled = {}
         for side, factor in (("left", left), ("right", right)):
             camera = getattr(rig, side)
@@ -249,25 +250,25 @@ def focal(left: float, right: float) -> Change:
 
 def shifted(left: tuple[float, float], right: tuple[float, float]) -> Change:
     """Images shifted by some pixels, as by a wrong region of interest."""
-    return measured(lambda n, o: (o.left.pixels + np.array(left), o.right.pixels + np.array(right)))
+    return measured(lambda n, o: (o.views[0].pixels + np.array(left), o.views[1].pixels + np.array(right)))
 
 
 def baseline(factor: float) -> Change:
     """A baseline in the infos, times the true one."""
 
-    def change(rig: StereoRig) -> StereoRig:
-        T = rig.T_c_r.copy()
+    def change(rig: CameraRig) -> CameraRig:
+        T = rig.T_c_each[1].copy()
         T[:3, 3] *= factor
         check_baseline(T[:3, 3])
-        return replace(rig, T_c_r=T)
+        return with_pair(rig, T_c_r=T)
 
     return cameras(change)
 
 
-def exchanged_infos(rig: StereoRig) -> StereoRig:
+def exchanged_infos(rig: CameraRig) -> CameraRig:
     """The infos of both cameras exchanged, with their frames in place."""
-    left, right = rig.left, rig.right
-    return replace(
+    left, right = rig.each[0], rig.each[1]
+    return with_pair(
         rig, left=replace(right, frame_id=left.frame_id), right=replace(left, frame_id=right.frame_id)
     )
 
@@ -278,7 +279,7 @@ def square(factor: float) -> Change:
     def change(made: Extraction) -> Extraction:
         board = replace(made.board, square_m=factor * (made.board.square_m or 0.0))
         made = replace(made, board=board)
-        return _measured(made, made.rig.cameras, lambda n, o: (o.left.pixels, o.right.pixels))
+        return _measured(made, made.rig.cameras, lambda n, o: (o.views[0].pixels, o.views[1].pixels))
 
     return change
 
@@ -325,7 +326,7 @@ def nominal_wheels(radius: float, separation: float) -> Change:
 
 def with_pixels_of(n: int, o: Observation, other: Observation, right: bool, left: bool) -> Observation:
     """A station with the images of another one."""
-    return replace(o, left=other.left if left else o.left, right=other.right if right else o.right)
+    return with_views(o, left=other.left if left else o.views[0], right=other.right if right else o.views[1])
 
 
 def old_images(left: bool, right: bool, frozen: bool) -> Change:
@@ -418,7 +419,9 @@ def board_in_hand(made: Extraction) -> Extraction:
         T = se3.transform(se3.exp_so3(random.normal(size=3) * 0.03), random.normal(size=3) * 0.03)
         points = se3.act(o.T_c_k @ T @ se3.inverse(o.T_c_k), o.points_c)
         rig = made.rig.cameras
-        return project(rig.left, points), project(rig.right, se3.act(se3.inverse(rig.T_c_r), points))
+        return project(rig.each[0], points), project(
+            rig.each[1], se3.act(se3.inverse(rig.T_c_each[1]), points)
+        )
 
     return _measured(made, made.rig.cameras, moved)
 
@@ -438,17 +441,19 @@ def stretched(factor: float) -> Change:
 
         def seen(n: int, o: Observation) -> tuple[FloatArray, FloatArray]:
             points = se3.act(o.T_c_k, grid)
-            return project(rig.left, points), project(rig.right, se3.act(se3.inverse(rig.T_c_r), points))
+            return project(rig.each[0], points), project(
+                rig.each[1], se3.act(se3.inverse(rig.T_c_each[1]), points)
+            )
 
         return _measured(made, rig, seen)
 
     return change
 
 
-def no_distortion(rig: StereoRig) -> StereoRig:
+def no_distortion(rig: CameraRig) -> CameraRig:
     """Infos without the distortion that the lenses have."""
-    left, right = (replace(camera, D=np.zeros_like(camera.D)) for camera in (rig.left, rig.right))
-    return replace(rig, left=left, right=right)
+    left, right = (replace(camera, D=np.zeros_like(camera.D)) for camera in (rig.each[0], rig.each[1]))
+    return with_pair(rig, left=left, right=right)
 
 
 def swapped_stations(made: Extraction) -> Extraction:
@@ -535,7 +540,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "pan 0.1 rad off from the middle": Wrong(from_middle(lambda o: replace(o, joints=o.joints + np.array([0.1, 0.0]))), "joint|station|pan"),
     "pan is the sum of pan and tilt": Wrong(joints(lambda q: np.array([q.sum(), q[1]])), "joint|axis|axes"),
-    "images of left and right exchanged": Wrong(measured(lambda n, o: (o.right.pixels, o.left.pixels)), _CAMERA),
+    "images of left and right exchanged": Wrong(measured(lambda n, o: (o.views[1].pixels, o.views[0].pixels)), _CAMERA),
     "infos of left and right exchanged": Wrong(cameras(exchanged_infos), _CAMERA + "|solutions"),
     "focal lengths 3 % off": Wrong(focal(1.03, 1.03), _SCALE),
     "focal lengths 10 % off": Wrong(focal(1.1, 1.1), _SCALE),
@@ -546,11 +551,11 @@ WRONG: dict[str, Wrong] = {
     "both images shifted by 20 px": Wrong(shifted((20.0, 0.0), (20.0, 0.0)), _CAMERA),
     "both images lowered by 20 px": Wrong(shifted((0.0, 20.0), (0.0, 20.0)), _CAMERA),
     "images mirrored": Wrong(
-        measured(lambda n, o: tuple(np.array([_WIDTH, 0.0]) - p * [1, -1] for p in (o.left.pixels, o.right.pixels))),  # type: ignore[arg-type, return-value]
+        measured(lambda n, o: tuple(np.array([_WIDTH, 0.0]) - p * [1, -1] for p in (o.views[0].pixels, o.views[1].pixels))),  # type: ignore[arg-type, return-value]
         _CAMERA,
     ),
     "images upside down": Wrong(
-        measured(lambda n, o: tuple(np.array([_WIDTH, _HEIGHT]) - p for p in (o.left.pixels, o.right.pixels))),  # type: ignore[arg-type, return-value]
+        measured(lambda n, o: tuple(np.array([_WIDTH, _HEIGHT]) - p for p in (o.views[0].pixels, o.views[1].pixels))),  # type: ignore[arg-type, return-value]
         _CAMERA,
     ),
     "baseline 1 % off": Wrong(baseline(1.01), _SCALE),
@@ -595,12 +600,12 @@ WRONG: dict[str, Wrong] = {
     "board on the robot": Wrong(board_on_the_robot, _BOARD + "|head|wheel|did not move"),
     "board 3 % wider than high": Wrong(stretched(1.03), "squares|board|height"),
     "images of two stations exchanged": Wrong(swapped_stations, "station"),
-    "right images of the next station": Wrong(measured(lambda n, o: (o.left.pixels, recorded().observations[min(n + 1, STATIONS - 1)].right.pixels)), _CAMERA + "|station"),
-    "left images upside down": Wrong(measured(lambda n, o: (np.array([_WIDTH, _HEIGHT]) - o.left.pixels, o.right.pixels)), _CAMERA),
-    "images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.left.pixels, 0.5 * o.right.pixels)), _SCALE + "|camera"),
-    "left images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.left.pixels, o.right.pixels)), _SCALE + "|camera"),
+    "right images of the next station": Wrong(measured(lambda n, o: (o.views[0].pixels, recorded().observations[min(n + 1, STATIONS - 1)].right.pixels)), _CAMERA + "|station"),
+    "left images upside down": Wrong(measured(lambda n, o: (np.array([_WIDTH, _HEIGHT]) - o.views[0].pixels, o.views[1].pixels)), _CAMERA),
+    "images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.views[0].pixels, 0.5 * o.views[1].pixels)), _SCALE + "|camera"),
+    "left images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.views[0].pixels, o.views[1].pixels)), _SCALE + "|camera"),
     "infos without the distortion": Wrong(cameras(no_distortion), _CAMERA + "|distortion"),
-    "left info of another camera": Wrong(cameras(lambda rig: replace(rig, left=replace(rig.left, K=rig.left.K * np.array([[0.8, 1, 1.1], [1, 0.8, 0.9], [1, 1, 1]])))), _CAMERA),
+    "left info of another camera": Wrong(cameras(lambda rig: with_pair(rig, left=replace(rig.each[0], K=rig.each[0].K * np.array([[0.8, 1, 1.1], [1, 0.8, 0.9], [1, 1, 1]])))), _CAMERA),
     "a second recording of another robot": Wrong(another_robot, "recording|robot"),
     "pan axis upside down in the URDF": Wrong(turned_axis(PAN, np.pi), "pan_joint is reversed|all head joints"),
     "head mounted 10 cm higher": Wrong(chain_offset((0.0, 0.0, 0.1)), "", "a drive on a floor does not show the height"),

@@ -10,6 +10,7 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, ideal_extraction
+from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
 ROUTE = plan_route(ROBOT, "standard", stations=STATIONS, seed=2)
@@ -46,6 +47,6 @@ def test_one_station_that_does_not_fit_is_no_jump(whole):
     """The right camera is off by 3 px at the fourth station from the end alone."""
     at = STATIONS - 4
     o = whole.observations[at]
-    off = replace(o, right=replace(o.right, pixels=o.right.pixels + np.array([3.0, 0.0])))
+    off = with_views(o, right=replace(o.views[1], pixels=o.views[1].pixels + np.array([3.0, 0.0])))
     seen = (*whole.observations[:at], off, *whole.observations[at + 1 :])
     assert solve(replace(whole, observations=seen)).jumps == ()

@@ -108,7 +108,7 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
         ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)
         assert np.array_equal(ours.D, theirs.D)
-    assert np.array_equal(rigs[0].cameras.T_c_r, rigs[1].cameras.T_c_r)
+    assert np.array_equal(rigs[0].cameras.T_c_each[1], rigs[1].cameras.T_c_each[1])
     assert rigs[0].sources == rigs[1].sources
 
     joints = rigs[0].chain.joints

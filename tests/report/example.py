@@ -34,6 +34,7 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.pairs import with_pair
 
 ROBOT = tick_robot()
 WHEELS = ROBOT.wheels
@@ -131,8 +132,10 @@ def make_snapshots(extraction: Extraction) -> tuple[Snapshot, ...]:
         Snapshot(
             o.log,
             o.station,
-            _picture(extraction.board, o.left.pixels, rng),
-            _picture(extraction.board, o.right.pixels, rng),
+            {
+                name: _picture(extraction.board, view.pixels, rng)
+                for name, view in zip(extraction.rig.cameras.names, o.views, strict=True)
+            },
         )
         for o in extraction.observations
     )
@@ -144,10 +147,10 @@ HOSTILE = "</title><script>alert(1)</script>\"'&\x00\x1b[31m\u202e$x_{$ {{7*7}} 
 def make_hostile(extraction: Extraction) -> Extraction:
     """The same, with every string that a log can set turned nasty."""
     rig = extraction.rig
-    camera = replace(rig.cameras.left, frame_id=HOSTILE)
+    camera = replace(rig.cameras.each[0], frame_id=HOSTILE)
     rig = replace(
         rig,
-        cameras=replace(rig.cameras, left=camera),
+        cameras=with_pair(rig.cameras, left=camera),
         chain=replace(
             rig.chain,
             base_frame=HOSTILE,

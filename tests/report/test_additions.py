@@ -22,8 +22,9 @@ def case():
 def test_a_plot_is_one_function(case, monkeypatch):
     monkeypatch.setattr(plots, "_PLOTS", [*plots._PLOTS])
 
-    @plots.plot("stations", each="side")
-    def emptiness(solution, extraction, side):
+    @plots.plot("stations", each="camera")
+    def emptiness(solution, extraction, k):
+        side = extraction.rig.cameras.names[k]
         return Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg, "Nothing at all."
 
     page = page_of(*case)

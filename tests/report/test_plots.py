@@ -9,6 +9,7 @@ import pytest
 
 from mobilecal_cli.model import HeadChain, JointLink, Snapshot
 from mobilecal_cli.report.plots import leg_views, trail
+from tests.pairs import with_views
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
 
 
@@ -32,7 +33,7 @@ def test_overlays_pick_worst_median_and_best(extraction, solution):
     worst = int(np.argmax(px))
     np.testing.assert_allclose(
         np.array(views[0].pictures[1].marks)[:, 2:],
-        solution.residuals.predicted_right_px[worst] + 0.5,
+        solution.residuals.predicted_px[1, worst] + 0.5,
         atol=0.006,
     )
 
@@ -45,7 +46,7 @@ def test_overlays_use_the_legs_that_have_pictures(extraction, solution):
 
 
 def test_a_broken_picture_is_said(solution, extraction):
-    broken = (Snapshot(0, 0, b"not a jpeg", b""),)
+    broken = (Snapshot(0, 0, {"left": b"not a jpeg", "right": b""}),)
     assert "cannot be decoded" in Page(page_of(solution, extraction, broken)).text
 
 
@@ -89,7 +90,7 @@ def test_a_camera_without_corners(extraction, blind):
     """The plots of its corners raised AttributeError and IndexError, and so did its images."""
     seen, none = list(extraction.observations), np.zeros(extraction.board.corners, dtype=bool)
     for i in blind:
-        seen[i] = replace(seen[i], right=replace(seen[i].right, seen=none))
+        seen[i] = with_views(seen[i], right=replace(seen[i].views[1], seen=none))
     half = replace(extraction, observations=tuple(seen))
     solution, pictures = make_solution(half), make_snapshots(extraction)
     assert "corner residuals across the image of the left camera" in page_of(solution, half, pictures)

@@ -43,7 +43,7 @@ def test_json_holds_every_number(extraction, solution):
     assert text == json_text(made(solution, extraction))
     data = json.loads(text)
     assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
-    assert data["schema_version"] == 5
+    assert data["schema_version"] == 6
     assert data["verdict"]["level"] == "PASS"
     assert data["parameters"]["radius_left_mm"] == pytest.approx(
         solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15
@@ -116,7 +116,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     solution, extraction = of_the_right_camera()
     robot = tick_robot()
     turn = se3.transform(se3.exp_so3(np.radians([0.7, 0, 0])), np.zeros(3))
-    T_c_r = extraction.rig.cameras.T_c_r.copy()
+    T_c_r = extraction.rig.cameras.T_c_each[1].copy()
     T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
     truth = robot.T_h_c @ T_c_r
     written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
@@ -130,7 +130,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
 def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
     """The left camera follows from the estimated pair; the right one is exactly as stated."""
     _, extraction = of_the_right_camera()
-    nominal = Nominal(tick_robot().T_h_c @ extraction.rig.cameras.T_c_r, extraction.rig.nominal.wheels)
+    nominal = Nominal(tick_robot().T_h_c @ extraction.rig.cameras.T_c_each[1], extraction.rig.nominal.wheels)
     extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
     solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
     assert not np.allclose(solution.parameters.T_h_c, tick_robot().T_h_c, atol=5e-3)
@@ -151,7 +151,7 @@ def test_the_right_camera_has_its_own_covariance_and_jackknife():
     found = solution.uncertainty
     std = np.sqrt(np.diag(found.reference_covariance))
     lever = np.eye(9)
-    t = solution.parameters.T_h_c[:3, :3] @ solution.cameras.T_c_r[:3, 3]
+    t = solution.parameters.T_h_c[:3, :3] @ solution.cameras.T_c_each[1][:3, 3]
     lever[3:6, :3] = -se3.skew(t)
     as_if_exact = np.sqrt(np.diag(lever @ found.covariance @ lever.T))
     assert not np.allclose(std[:6], as_if_exact[:6], rtol=1e-3)

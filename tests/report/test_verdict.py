@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.criteria import Check, Checks
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
+from tests.pairs import with_views
 from tests.report.example import (
     ROBOT,
     WHEELS,
@@ -273,13 +274,14 @@ class TestWithTheSolver:
         for i, o in enumerate(moved[6:], 6):
             T = o.T_c_k @ se3.transform(np.eye(3), np.array([0.05, 0, 0]))
             points_c = se3.act(T @ se3.inverse(o.T_c_k), o.points_c)
-            moved[i] = replace(
+            moved[i] = with_views(
                 o,
                 T_c_k=T,
                 points_c=points_c,
-                left=replace(o.left, pixels=project(cameras.left, points_c)),
+                left=replace(o.views[0], pixels=project(cameras.each[0], points_c)),
                 right=replace(
-                    o.right, pixels=project(cameras.right, se3.act(se3.inverse(cameras.T_c_r), points_c))
+                    o.views[1],
+                    pixels=project(cameras.each[1], se3.act(se3.inverse(cameras.T_c_each[1]), points_c)),
                 ),
             )
         verdict = solved(extraction, observations=tuple(moved))

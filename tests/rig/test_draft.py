@@ -62,16 +62,18 @@ def test_a_draft_loads_and_settles_the_same_rig():
 
 
 def test_a_draft_of_a_poor_log_asks():
-    draft = draft_rig(description(images=("/camera/image: #odd\n",), urdf=None, joint_names={}), "log")
+    draft = draft_rig(
+        description(images=("/camera/image: #odd\n", "/other/image"), urdf=None, joint_names={}), "log"
+    )
     assert set(todo(draft)) == {"cameras", "wheels", "head"}
-    assert "# TODO cameras: no stereo pair" in draft.text
+    assert "# TODO cameras: several cameras" in draft.text
     assert draft.filled == ()
     loaded(draft)
 
 
 def test_templates_can_be_uncommented():
     """Each template of a poor log is valid where it stands."""
-    draft = draft_rig(description(images=("/one/image",), urdf=None, joint_names={}), "log")
+    draft = draft_rig(description(images=("/one/image", "/two/image"), urdf=None, joint_names={}), "log")
     for name in ("cameras", "wheels", "nominal"):
         block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]
         lines = [line for line in block.splitlines() if re.match(rf"# (  |{name}:)", line)]

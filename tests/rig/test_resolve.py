@@ -91,7 +91,7 @@ def test_raw_stereo_geometry_is_what_rectification_says():
     cameras = resolve_rig(RigConfig(), description())[0].cameras
     # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
     point_r = np.array([0.3, -0.2, 2.0])
-    point_c = se3.act(cameras.T_c_r, point_r[None])[0]
+    point_c = se3.act(cameras.T_c_each[1], point_r[None])[0]
     left, right = info("left"), info("right")
     assert left.R @ point_c == pytest.approx(right.R @ point_r + [0.12, 0, 0], abs=1e-12)
 
@@ -100,9 +100,9 @@ def test_rectified_images_use_the_projection_matrices():
     topics = ("/stereo/left/image_rect", "/stereo/right/image_rect")
     cameras = resolve_rig(RigConfig(), description(topics))[0].cameras
     assert cameras.rectified
-    assert cameras.left.K[0, 0] == 540
-    assert cameras.left.D.size == 0
-    assert cameras.T_c_r[:3, :3] == pytest.approx(np.eye(3))
+    assert cameras.each[0].K[0, 0] == 540
+    assert cameras.each[0].D.size == 0
+    assert cameras.T_c_each[1][:3, :3] == pytest.approx(np.eye(3))
 
 
 def test_raw_comes_before_rectified_and_full_before_compressed():
@@ -223,7 +223,7 @@ def test_explicit_chain_needs_no_urdf():
 @pytest.mark.parametrize(
     ("sections", "changes", "error", "words_"),
     [
-        ({}, {"images": ("/camera/image",)}, RecordingError, "no stereo pair"),
+        ({}, {"images": ("/stereo/left/image", "/depth/image")}, ConfigError, "one camera does not show"),
         ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
         ({}, {"joint_names": {}}, RecordingError, "no joint states (sensor_msgs/JointState), odometry"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
@@ -297,7 +297,7 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
 def test_hints_list_ten_topics_at_most():
     many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
     with pytest.raises(RecordingError) as told:
-        resolve_rig(RigConfig(), description(images=("/one/image",), extra=many))
+        resolve_rig(RigConfig(), description(images=("/depth/image",), extra=many))
     assert told.value.hint.count("/extra") <= 10
     assert "more" in told.value.hint
 
@@ -336,7 +336,9 @@ def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
     bare = description(extra=odometry("/odom"), joint_names=HEAD_ONLY)
     rig = resolve_rig(RigConfig(), bare)[0]
     drawn = WheelGeometry(0.1, 0.1, 0.5)  # the separation of the URDF
-    assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=drawn, assumed=True)
+    assert rig.sources.wheels["left"] == WheelSource(
+        "/odom", baked_in=drawn, assumed=True, separation_share=0.2
+    )
     assert rig.nominal.wheels == rig.sources.assumed_wheels == drawn
     stated = resolve_rig(config(wheels={"odometry_separation_m": 0.37}), bare)[0]
     assert stated.sources.assumed_wheels.separation_m == 0.37

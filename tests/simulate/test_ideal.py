@@ -45,6 +45,8 @@ def driven(track, wheels, begin_ns, end_ns):
 def test_the_closed_loop_holds_exactly(name, motion):
     """T_V_Hi X T_Ci_Cj = T_Vi_Vj T_V_Hj X (eq. 3), with the base's motion from the wheels alone."""
     robot, _, extraction = world(name, motion)
+    if robot.slip:
+        pytest.skip("its wheels slip")
     X = robot.T_h_c
     for i, j in zip(extraction.observations, extraction.observations[1:], strict=False):
         T_v_hi, T_v_hj = (head_pose(extraction.rig.chain, o.joints) for o in (i, j))
@@ -64,12 +66,13 @@ def test_points_and_pixels_are_the_boards_corners_exactly(name):
         np.testing.assert_allclose(
             o.points_c, grid_k @ o.T_c_k[:3, :3].T + o.T_c_k[:3, 3], rtol=0, atol=1e-14
         )
-        for camera, T_c_x, corners in ((rig.left, np.eye(4), o.left), (rig.right, rig.T_c_r, o.right)):
+        for camera, T_c_x, corners in zip(rig.each, rig.T_c_each, o.views, strict=True):
             T = np.linalg.inv(T_c_x) @ o.T_c_k
             at = cv2.projectPoints(grid_k, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)[0]
             np.testing.assert_allclose(corners.pixels, at.reshape(-1, 2), rtol=0, atol=1e-9)
         assert o.reprojection_px < 1e-9
-        assert np.linalg.eigvalsh(o.points_cov).min() > 0
+        if rig.calibrated:
+            assert np.linalg.eigvalsh(o.points_cov).min() > 0
         assert np.linalg.eigvalsh(o.T_c_k_cov).min() > 0
 
 
@@ -83,8 +86,8 @@ def test_each_noise_is_as_large_as_stated():
         return np.concatenate([(pick(a) - pick(b)).ravel() for a, b in pairs])
 
     # 648 coordinates a side and 24 joint readings: the scatter of a measured sigma is 3 and 15 %.
-    assert np.std(off(lambda o: o.left.pixels)) == pytest.approx(0.2, rel=0.1)
-    assert np.std(off(lambda o: o.right.pixels)) == pytest.approx(0.2, rel=0.1)
+    assert np.std(off(lambda o: o.views[0].pixels)) == pytest.approx(0.2, rel=0.1)
+    assert np.std(off(lambda o: o.views[1].pixels)) == pytest.approx(0.2, rel=0.1)
     assert np.std(off(lambda o: o.joints)) == pytest.approx(np.radians(0.05), rel=0.5)
     # The points carry their own covariance: the mean of the normalized squares of 3 numbers is 3.
     squares = [
@@ -120,6 +123,6 @@ def test_the_same_seed_gives_the_same_noise_and_another_seed_another():
     for a, b, c in zip(first.observations, again.observations, other.observations, strict=True):
         assert np.array_equal(a.T_c_k, b.T_c_k)
         assert np.array_equal(a.joints, b.joints)
-        assert not np.array_equal(a.left.pixels, c.left.pixels)
+        assert not np.array_equal(a.views[0].pixels, c.views[0].pixels)
     assert np.array_equal(first.wheels[0].right_rad, again.wheels[0].right_rad)
     assert not np.array_equal(first.wheels[0].right_rad, other.wheels[0].right_rad)

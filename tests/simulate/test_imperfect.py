@@ -24,7 +24,7 @@ from tests.extractions import (
 )
 
 JOINT_KEYS = {
-    "tick": {"pan_joint": "pan", "tilt_joint": "tilt"},
+    **{name: {"pan_joint": "pan", "tilt_joint": "tilt"} for name in ("tick", "skid_steer", "odometry_only")},
     "paper": {
         "torso_pitch_joint": "torso_pitch_joint",
         "torso_roll_joint": "torso_roll_joint",
@@ -77,15 +77,15 @@ def projected(camera, T_x_k, points_k, K=None):
 
 
 def both(rig, T_c_k, points_k, K_left=None, K_right=None, T_c_r=None):
-    T_r_k = np.linalg.inv(rig.T_c_r if T_c_r is None else T_c_r) @ T_c_k
-    return projected(rig.left, T_c_k, points_k, K_left), projected(rig.right, T_r_k, points_k, K_right)
+    T_r_k = np.linalg.inv(rig.T_c_each[1] if T_c_r is None else T_c_r) @ T_c_k
+    return projected(rig.each[0], T_c_k, points_k, K_left), projected(rig.each[1], T_r_k, points_k, K_right)
 
 
 def same_pixels(extraction, expected):
     """Left and right pixels of every station, to a millionth of a pixel."""
     for o, (left, right) in zip(extraction.observations, expected, strict=True):
-        np.testing.assert_allclose(o.left.pixels, left, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(o.right.pixels, right, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(o.views[0].pixels, left, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(o.views[1].pixels, right, rtol=0, atol=1e-6)
 
 
 def expected_pixels(name, motion="standard", points_k=None, joints=None, **cameras):
@@ -99,7 +99,7 @@ def expected_pixels(name, motion="standard", points_k=None, joints=None, **camer
 
 def fields_of(extraction):
     for o in extraction.observations:
-        yield from (o.time_ns, o.joints, o.left.pixels, o.right.pixels, o.points_c, o.points_cov)
+        yield from (o.time_ns, o.joints, o.views[0].pixels, o.views[1].pixels, o.points_c, o.points_cov)
         yield from (o.T_c_k, o.T_c_k_cov, o.square_m, o.reprojection_px)
     for track in (*extraction.joint_tracks[0], extraction.wheels[0].right, extraction.wheels[0].left):
         yield from (track.time_ns, track.value)
@@ -195,7 +195,7 @@ def test_distortion_displaces_the_pixels(side, term):
 
 
 def test_stereo_rotation_and_baseline():
-    T_c_r = tick_robot().rig_cameras.T_c_r.copy()
+    T_c_r = tick_robot().rig_cameras.T_c_each[1].copy()
     turn = turned([0.01, -0.02, 0.015])[:3, :3]
     constants = {"stereo_r_x": 0.01, "stereo_r_y": -0.02, "stereo_r_z": 0.015}
     rotated = T_c_r.copy()
@@ -395,7 +395,7 @@ def test_a_rolling_shutter_and_a_late_right_camera():
     extraction = seen("tick", {"readout": 0.02, "time_right": 0.003}, "moving")
     for o, t in list(zip(extraction.observations, station_times_s(route), strict=True))[::8]:
         for side, late_s in ((0, 0.0), (1, 0.003)):
-            pixels = (o.left.pixels, o.right.pixels)[side]
+            pixels = (o.views[0].pixels, o.views[1].pixels)[side]
             for k in (0, 30, 53):
                 row_s = ((pixels[k, 1] + 0.5) / 480 - 0.5) * 0.02
                 T_c_k = board_in_camera(robot, route, t + late_s + row_s)
@@ -403,7 +403,7 @@ def test_a_rolling_shutter_and_a_late_right_camera():
                 np.testing.assert_allclose(pixels[k], expected, rtol=0, atol=1e-3)
     plain = seen("tick", {}, "moving")
     moved = [
-        np.linalg.norm(a.left.pixels - b.left.pixels, axis=1).max()
+        np.linalg.norm(a.views[0].pixels - b.views[0].pixels, axis=1).max()
         for a, b in zip(extraction.observations, plain.observations, strict=True)
     ]
     assert np.max(moved) > 0.5

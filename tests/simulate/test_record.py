@@ -172,9 +172,10 @@ def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(tmp_path, name):
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
     nominal = robot.nominal_wheels
     radii = {
-        side: urdf.cylinder_radius_m[urdf.joints[f"wheel_{side}_joint"].child] for side in ("left", "right")
+        side: {urdf.cylinder_radius_m[urdf.joints[name].child] for name in names}
+        for side, names in robot.wheel_joints.items()
     }
-    assert radii == {"left": nominal.radius_left_m, "right": nominal.radius_right_m}
+    assert radii == {"left": {nominal.radius_left_m}, "right": {nominal.radius_right_m}}
 
 
 def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
@@ -251,7 +252,7 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     expected = imperfect_extraction(robot, route, Imperfection(constants))
     stated = imperfect_extraction(robot, route, Imperfection())
     for i, o in enumerate(expected.observations):
-        for side, corners in (("left", o.left), ("right", o.right)):
+        for side, corners in (("left", o.views[0]), ("right", o.views[1])):
             grey = pictures[f"{side} {signals.images[side].time_ns[i]}"]
             found = cv2.cornerSubPix(
                 grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)

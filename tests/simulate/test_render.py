@@ -53,7 +53,7 @@ def renderer(camera, board=BOARD):
 
 @pytest.fixture(scope="module")
 def lens():
-    return paper_robot().rig_cameras.right
+    return paper_robot().rig_cameras.each[1]
 
 
 @pytest.fixture(scope="module")

@@ -362,7 +362,9 @@ def test_a_wrong_sign_is_no_cure_for_another_mistake(recorded, of_torso, name, s
             from_middle(lambda o: replace(o, joints=o.joints + np.radians([3.0, 0.0]))), id="pan 3 degrees"
         ),
         pytest.param(
-            measured(lambda n, o: (o.left.pixels, o.right.pixels + np.array([15.0, 0.0]) * (n >= HALF))),
+            measured(
+                lambda n, o: (o.views[0].pixels, o.views[1].pixels + np.array([15.0, 0.0]) * (n >= HALF))
+            ),
             id="15 px",
         ),
         pytest.param(both(after(lambda v: v + 2**32 * 2 * np.pi / 4096)), id="32 bits"),

@@ -19,6 +19,7 @@ from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import Solver, maximum_likelihood
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise, ideal_extraction
+from tests.pairs import with_pair, with_views
 from tests.solvers.test_several_logs import joined
 
 ROBOT = paper_robot()
@@ -292,9 +293,9 @@ def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
 
 def test_gross_corners_are_left_out_without_their_station(noisy, solution):
     seen = list(noisy.observations)
-    pixels = seen[4].left.pixels.copy()
+    pixels = seen[4].views[0].pixels.copy()
     pixels[[3, 20]] += [[12.0, -7.0], [0.0, 9.0]]
-    seen[4] = replace(seen[4], left=Corners(pixels, seen[4].left.sigma_px, 1))
+    seen[4] = with_views(seen[4], left=Corners(pixels, seen[4].views[0].sigma_px, 1))
     found = solve(replace(noisy, observations=tuple(seen)))
     assert [(o.kind, o.observations) for o in found.outliers] == [("corners", (4,))]
     apart = errors(found.parameters, ROBOT) - errors(solution.parameters, ROBOT)
@@ -408,13 +409,13 @@ def misstated(extraction, name, by):
             K["xy".index(name[-1]), 2] -= by * camera.width
         cameras = replace(cameras, **{side: replace(camera, K=K)})
     elif name == "baseline_scale":
-        T = cameras.T_c_r.copy()
+        T = cameras.T_c_each[1].copy()
         T[:3, 3] /= 1 + by
-        cameras = replace(cameras, T_c_r=T)
+        cameras = with_pair(cameras, T_c_r=T)
     elif name.startswith("stereo_r_"):
-        T = cameras.T_c_r.copy()
+        T = cameras.T_c_each[1].copy()
         T[:3, :3] = se3.exp_so3(-by * np.eye(3)["xyz".index(name[-1])]) @ T[:3, :3]
-        cameras = replace(cameras, T_c_r=T)
+        cameras = with_pair(cameras, T_c_r=T)
     elif name == "torso_pitch_joint_position_x":
         first = rig.chain.links[0]
         T = first.T_parent_child.copy()
@@ -490,7 +491,7 @@ def test_corners_that_were_not_seen_have_no_say():
     found = []
     for shift_px in (0.0, 30.0):
         observations = tuple(
-            replace(o, left=hidden(o.left, shift_px), right=hidden(o.right, shift_px))
+            with_views(o, left=hidden(o.views[0], shift_px), right=hidden(o.views[1], shift_px))
             for o in whole.observations
         )
         fit = maximum_likelihood(replace(whole, observations=observations))

@@ -28,6 +28,7 @@ from tests.extractions import (
     ideal_extraction,
     imperfect_extraction,
 )
+from tests.pairs import with_pair, with_views
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
@@ -79,10 +80,10 @@ def test_far_starts_lead_to_the_same_estimate(number):
 
 
 def with_principal_point(extraction, by_px):
-    camera = extraction.rig.cameras.right
+    camera = extraction.rig.cameras.each[1]
     K = camera.K.copy()
     K[1, 2] -= by_px
-    cameras = replace(extraction.rig.cameras, right=replace(camera, K=K))
+    cameras = with_pair(extraction.rig.cameras, right=replace(camera, K=K))
     return replace(extraction, rig=replace(extraction.rig, cameras=cameras))
 
 
@@ -249,11 +250,11 @@ def test_fixed_values_are_those_of_the_reference_camera(fixed):
     ideal = imperfect_extraction(robot, plan_route(robot, stations=12, seed=3), pair, seed=3)
     cameras = replace(ideal.rig.cameras, reference="right")
     true_pair = ActualRobot(robot, pair.constants).rig_cameras
-    T_h_right = robot.T_h_c @ true_pair.T_c_r
+    T_h_right = robot.T_h_c @ true_pair.T_c_each[1]
     nominal = replace(ideal.rig.nominal, T_h_reference=T_h_right)
     extraction = replace(ideal, rig=replace(ideal.rig, cameras=cameras, nominal=nominal))
     found = solve(extraction, constraints=Constraints(fixed=dict.fromkeys(fixed)))
-    right = Parameters(found.parameters.T_h_c @ found.cameras.T_c_r, found.parameters.wheels)
+    right = Parameters(found.parameters.T_h_c @ found.cameras.T_c_each[1], found.parameters.wheels)
     off = right.minus(Parameters(T_h_right, robot.wheels))
     std = np.sqrt(np.diag(found.uncertainty.reference_covariance))
     exact = np.isin(NINE, fixed)
@@ -287,8 +288,8 @@ def test_a_camera_fixed_to_the_base_with_a_bad_station():
     T_v_h = head_pose(drive.rig.chain, drive.observations[0].joints[None])[0]
     fixed = replace(drive.rig.chain, links=(FixedLink(T_v_h),), pan="", tilt="")
     seen = [replace(o, joints=np.zeros(0), joints_std=np.zeros(0)) for o in drive.observations]
-    left, right = (replace(c, pixels=c.pixels + 25) for c in (seen[5].left, seen[5].right))
-    seen[5] = replace(seen[5], left=left, right=right)
+    left, right = (replace(c, pixels=c.pixels + 25) for c in (seen[5].views[0], seen[5].views[1]))
+    seen[5] = with_views(seen[5], left=left, right=right)
     rig = replace(drive.rig, chain=fixed)
     solution = solve(replace(drive, rig=rig, observations=tuple(seen), joint_tracks=((),)))
     assert [outlier.observations for outlier in solution.outliers] == [(5,)]

@@ -17,6 +17,7 @@ from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import errors
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.pairs import with_views
 from tests.report.example import made, rows_of
 
 ROBOT = paper_robot()
@@ -56,7 +57,9 @@ def misread(extraction, station, seed=0, size_px=300.0):
             corners.pixels + size_px * random.normal(size=corners.pixels.shape), corners.sigma_px, 1
         )
 
-    seen[station] = replace(seen[station], left=wrong(seen[station].left), right=wrong(seen[station].right))
+    seen[station] = with_views(
+        seen[station], left=wrong(seen[station].views[0]), right=wrong(seen[station].views[1])
+    )
     return replace(extraction, observations=tuple(seen))
 
 
@@ -166,7 +169,7 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
 def test_corners_nine_times_noisier_than_claimed_in_one_recording():
     noisy = recorded("standard", 2, noise=replace(NOISE, pixel_px=1.8))
     claimed = tuple(
-        replace(o, left=Corners(o.left.pixels, 0.2, 1), right=Corners(o.right.pixels, 0.2, 1))
+        with_views(o, left=Corners(o.views[0].pixels, 0.2, 1), right=Corners(o.views[1].pixels, 0.2, 1))
         for o in noisy.observations
     )
     found = solve(joined(recorded("standard", 1), replace(noisy, observations=claimed)))

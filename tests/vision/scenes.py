@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera, StereoRig
+from mobilecal_cli.model import Board, Camera, CameraRig
 
 K = np.array([[550.0, 0.0, 322.0], [0.0, 548.0, 241.0], [0.0, 0.0, 1.0]])
 K_RIGHT = np.array([[552.0, 0.0, 317.0], [0.0, 551.0, 245.0], [0.0, 0.0, 1.0]])
@@ -18,7 +18,7 @@ PLUMB_BOB = [-0.28, 0.09, 0.0007, -0.0004, 0.0]
 EQUIDISTANT = [-0.02, 0.004, -0.003, 0.0007]
 
 
-def stereo_rig(kind: str = "raw") -> StereoRig:
+def stereo_rig(kind: str = "raw") -> CameraRig:
     """A pair with a baseline of 0.12 m: raw (distorted, turned a little), fisheye, or rectified."""
     distortion, D = {
         "raw": ("plumb_bob", PLUMB_BOB),
@@ -29,7 +29,7 @@ def stereo_rig(kind: str = "raw") -> StereoRig:
     T_c_r = se3.transform(se3.exp_so3(turn), np.array([0.12, 0.001 * any(turn), -0.002 * any(turn)]))
     left = Camera("left_optical", 640, 480, K, np.array(D), distortion)
     right = Camera("right_optical", 640, 480, K_RIGHT, np.array(D), distortion)
-    return StereoRig(left, right, T_c_r, kind == "rectified", np.eye(3), np.eye(3))
+    return CameraRig.pair(left, right, T_c_r, kind == "rectified", np.eye(3), np.eye(3))
 
 
 def pose(
@@ -63,12 +63,16 @@ def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def seen(
-    rig: StereoRig, T_c_k: np.ndarray, board: Board, square_m: float
+    rig: CameraRig, T_c_k: np.ndarray, board: Board, square_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners in c (M, 3), and their true pixels in both images."""
     points_c = se3.act(T_c_k, square_m * board.grid())
-    T_r_c = np.linalg.inv(rig.T_c_r)
-    return points_c, opencv_pixels(rig.left, points_c), opencv_pixels(rig.right, se3.act(T_r_c, points_c))
+    T_r_c = np.linalg.inv(rig.T_c_each[1])
+    return (
+        points_c,
+        opencv_pixels(rig.each[0], points_c),
+        opencv_pixels(rig.each[1], se3.act(T_r_c, points_c)),
+    )
 
 
 @cache

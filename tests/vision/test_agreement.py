@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, Rejection, Station, StereoRig
-from mobilecal_cli.vision import Detection, Measured, agreeing, check_arrangement, check_square, measure
+from mobilecal_cli.model import Board, CameraRig, Rejection, Station
+from mobilecal_cli.vision import Detection, Measured, agreeing, check_arrangement, check_square
+from tests.pairs import measure, with_pair
 from tests.vision.scenes import random_pose, seen, stereo_rig
 
 RIG = stereo_rig("raw")
@@ -19,7 +20,7 @@ SQUARE_M = 0.06
 Pair = tuple[Detection, Detection]
 
 
-def pairs(count: int = 8, rig: StereoRig = RIG) -> list[Pair]:
+def pairs(count: int = 8, rig: CameraRig = RIG) -> list[Pair]:
     """The board at random poses, 0.05 px of noise, as the cameras of `rig` see it."""
     rng = np.random.default_rng(5)
     found = []
@@ -34,7 +35,7 @@ def moved(pair: Pair, by: tuple[float, float]) -> Pair:
     return pair[0], Detection(pair[1].pixels + by, 0.05)
 
 
-def measured(found: list[Pair], rig: StereoRig = RIG) -> list[Measured | Rejection]:
+def measured(found: list[Pair], rig: CameraRig = RIG) -> list[Measured | Rejection]:
     stations = [Station(i, True, (), 10**9 * i, np.zeros(2), np.zeros(2)) for i in range(len(found))]
     return [
         measure(0, station, [left], [right], rig, BOARD)
@@ -42,10 +43,10 @@ def measured(found: list[Pair], rig: StereoRig = RIG) -> list[Measured | Rejecti
     ]
 
 
-def shifted(pixels: float) -> StereoRig:
+def shifted(pixels: float) -> CameraRig:
     """The pair with a camera_info whose right principal point is off, along the rows of a column."""
-    return replace(
-        RIG, right=replace(RIG.right, K=RIG.right.K + pixels * np.eye(3)[1][:, None] * np.eye(3)[2])
+    return with_pair(
+        RIG, right=replace(RIG.each[1], K=RIG.each[1].K + pixels * np.eye(3)[1][:, None] * np.eye(3)[2])
     )
 
 
@@ -90,7 +91,7 @@ def test_a_healthy_pair_passes() -> None:
 
 @pytest.mark.parametrize("mistake", ["exchanged", "mirrored", "upside down"])
 def test_the_arrangement_of_the_images_is_named(mistake: str) -> None:
-    width, height = RIG.left.width - 1, RIG.left.height - 1
+    width, height = RIG.each[0].width - 1, RIG.each[0].height - 1
     wrong = []
     for left, right in pairs():
         if mistake == "exchanged":

@@ -6,9 +6,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision import Detection, Miss, board_pose, triangulate
+from mobilecal_cli.vision import Detection, Miss
 from mobilecal_cli.vision.averaging import StationCorners
 from mobilecal_cli.vision.corner_model import fit_corners
+from tests.pairs import board_pose, triangulate
 from tests.vision.scenes import pose, seen, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
@@ -56,7 +57,7 @@ def test_an_average_keeps_the_claims_apart():
     found = [
         Detection(left + (root @ random.normal(size=(54, 2, 1)))[..., 0], 0.03, cov=cov) for _ in range(400)
     ]
-    average = StationCorners.of(found, BOARD).average(BOARD, rig.left)
+    average = StationCorners.of(found, BOARD).average(BOARD, rig.each[0])
     usual = np.median(np.trace(cov, axis1=1, axis2=2)) / 2
     own = average.cov_px2 - cov / 400
     # What the average is noisier than claimed, if it is, is the same for all corners and both directions.

@@ -30,7 +30,7 @@ POSES = [  # squares of 15 to 34 px, upright and turned, frontal and tilted
 @pytest.fixture(scope="module")
 def scenes():
     """Noise-free images and their true corners, (rows, columns, 2)."""
-    camera = paper_robot().rig_cameras.left
+    camera = paper_robot().rig_cameras.each[0]
     renderer = BoardRenderer(camera, BoardShape(BOARD), 0.6, np.random.default_rng(0))
     found = []
     for depth, turn in POSES:

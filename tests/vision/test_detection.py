@@ -16,7 +16,7 @@ from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.05
-CAMERA = stereo_rig("rectified").left
+CAMERA = stereo_rig("rectified").each[0]
 FACING = pose(0.01, -0.02, 0.9, (0.25, -0.3, 0.1), BOARD, SQUARE_M)
 
 
@@ -55,7 +55,7 @@ def boards(shared_data: Path) -> list[Path]:
 class TestRendered:
     @pytest.mark.parametrize("kind", ["rectified", "raw"])
     def test_accuracy_without_noise(self, kind: str) -> None:
-        camera = stereo_rig(kind).left
+        camera = stereo_rig(kind).each[0]
         rng = np.random.default_rng(11)
         squares, claims, biases = [], [], []
         for _ in range(5):

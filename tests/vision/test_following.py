@@ -14,7 +14,7 @@ from mobilecal_cli.vision.saddles import saddle_response
 from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
-CAMERA = stereo_rig("raw").left
+CAMERA = stereo_rig("raw").each[0]
 STEP_NS = 50_000_000
 
 

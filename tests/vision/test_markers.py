@@ -25,7 +25,7 @@ def views(kind, T_c_k, noise=2.0, blur=0.6, seed=3):
     """Both cameras' images of a board, and where its corners are in them."""
     board, random = PRINTED[kind], np.random.default_rng(seed)
     made = []
-    for camera, T_c_x in ((RIG.left, np.eye(4)), (RIG.right, RIG.T_c_r)):
+    for camera, T_c_x in ((RIG.each[0], np.eye(4)), (RIG.each[1], RIG.T_c_each[1])):
         T_x_k = np.linalg.inv(T_c_x) @ T_c_k
         grey = BoardRenderer(camera, BoardShape(board), blur, random).picture(T_x_k)
         image = np.clip(np.round(grey + noise * random.normal(size=grey.shape)), 0, 255).astype(np.uint8)
@@ -100,22 +100,22 @@ def test_an_observation_of_a_part_is_completed_by_its_pose(kind):
     for square_m in (board.square_m, None):
         seen = observe(0, station, [left], [right], RIG, board, square_m)
         assert isinstance(seen, Observation), seen
-        np.testing.assert_array_equal(seen.left.seen, left.seen)
+        np.testing.assert_array_equal(seen.views[0].seen, left.seen)
         assert seen.square_m == pytest.approx(board.square_m, rel=0.01)
         scale = 1 if square_m else board.square_m / seen.square_m
         np.testing.assert_allclose(seen.T_c_k[:3, 3] * scale, T_c_k[:3, 3], atol=0.01)
         np.testing.assert_allclose(seen.T_c_k[:3, :3], T_c_k[:3, :3], atol=0.01)
-        for corners, (_, truth) in zip((seen.left, seen.right), made, strict=True):
+        for corners, (_, truth) in zip((seen.views[0], seen.views[1]), made, strict=True):
             error = corners.pixels - truth
             assert np.abs(error[~corners.seen]).max() < 3  # predicted far outside the image
         points = (board.grid() * board.square_m) @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         np.testing.assert_allclose(seen.points_c * scale, points, atol=0.06)
         # The claimed noise comes from the reprojection error of the board's pose.
         error = np.concatenate(
-            [(c.pixels - t)[c.seen] for c, (_, t) in zip((seen.left, seen.right), made, strict=True)]
+            [(c.pixels - t)[c.seen] for c, (_, t) in zip((seen.views[0], seen.views[1]), made, strict=True)]
         )
-        assert 0.5 < seen.left.sigma_px / np.sqrt(np.mean(error**2)) < 1.5
-        both = seen.left.seen & seen.right.seen
+        assert 0.5 < seen.views[0].sigma_px / np.sqrt(np.mean(error**2)) < 1.5
+        both = seen.views[0].seen & seen.views[1].seen
         assert not both.all()
 
 

@@ -50,8 +50,7 @@ def world(
                 True,
                 np.zeros(0),
                 np.zeros(0),
-                corners,
-                corners,
+                (corners, corners),
                 points,
                 covariance,
                 T,
@@ -67,7 +66,7 @@ def world(
 def renumbered(observation: Observation, board: Board, k: int) -> Observation:
     """As if the detector had started from another corner."""
     points = turned(observation.points_c, board.columns, board.rows, k)
-    pixels = turned(observation.left.pixels, board.columns, board.rows, k)
+    pixels = turned(observation.views[0].pixels, board.columns, board.rows, k)
     grid = points.reshape(board.rows, board.columns, 3)
     x, y = (grid[0, -1] - grid[0, 0]), (grid[-1, 0] - grid[0, 0])
     x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
@@ -80,8 +79,7 @@ def renumbered(observation: Observation, board: Board, k: int) -> Observation:
         True,
         np.zeros(0),
         np.zeros(0),
-        corners,
-        corners,
+        (corners, corners),
         points,
         turned(observation.points_cov, board.columns, board.rows, k),
         T,
@@ -100,8 +98,8 @@ def same_numbering(resolved: tuple[Observation, ...], truth: list[Observation], 
         ):
             for s, w in zip(resolved, wanted, strict=True):
                 np.testing.assert_allclose(s.T_c_k, w.T_c_k, atol=1e-9)
-                np.testing.assert_array_equal(s.left.pixels, w.left.pixels)
-                np.testing.assert_array_equal(s.right.pixels, w.right.pixels)
+                np.testing.assert_array_equal(s.views[0].pixels, w.views[0].pixels)
+                np.testing.assert_array_equal(s.views[1].pixels, w.views[1].pixels)
                 np.testing.assert_array_equal(s.points_cov, w.points_cov)
             return True
     return False
@@ -160,8 +158,7 @@ def test_head_that_never_moves() -> None:
                 True,
                 np.zeros(0),
                 np.zeros(0),
-                pixels,
-                pixels,
+                (pixels, pixels),
                 points,
                 o.points_cov,
                 T,

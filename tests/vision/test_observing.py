@@ -9,18 +9,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera, Observation, Rejection, Station, StereoPair, StereoRig
-from mobilecal_cli.vision import (
-    Detection,
-    Measured,
-    Miss,
-    agreeing,
-    detect,
-    measure,
-    resolve_square,
-    snapshot_jpeg,
-)
+from mobilecal_cli.model import Board, Camera, CameraRig, Observation, Rejection, Shot, Station
+from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square, snapshot_jpeg
 from mobilecal_cli.vision.grid import turned
+from tests.pairs import measure
 from tests.vision.scenes import pose, render, seen, stereo_rig
 
 BOARD = Board(9, 6)
@@ -30,7 +22,7 @@ T_C_K = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
 
 
 def station(pairs: int = 1) -> Station:
-    pairs = tuple(StereoPair(1000 + i, 1000 + i) for i in range(pairs))
+    pairs = tuple(Shot((1000 + i, 1000 + i)) for i in range(pairs))
     return Station(3, True, pairs, 1000, np.array([0.1, -0.2]), np.zeros(2))
 
 
@@ -76,7 +68,7 @@ def test_exact_corners(square_m: float | None) -> None:
 def test_noise_averages_and_is_measured() -> None:
     found = observed(observe(0, station(16), *pairs(16, 0.2), RIG, BOARD, SQUARE_M))
     truth = seen(RIG, T_C_K, BOARD, SQUARE_M)
-    for corners, expected in ((found.left, truth[1]), (found.right, truth[2])):
+    for corners, expected in ((found.views[0], truth[1]), (found.views[1], truth[2])):
         assert corners.pictures == 16
         assert corners.sigma_px == pytest.approx(0.05, rel=0.2)
         assert np.sqrt(np.mean((corners.pixels - expected) ** 2)) == pytest.approx(0.05, rel=0.2)
@@ -87,14 +79,14 @@ def test_noise_averages_and_is_measured() -> None:
 def test_errors_common_to_all_shots_are_no_smaller_for_averaging() -> None:
     left, right = pairs(1, 0.2)
     found = observed(observe(0, station(9), left * 9, right * 9, RIG, BOARD, SQUARE_M))
-    assert found.left.sigma_px == pytest.approx(0.2, rel=0.3)
+    assert found.views[0].sigma_px == pytest.approx(0.2, rel=0.3)
 
 
 def test_shots_missing_in_one_picture_are_left_out() -> None:
     left, right = pairs(4, 0.1)
     left[1] = Miss("blurred", "borders are 0.8 squares wide")
     found = observed(observe(0, station(4), left, right, RIG, BOARD, SQUARE_M))
-    assert found.left.pictures == found.right.pictures == 3
+    assert found.views[0].pictures == found.views[1].pictures == 3
 
 
 def test_no_pair() -> None:
@@ -122,7 +114,7 @@ def test_a_shot_that_moved_is_left_out() -> None:
     left, right = pairs(5, 0.05)
     left[4] = Detection(left[4].pixels + 2.0, 0.05)
     found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
-    assert found.left.pictures == 4
+    assert found.views[0].pictures == 4
 
 
 def test_a_rest_that_is_none() -> None:
@@ -165,7 +157,7 @@ def test_from_pictures_to_pose() -> None:
     T_c_k = pose(0.05, 0.0, 0.9, (0.3, -0.2, 0.1), board, 0.05)
     pictures = [
         render(camera, T, board, 0.05, blur_px=0.7, noise=1.5, supersample=4)
-        for camera, T in ((RIG.left, T_c_k), (RIG.right, np.linalg.inv(RIG.T_c_r) @ T_c_k))
+        for camera, T in ((RIG.each[0], T_c_k), (RIG.each[1], np.linalg.inv(RIG.T_c_each[1]) @ T_c_k))
     ]
     left, right = ([detect(image, 8, 6)] for image in pictures)
     found = observed(observe(0, station(), left, right, RIG, board, None))
@@ -177,13 +169,13 @@ def test_from_pictures_to_pose() -> None:
 
 
 def test_snapshot() -> None:
-    image = render(RIG.left, T_C_K, BOARD, SQUARE_M)
+    image = render(RIG.each[0], T_C_K, BOARD, SQUARE_M)
     decoded = cv2.imdecode(np.frombuffer(snapshot_jpeg(image[:, 5:]), np.uint8), cv2.IMREAD_UNCHANGED)
     assert decoded.shape == (480, 635)
     assert np.abs(decoded.astype(int) - image[:, 5:]).mean() < 2
 
 
-def bouguet() -> StereoRig:
+def bouguet() -> CameraRig:
     """Bouguet's published calibration of the OpenCV samples' cameras."""
     left = Camera(
         "left",
@@ -204,7 +196,7 @@ def bouguet() -> StereoRig:
     T_r_c = se3.transform(
         se3.exp_so3(np.array([0.00669, 0.00452, -0.00350])), np.array([-0.099802, 0.001124, 0.00005])
     )
-    return StereoRig(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
 
 
 def test_real_pairs_show_squares_of_30_mm(shared_data: Path) -> None:

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_residuals, square_from_points
+from mobilecal_cli.vision.pose import absolute_orientation, pose_residuals, square_from_points
+from tests.pairs import board_pose
 from tests.vision.scenes import random_pose, seen, stereo_rig
 
 BOARD = Board(9, 6)

@@ -33,7 +33,7 @@ def test_the_noise_is_true_for_few_corners_too(
     columns: int, rows: int, square_m: float, kind: str, exact: bool
 ) -> None:
     rng, rig, board = np.random.default_rng(0), stereo_rig(kind), Board(columns, rows)
-    camera = rig.left if exact else slightly_wrong(rig.left)
+    camera = rig.each[0] if exact else slightly_wrong(rig.each[0])
     squares = []
     for _ in range(100):
         _, left, _ = seen(rig, random_pose(rng, board, square_m), board, square_m)
@@ -48,18 +48,18 @@ def test_without_the_lens_the_same_corners_look_rough() -> None:
     _, left, _ = seen(rig, random_pose(np.random.default_rng(1), board, 0.08), board, 0.08)
     grid = left.reshape(4, 6, 2)
     assert fit_grid(grid).sigma_px > 0.1
-    assert roughness_px(rig.left, grid) < 1e-6
+    assert roughness_px(rig.each[0], grid) < 1e-6
 
 
 def test_a_wrong_corner_shows() -> None:
     rig, board = stereo_rig("raw"), Board(6, 4)
     _, left, _ = seen(rig, random_pose(np.random.default_rng(2), board, 0.08), board, 0.08)
     left[8] += 1.0
-    assert roughness_px(rig.left, left.reshape(4, 6, 2)) > 0.1
+    assert roughness_px(rig.each[0], left.reshape(4, 6, 2)) > 0.1
 
 
 def test_pixels_that_the_model_cannot_produce_fall_back() -> None:
-    camera = replace(stereo_rig("raw").left, D=np.array([-0.9, 0.0, 0.0, 0.0, 0.0]))
+    camera = replace(stereo_rig("raw").each[0], D=np.array([-0.9, 0.0, 0.0, 0.0, 0.0]))
     x, y = np.meshgrid(np.linspace(10, 630, 6), np.linspace(10, 470, 4))
     grid = np.stack([x, y], axis=-1)
     assert roughness_px(camera, grid) == fit_grid(grid).sigma_px
@@ -71,10 +71,10 @@ def test_rendered_boards_claim_their_errors() -> None:
     errors, claims = [], []
     for seed in range(8):
         T = random_pose(rng, board, 0.08)
-        image = render(rig.left, T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
+        image = render(rig.each[0], T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
         found = detect(image, 6, 4)
         assert isinstance(found, Detection)
-        corners = StationCorners.of([found], board).average(board, rig.left)
+        corners = StationCorners.of([found], board).average(board, rig.each[0])
         truth = seen(rig, T, board, 0.08)[1]
         errors.append(min(np.mean((found.pixels - t) ** 2) for t in (truth, truth[::-1])))
         claims.append(corners.sigma_px**2)

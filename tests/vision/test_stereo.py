@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import Miss, StereoPoints
+from tests.pairs import triangulate, with_pair
 from tests.vision.scenes import random_pose, seen, stereo_rig
 
 BOARD = Board(9, 6)
@@ -86,7 +86,7 @@ def test_points_that_are_not_the_same_are_a_miss() -> None:
 def test_pixels_that_no_ray_reaches_are_a_miss() -> None:
     rig = stereo_rig("rectified")
     _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    barrel = replace(rig.left, D=np.array([-0.3, 0, 0, 0, 0]), distortion="plumb_bob")
-    found = triangulate(replace(rig, left=barrel), left + np.array([500.0, 0.0]), right, 0.1, 0.1)
+    barrel = replace(rig.each[0], D=np.array([-0.3, 0, 0, 0, 0]), distortion="plumb_bob")
+    found = triangulate(with_pair(rig, left=barrel), left + np.array([500.0, 0.0]), right, 0.1, 0.1)
     assert isinstance(found, Miss)
     assert "outside the valid range" in found.detail

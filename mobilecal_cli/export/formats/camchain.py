@@ -1,4 +1,4 @@
-"""The stereo pair in the format of Kalibr."""
+"""The cameras in the format of Kalibr."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.improved import camera_constants, cameras_with_notes
 from mobilecal_cli.export.text import decimals, quoted
-from mobilecal_cli.model import Camera, Side, StereoRig
+from mobilecal_cli.model import Camera, CameraRig
 
 #: Without distortion, radtan with zeros: Kalibr's reader accepts "none", but builds no camera from it.
 _KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 class Camchain(Format):
-    """The stereo pair as estimated, in the format of Kalibr"""
+    """The cameras as estimated, in the format of Kalibr"""
 
     def export(self, asked: Request) -> Exported:
         rig = asked.measurements().rig
@@ -26,36 +26,34 @@ class Camchain(Format):
         return Exported(camchain_yaml(cameras, rig.sources.image).encode(), notes)
 
 
-def camchain_yaml(cameras: StereoRig, topics: Mapping[Side, str]) -> str:
-    """The stereo pair in the format of Kalibr: cam0 is the left camera, T_cn_cnm1 maps its coordinates to the right.
+def camchain_yaml(cameras: CameraRig, topics: Mapping[str, str]) -> str:
+    """The cameras in the format of Kalibr: cam0 is the first (left) one, T_cn_cnm1 maps from each to the next.
 
     Raises:
         ConfigError: Kalibr has no model for the distortion.
     """
     kind = "rectified" if cameras.rectified else "raw"
+    several = "x_cam1 = T_cn_cnm1 x_cam0" if len(cameras.each) == 2 else "x_camN = T_cn_cnm1 x_cam(N-1)"
+    chain = f"{several}, m; " if len(cameras.each) > 1 else ""
     lines = [
-        "# Kalibr: x_cam1 = T_cn_cnm1 x_cam0, m; intrinsics fu, fv, pu, pv, px.",
+        f"# Kalibr: {chain}intrinsics fu, fv, pu, pv, px.",
         f"# Frames and intrinsics are those of the {kind} images.",
     ]
-    sides: tuple[tuple[str, Side, Camera], ...] = (
-        ("cam0", "left", cameras.left),
-        ("cam1", "right", cameras.right),
-    )
-    for number, side, camera in sides:
+    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True)):
         model, coefficients = _kalibr_distortion(camera)
         K = camera.K
         lines += [
-            f"{number}:",
+            f"cam{k}:",
             "  camera_model: pinhole",
             f"  intrinsics: {decimals([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])}",
             f"  distortion_model: {model}",
             f"  distortion_coeffs: {decimals(coefficients)}",
             f"  resolution: [{camera.width}, {camera.height}]",
-            f"  rostopic: {quoted(topics[side])}",
+            f"  rostopic: {quoted(topics[name])}",
         ]
-        if side == "right":
-            T_r_c = se3.inverse(cameras.T_c_r)
-            lines += ["  T_cn_cnm1:", *(f"  - {decimals(row)}" for row in T_r_c)]
+        if k:
+            T = se3.inverse(cameras.T_c_each[k]) @ cameras.T_c_each[k - 1]
+            lines += ["  T_cn_cnm1:", *(f"  - {decimals(row)}" for row in T)]
     return "\n".join(lines) + "\n"
 
 

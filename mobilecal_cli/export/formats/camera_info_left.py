@@ -1,68 +1,9 @@
-"""One camera of the pair in the format of camera_calibration_parsers."""
+"""The left camera of a pair in the format of camera_calibration_parsers."""
 
-from __future__ import annotations
-
-from typing import Any, ClassVar
-
-import numpy as np
-
-from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request
-from mobilecal_cli.export.improved import camera_constants, cameras_with_notes, rectified_pair
-from mobilecal_cli.export.text import decimals, quoted
-from mobilecal_cli.model import Camera, Side
+from mobilecal_cli.export.formats.camera_info import CameraInfo
 
 
-class CameraInfoLeft(Format):
-    """The camera as estimated, with new R and P; only for raw images"""
+class CameraInfoLeft(CameraInfo):
+    """The left camera as estimated, with new R and P; only for raw images"""
 
-    side: ClassVar[Side] = "left"
-
-    def export(self, asked: Request) -> Exported:
-        rig = asked.measurements().rig
-        changed = camera_constants(rig, asked.robot.constants or {})
-        cameras, notes = cameras_with_notes(rig, changed)
-        if not changed:
-            raise ConfigError(
-                f"{asked.params}: the stereo pair was not estimated, so its camera_info does not change",
-                "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",
-            )
-        if rig.cameras.rectified:
-            raise ConfigError(
-                "the calibration was made from rectified images, so it gives no camera_info of the raw images",
-                "calibrate from the raw images",
-            )
-        camera = cameras.left if self.side == "left" else cameras.right
-        return Exported(camera_info_yaml(camera, *rectified_pair(cameras)[self.side]).encode(), notes)
-
-
-def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:
-    """One camera in the format of camera_calibration_parsers.
-
-    Args:
-        camera: K and D.
-        R: (3, 3) raw to rectified coordinates.
-        P: (3, 4) projection of rectified coordinates, px.
-    """
-    model = "plumb_bob" if camera.distortion == "none" else camera.distortion
-    D = camera.D.tolist() or [0.0] * 5
-
-    def matrix(name: str, values: np.ndarray[Any, Any]) -> list[str]:
-        rows, columns = values.shape
-        data = decimals(values.ravel().tolist())
-        return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {data}"]
-
-    return "\n".join(
-        [
-            "# Frame: the optical frame of the raw images. x_rectified = R x_raw; pixels = P x_rectified, px.",
-            f"image_width: {camera.width}",
-            f"image_height: {camera.height}",
-            f"camera_name: {quoted(camera.frame_id)}",
-            *matrix("camera_matrix", camera.K),
-            f"distortion_model: {model}",
-            *matrix("distortion_coefficients", np.array([D])),
-            *matrix("rectification_matrix", R),
-            *matrix("projection_matrix", P),
-            "",
-        ]
-    )
+    camera = "left"

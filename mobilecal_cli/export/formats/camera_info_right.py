@@ -1,9 +1,9 @@
-"""The right camera of the pair in the format of camera_calibration_parsers."""
+"""The right camera of a pair in the format of camera_calibration_parsers."""
 
-from mobilecal_cli.export.formats.camera_info_left import CameraInfoLeft
+from mobilecal_cli.export.formats.camera_info import CameraInfo
 
 
-class CameraInfoRight(CameraInfoLeft):
-    """The camera as estimated, with new R and P; only for raw images"""
+class CameraInfoRight(CameraInfo):
+    """The right camera as estimated, with new R and P; only for raw images"""
 
-    side = "right"
+    camera = "right"

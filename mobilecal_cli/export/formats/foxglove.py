@@ -35,7 +35,7 @@ from mcap.writer import Writer
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, dark_squares
-from mobilecal_cli.model import SIDES, Camera, FloatArray, Side
+from mobilecal_cli.model import Camera, FloatArray
 
 _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15
@@ -142,10 +142,9 @@ def _add_frames(messages: _Messages, scene: Scene, motion: Motion) -> None:
     fixed = [_transform(start_ns, *frame) for frame in scene.fixed_frames()]
     messages.add("/tf_static", start_ns, FrameTransforms(transforms=fixed))
     for time_ns, T_w_v, T_v_h in zip(motion.time_ns.tolist(), motion.T_w_v, motion.T_v_h, strict=True):
-        moving = [
-            _transform(time_ns, names.world, names.base, T_w_v),
-            _transform(time_ns, names.base, names.head, T_v_h),
-        ]
+        moving = [_transform(time_ns, names.world, names.base, T_w_v)]
+        if names.head != names.base:
+            moving.append(_transform(time_ns, names.base, names.head, T_v_h))
         messages.add("/tf", time_ns, FrameTransforms(transforms=moving))
 
 
@@ -160,9 +159,9 @@ def _add_surroundings(
     entities = [_camera_entity(scene, station, start_ns) for station in stations]
     earlier = SceneEntityDeletion(timestamp=_time(start_ns), type=SceneEntityDeletion.ALL)  # another world
     messages.add("/cameras", start_ns, SceneUpdate(deletions=[earlier], entities=entities))
-    for side, camera in (("left", scene.cameras.left), ("right", scene.cameras.right)):
-        info = _calibration(camera, getattr(names, side), start_ns)
-        messages.add(f"/camera/{side}/calibration", start_ns, info)
+    for name, camera in zip(scene.cameras.names, scene.cameras.each, strict=True):
+        info = _calibration(camera, names.cameras[name], start_ns)
+        messages.add(f"/camera/{name}/calibration", start_ns, info)
     if stations:
         board = SceneEntity(
             timestamp=_time(start_ns),
@@ -187,8 +186,8 @@ def _board_triangles(scene: Scene) -> TriangleListPrimitive:
 
 
 def _camera_entity(scene: Scene, station: StationView, time_ns: int) -> SceneEntity:
-    """The left camera at one station as a small pyramid, in the world."""
-    camera, tip = scene.cameras.left, np.zeros(3)
+    """The first camera at one station as a small pyramid, in the world."""
+    camera, tip = scene.cameras.first, np.zeros(3)
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
@@ -241,14 +240,13 @@ def _add_station(messages: _Messages, scene: Scene, station: StationView) -> Non
     time_ns, names = station.time_ns, scene.names
     board = _transform(time_ns, names.world, names.board, station.T_w_k)
     messages.add("/tf_board", time_ns, FrameTransforms(transforms=[board]))
-    for side in SIDES:
-        view = station.corners[side]
-        messages.add(f"/camera/{side}/corners", time_ns, _annotations(view, time_ns))
+    for name, view in station.corners.items():
+        messages.add(f"/camera/{name}/corners", time_ns, _annotations(view, time_ns))
         if view.jpeg:
             image = CompressedImage(
-                timestamp=_time(time_ns), frame_id=getattr(names, side), data=view.jpeg, format="jpeg"
+                timestamp=_time(time_ns), frame_id=names.cameras[name], data=view.jpeg, format="jpeg"
             )
-            messages.add(f"/camera/{side}/image", time_ns, image)
+            messages.add(f"/camera/{name}/image", time_ns, image)
     if station.to_station:
         messages.add_json(
             "/residuals",
@@ -345,13 +343,13 @@ def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray
 
 
 def foxglove_layout(scene: Scene) -> str:
-    """A layout file for Foxglove: both images with corners, the 3D view, plots, states and the log."""
+    """A layout file for Foxglove: images with corners, the 3D view, plots, states and the log."""
 
-    def image(side: Side) -> dict[str, Any]:
-        annotations = {f"/camera/{side}/corners": {"visible": True}}
+    def image(name: str) -> dict[str, Any]:
+        annotations = {f"/camera/{name}/corners": {"visible": True}}
         mode = {
-            "imageTopic": f"/camera/{side}/image",
-            "calibrationTopic": f"/camera/{side}/calibration",
+            "imageTopic": f"/camera/{name}/image",
+            "calibrationTopic": f"/camera/{name}/calibration",
             "synchronize": False,
             "annotations": annotations,
         }
@@ -370,8 +368,7 @@ def foxglove_layout(scene: Scene) -> str:
         return {"first": first, "second": second, "direction": direction, "splitPercentage": share}
 
     panels: dict[str, Any] = {
-        "Image!left": image("left"),
-        "Image!right": image("right"),
+        **{f"Image!{name}": image(name) for name in scene.cameras.names},
         "3D!scene": {
             "followTf": scene.names.world,
             "followMode": "follow-none",
@@ -386,7 +383,10 @@ def foxglove_layout(scene: Scene) -> str:
         },
         "RosOut!rejected": {"topicToRender": "/rejected", "minLogLevel": 1, "searchTerms": []},
     }
-    images = split("Image!left", "Image!right", "row", 50)
+    names = scene.cameras.names
+    images: Any = f"Image!{names[-1]}"
+    for k, name in enumerate(names[-2::-1], 2):
+        images = split(f"Image!{name}", images, "row", 100 // k)
     plots = split("Plot!px", "Plot!mm", "column", 50)
     events = split("StateTransitions!station", "RosOut!rejected", "column", 45)
     below = split(plots, events, "row", 55)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
+
 from mobilecal_cli import se3
 from mobilecal_cli.export.formats import CONVENTION, HeadEyeFormat
-from mobilecal_cli.model import NINE, CalibratedRobot
+from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot
 
 
 class Json(HeadEyeFormat):
@@ -17,6 +19,9 @@ class Json(HeadEyeFormat):
 
     def text(self, robot: CalibratedRobot) -> str:
         T, known = robot.T_parent_child, robot.knowledge
+        units = np.ones(9)
+        if robot.odometry is not None:
+            units[6:] = robot.odometry.wheels.vector
         data: dict[str, Any] = {
             "convention": CONVENTION,
             "parent_frame": robot.parent_frame,
@@ -25,14 +30,32 @@ class Json(HeadEyeFormat):
             "T_parent_child": T.tolist(),
             "translation_m": T[:3, 3].tolist(),
             "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
-            "radius_left_m": robot.wheels.radius_left_m,
-            "radius_right_m": robot.wheels.radius_right_m,
-            "separation_m": robot.wheels.separation_m,
-            "order": list(NINE),
-            "covariance": None if known is None else known.covariance.tolist(),
+            **_wheels(robot),
+            "covariance": None if known is None else (known.covariance / np.outer(units, units)).tolist(),
             "observable": None if known is None else known.observable.tolist(),
             "verdict": robot.verdict or None,
             "verdict_reasons": list(robot.reasons),
             "created": robot.created,
         }
         return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def _wheels(robot: CalibratedRobot) -> dict[str, Any]:
+    """Wheels and the order of the covariance; of a robot with odometry alone its factors."""
+    if robot.odometry is None:
+        wheels = robot.wheels
+        return {
+            "radius_left_m": wheels.radius_left_m,
+            "radius_right_m": wheels.radius_right_m,
+            "separation_m": wheels.separation_m,
+            "order": list(NINE),
+        }
+    return {
+        "odometry": {
+            "topic": robot.odometry.topic,
+            **dict(zip(FACTORS, robot.factors.tolist(), strict=True)),
+            "std": dict(zip(FACTORS, robot.factors_std.tolist(), strict=False)),
+            "assumed_separation_m": robot.odometry.wheels.separation_m,
+        },
+        "order": [*NINE[:6], *FACTORS[:3]],
+    }

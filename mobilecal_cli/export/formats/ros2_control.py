@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.text import decimal, quoted
-from mobilecal_cli.model import CalibratedRobot, Side, WheelGeometry
+from mobilecal_cli.model import FACTORS, SIDES, CalibratedRobot, Side, WheelGeometry
+from mobilecal_cli.model.text import visible
 
 
 class Ros2Control(Format):
@@ -34,15 +35,15 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     Raises:
         ConfigError: all sizes are unobservable.
     """
+    if robot.odometry is not None:
+        return _factors_yaml(robot, joints)
     wheels = robot.wheels
     radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
     base = "the mean of both radii and the calibrated separation"
     if nominal is not None:
         radius_m = (nominal.radius_left_m + nominal.radius_right_m) / 2
         separation_m, base = nominal.separation_m, "the nominal sizes"
-    names = [
-        f"    {side}_wheel_names: [{quoted(joints[side])}]" for side in ("left", "right") if side in joints
-    ]
+    names = _names(robot, joints)
     left, right = decimal(wheels.radius_left_m), decimal(wheels.radius_right_m)
     calibrated, sizes = (
         [f"left radius {left}", f"right radius {right}"],
@@ -75,6 +76,55 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
             "  ros__parameters:",
             *names,
             *sizes,
+            "",
+        ]
+    )
+
+
+def _names(robot: CalibratedRobot, joints: Mapping[Side, str]) -> list[str]:
+    every = {**robot.side_joints, **{side: (name,) for side, name in joints.items()}}
+    return [
+        f"    {side}_wheel_names: [{', '.join(quoted(name) for name in every[side])}]"
+        for side in SIDES
+        if side in every
+    ]
+
+
+def _factors_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
+    """The multipliers of a driver whose wheels are unknown, and the scales that other drivers take."""
+    assert robot.odometry is not None
+    values = dict(zip(FACTORS, (decimal(value) for value in robot.factors.tolist()), strict=True))
+    std = dict(zip(FACTORS, robot.factors_std.tolist(), strict=False))
+    hidden = {
+        "left_wheel_radius_multiplier": bool(robot.unobservable[6:8].any()),
+        "right_wheel_radius_multiplier": bool(robot.unobservable[6:8].any()),
+        "wheel_separation_multiplier": bool(robot.unobservable[6:].any()),
+    }
+    if all(hidden.values()):
+        raise ConfigError(
+            "the calibration determines no factor of the odometry",
+            "record again with straight drives and turns",
+        )
+
+    def line(name: str) -> str:
+        sigma = f"  # +- {std[name]:.2g}" if name in std else ""
+        return f"    {name}: {values[name]}{sigma}"
+
+    separation = decimal(robot.odometry.wheels.separation_m)
+    scales = ", ".join(f"{name} {values[name]}" for name in ("linear_scale", "angular_scale"))
+    return "\n".join(
+        [
+            f"# Factors of the odometry on {visible(robot.odometry.topic)}. Keep wheel_radius and wheel_separation of",
+            "# your driver, and multiply multipliers that it has already by these. The difference between the",
+            f"# multipliers of the two radii holds for a wheel_separation of {separation} m.",
+            *([] if any(hidden.values()) else [f"# For drivers that scale distance and rotation: {scales}."]),
+            "diff_drive_controller:",
+            "  ros__parameters:",
+            *_names(robot, joints),
+            *(
+                f"    # {name} is unobservable: keep that of your controller." if unknown else line(name)
+                for name, unknown in hidden.items()
+            ),
             "",
         ]
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mobilecal_cli import se3
 from mobilecal_cli.export.formats import CONVENTION, HeadEyeFormat, frame_note
 from mobilecal_cli.export.text import attribute, comment, decimal
-from mobilecal_cli.model import CalibratedRobot
+from mobilecal_cli.model import FACTORS, CalibratedRobot
 
 
 class Xacro(HeadEyeFormat):
@@ -16,10 +16,18 @@ class Xacro(HeadEyeFormat):
         values = {
             "head_eye_xyz": " ".join(decimal(float(value)) for value in T[:3, 3]),
             "head_eye_rpy": " ".join(decimal(float(value)) for value in se3.to_rpy(T[:3, :3])),
-            "wheel_radius_left": decimal(wheels.radius_left_m),
-            "wheel_radius_right": decimal(wheels.radius_right_m),
-            "wheel_separation": decimal(wheels.separation_m),
         }
+        if robot.odometry is None:
+            values |= {
+                "wheel_radius_left": decimal(wheels.radius_left_m),
+                "wheel_radius_right": decimal(wheels.radius_right_m),
+                "wheel_separation": decimal(wheels.separation_m),
+            }
+        else:
+            values |= {
+                f"odometry_{name}": decimal(value)
+                for name, value in zip(FACTORS, robot.factors.tolist(), strict=True)
+            }
         note = comment(
             f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {CONVENTION} "
             f"{frame_note(robot)}"

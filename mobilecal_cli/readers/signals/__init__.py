@@ -22,6 +22,7 @@ from mobilecal_cli.model import (
     Sources,
     Track,
     WheelSource,
+    camera_words,
     listed,
 )
 from mobilecal_cli.readers.containers.recording import Recording
@@ -93,9 +94,9 @@ class Subscriptions:
                 f"{self.recording.name}: {topic} has the type {info.type}, expected {wanted}", hint
             )
 
-    def images(self, side: Side, topic: str) -> Series:
-        """Collect the stamps of a side's images; the value is 1 for an image that is identical to the one before it."""
-        self._of_type(topic, IMAGES, f"correct cameras.{side}.image in rig.yaml")
+    def images(self, name: str, topic: str) -> Series:
+        """Collect the stamps of a camera's images; the value is 1 for an image identical to the one before it."""
+        self._of_type(topic, IMAGES, f"correct cameras.{name}.image in rig.yaml")
         stamps = Series(topic, topic)
         before = b""
 
@@ -212,8 +213,8 @@ class Subscriptions:
             if topic in self._broken
         ]
 
-    def check_images(self, side: Side, series: Series) -> None:
-        """Check that a side has images.
+    def check_images(self, name: str, series: Series) -> None:
+        """Check that a camera has images.
 
         Raises:
             RecordingError: it has none.
@@ -222,8 +223,8 @@ class Subscriptions:
             broken = self._broken.get(series.topic, 0)
             fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
             raise RecordingError(
-                f"{self.recording.name}: no images of the {side} camera on {series.topic}: {fact}",
-                "record both cameras, or set other topics in rig.yaml",
+                f"{self.recording.name}: no images of the {camera_words(name)} on {series.topic}: {fact}",
+                "record all cameras, or set other topics in rig.yaml",
             )
 
     def joint_quantity(self, name: str, topics: Sequence[str], notes: list[str]) -> Quantity:
@@ -320,10 +321,10 @@ def read_signals(
 
     Raises:
         RecordingError: a topic, joint or field is missing (the message lists what is present), a topic has the wrong
-            type, a side has no images, or a joint or wheel has no finite reading.
+            type, a camera has no images, or a joint or wheel has no finite reading.
     """
     read = Subscriptions(recording)
-    images = {side: read.images(side, topic) for side, topic in sources.image.items()}
+    images = {name: read.images(name, topic) for name, topic in sources.image.items()}
     for topic in sources.joints:
         read.joints(topic, [name for name in joints if name not in sources.elsewhere])
     read.joints_elsewhere(sources.elsewhere)
@@ -338,8 +339,8 @@ def read_signals(
         infos.sample()
 
     notes: list[str] = []
-    for side, series in images.items():
-        read.check_images(side, series)
+    for name, series in images.items():
+        read.check_images(name, series)
     turning = {side: [read.wheel_quantity(side, wheel, notes) for wheel in wheels[side]] for side in SIDES}
     moving = {name: read.joint_quantity(name, sources.joints, notes) for name in joints}
     read_over_time = (*moving.values(), *(one for side in SIDES for one in turning[side]))
@@ -365,14 +366,12 @@ def read_signals(
             },
             some,
         )
-        found: dict[Side, PictureIndex] = {}
-        for side, series in images.items():
+        found: dict[str, PictureIndex] = {}
+        for camera, series in images.items():
             index = _index(samples[series], series.topic in read.video, some)
-            found[side] = index.rows(infos.usual_at(sources.info.get(side, ""), index.log_ns))
-            if not len(found[side].time_ns):
-                raise RecordingError(
-                    f"{series.topic}: no usable images", "record both cameras the whole time"
-                )
+            found[camera] = index.rows(infos.usual_at(sources.info.get(camera, ""), index.log_ns))
+            if not len(found[camera].time_ns):
+                raise RecordingError(f"{series.topic}: no usable images", "record all cameras the whole time")
         for side, track in wheels.items():
             some += gap_notes(f"{side} wheel", track)
         return Signals(tracks, wheels, found, tuple(some), infos.corrected)

@@ -1,0 +1,78 @@
+"""The reference camera in the format of camera_calibration_parsers."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.improved import camera_constants, cameras_with_notes, rectified_pair
+from mobilecal_cli.export.text import decimals, quoted
+from mobilecal_cli.model import Camera
+
+
+class CameraInfo(Format):
+    """The camera as estimated, with new R and P; only for raw images"""
+
+    #: Name of the camera; "" for the reference camera.
+    camera: ClassVar[str] = ""
+
+    def export(self, asked: Request) -> Exported:
+        rig = asked.measurements().rig
+        changed = camera_constants(rig, asked.robot.constants or {})
+        cameras, notes = cameras_with_notes(rig, changed)
+        what = "the stereo pair was" if cameras.calibrated else "the cameras were"
+        if not changed:
+            raise ConfigError(
+                f"{asked.params}: {what} not estimated, so its camera_info does not change",
+                "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",
+            )
+        if rig.cameras.rectified:
+            raise ConfigError(
+                "the calibration was made from rectified images, so it gives no camera_info of the raw images",
+                "calibrate from the raw images",
+            )
+        name = self.camera or cameras.reference
+        if name not in cameras.names:
+            raise ConfigError(
+                f"the robot has no camera {name!r}; it has {', '.join(cameras.names)}",
+                "use --to camera_info for the reference camera",
+            )
+        camera = cameras.each[cameras.names.index(name)]
+        alone = np.eye(3), np.hstack([camera.K, np.zeros((3, 1))])
+        R, P = rectified_pair(cameras)[name] if cameras.calibrated else alone
+        return Exported(camera_info_yaml(camera, R, P).encode(), notes)
+
+
+def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:
+    """One camera in the format of camera_calibration_parsers.
+
+    Args:
+        camera: K and D.
+        R: (3, 3) raw to rectified coordinates.
+        P: (3, 4) projection of rectified coordinates, px.
+    """
+    model = "plumb_bob" if camera.distortion == "none" else camera.distortion
+    D = camera.D.tolist() or [0.0] * 5
+
+    def matrix(name: str, values: np.ndarray[Any, Any]) -> list[str]:
+        rows, columns = values.shape
+        data = decimals(values.ravel().tolist())
+        return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {data}"]
+
+    return "\n".join(
+        [
+            "# Frame: the optical frame of the raw images. x_rectified = R x_raw; pixels = P x_rectified, px.",
+            f"image_width: {camera.width}",
+            f"image_height: {camera.height}",
+            f"camera_name: {quoted(camera.frame_id)}",
+            *matrix("camera_matrix", camera.K),
+            f"distortion_model: {model}",
+            *matrix("distortion_coefficients", np.array([D])),
+            *matrix("rectification_matrix", R),
+            *matrix("projection_matrix", P),
+            "",
+        ]
+    )
