@@ -317,9 +317,11 @@ def _motion(
             )
             cure = "set its unit in joints.fields, or correct the driver"
             findings.weak.append(Lack("joints", what, cure, SolveError.exit_code))
+    alone = rig.sources.assumed_wheels is not None  # odometry has no wheels
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
         for side in SIDES
+        if not alone
     }
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:

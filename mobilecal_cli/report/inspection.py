@@ -151,10 +151,12 @@ def _motion_lines(motion: MotionView) -> Iterable[str]:
     for name, span in motion.joints.items():
         yield f"  {visible(name)}: {span.low:.1f} to {span.high:.1f} {span.unit}"
     turned = ", ".join(f"{side} {value:.0f} deg" for side, value in sorted(motion.wheels_deg.items()))
-    yield f"  wheel rotation: {turned}"
+    if turned:
+        yield f"  wheel rotation: {turned}"
     if motion.driven_m is not None and motion.turned_deg is not None:
         yield (
-            f"  driven {motion.driven_m:.2f} m, heading range {motion.turned_deg:.0f} deg (nominal wheels)"
+            f"  driven {motion.driven_m:.2f} m, heading range {motion.turned_deg:.0f} deg "
+            f"({'nominal wheels' if turned else 'odometry'})"
         )
     if motion.rests is not None:
         yield f"  rests with images: {motion.rests}"
@@ -260,8 +262,7 @@ def _known(parts: Parts) -> dict[str, str]:
 
 
 def _wheel(source: WheelSource) -> str:
-    where = source.joint or source.field
-    return f"{where} on {source.topic}" if where else f"odometry on {source.topic}"
+    return f"{source.where} on {source.topic}"
 
 
 def _measured(found: Inspection) -> dict[str, str]:
@@ -295,9 +296,9 @@ def _ranges(motion: MotionView) -> Iterator[str]:
     """What joints and wheels do over the recording."""
     for name, span in motion.joints.items():
         yield f"{name} {span.low:.0f} to {span.high:.0f} {span.unit}"
-    yield from (f"{side} wheel {motion.wheels_deg[side]:.0f} deg" for side in SIDES)
+    yield from (f"{side} wheel {turned:.0f} deg" for side, turned in motion.wheels_deg.items())
     if motion.driven_m is not None:
-        yield f"driven {motion.driven_m:.1f} m with the nominal wheels"
+        yield f"driven {motion.driven_m:.1f} m {'with the nominal wheels' if motion.wheels_deg else 'by the odometry'}"
 
 
 def checklist_text(found: Inspection) -> str:

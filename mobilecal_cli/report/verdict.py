@@ -243,14 +243,15 @@ def figures_of(
 ) -> dict[str, float | None]:
     """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
     found = solution.uncertainty
-    figures: dict[str, float | None] = dict.fromkeys(gate_names())
+    factors = odometry_factors(extraction.rig, solution)
+    of_odometry = {f"std.odometry.{name}" for name in FACTORS} - {f"std.odometry.{name}" for name in factors}
+    figures: dict[str, float | None] = {name: None for name in gate_names() if name not in of_odometry}
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
     figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
     if found is not None:
         noise = [name for name in figures if name.startswith("noise.")]
         figures |= dict.fromkeys(noise, 0.0)  # levels of zero have no criterion
         figures["observable"] = float(np.sum(found.observable | found.fixed))
-        factors = odometry_factors(extraction.rig, solution)
         named = PARAMETERS[:6] if factors else PARAMETERS
         figures |= {p.gate: std for p, std in zip(named, reference_std(solution), strict=False)}
         figures |= {f"std.odometry.{name}": std for name, (_, std) in factors.items()}

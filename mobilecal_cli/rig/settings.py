@@ -68,7 +68,9 @@ def _camera(rig: Rig, name: str) -> dict[str, Any]:
 def _wheel(source: WheelSource) -> dict[str, Any]:
     parts = [asdict(part) for part in source.every]
     settings = parts[0]
-    made_with = "odometry_assumed_with" if settings.pop("assumed") else "odometry_made_with"
+    assumed, share = settings.pop("assumed"), settings.pop("separation_share")
+    made_with = "odometry_assumed_with" if assumed else "odometry_made_with"
+    settings |= {"odometry_separation_share": share} if assumed else {}
     settings[made_with] = settings.pop("baked_in")
     settings.pop("others")
     if len(parts) > 1:

@@ -207,8 +207,8 @@ class SimulatedRobot:
         nominal_wheels: nominal values, used in the URDF.
         T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
         encoder_step_rad: resolution of the wheel encoders, rad.
-        wheel_signal: wheels as positions in the joint states, one or two a side, as separate tick counters, or only as
-            the odometry of a driver with the nominal wheels.
+        wheel_signal: wheels as positions in the joint states, one or two for each side, as separate tick counters, or
+            only as the odometry of a driver with the nominal wheels.
         slip: relative change of the effective separation with the turning rate, s/rad; `wheels` has that of a turn in
             place.
         ticks_per_revolution, tick_bits: of the tick counters.

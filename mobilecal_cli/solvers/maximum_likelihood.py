@@ -408,7 +408,8 @@ class Solver:
     def solve(self, start: Parameters | None = None) -> Fit:
         """Outliers under the stated priors, then the scales of the priors, and a fine fit at the end.
 
-        Where scales are clearly above 1, the outliers are decided again from the beginning under these scales.
+        Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if
+        there were any.
         """
         self._scales_stay = True  # a gross error of a measurement must not look like a wrong description
         fit = self._without_outliers(start or self.initial(), {})
@@ -420,7 +421,10 @@ class Solver:
         wider = fit.noise.wider
         if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
             self._scales_stay = True
-            fit = self._without_outliers(fit.lin.state.parameters, wider)
+            everything = fit.inliers.same(Inliers.all_of(self.data))
+            fit = (
+                self._decided(fit) if everything else self._without_outliers(fit.lin.state.parameters, wider)
+            )
             self._scales_stay = False
         noisy = outliers.too_many(fit)
         fit = self._with_all(fit, noisy) if noisy else fit
@@ -435,7 +439,10 @@ class Solver:
         noise = replace(self.first_noise(own_px), wider=wider)
         inliers = replace(everything, corners=corners, views=boards)
         fit = self._first_fit(initial, noise, inliers)
-        fit = self._corners_restored(self.estimate_noise(fit))
+        return self._decided(self._corners_restored(self.estimate_noise(fit)))
+
+    def _decided(self, fit: Fit) -> Fit:
+        """The fit after all decisions on outliers that follow from it."""
         before: list[Inliers] = [fit.inliers]
         for _ in range(_MOST_DECISIONS):
             again = self.decided(fit) or self._swapped(fit)

@@ -17,6 +17,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.model import FACTORS, AssumedOdometry, CalibratedRobot, WheelGeometry
 from mobilecal_cli.simulate.record import simulate, truth_path
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.command import run
 
@@ -68,6 +69,9 @@ def test_odometry_alone(made):
         assert data["parameters"]["odometry"]["factors"][name]["value"] == pytest.approx(value)
     assert data["metrics"]["std.odometry.angular_scale"] == pytest.approx(found.factors_std[4], rel=1e-6)
     assert data["metrics"]["std.wheels.separation_m"] is None
+    assert {name for name in data["metrics"] if "odometry" in name} == {
+        f"std.odometry.{name}" for name in FACTORS
+    }
 
 
 def test_factors_are_exported(made):
@@ -83,6 +87,19 @@ def test_factors_are_exported(made):
     assert "radius_left_m" not in exported
     assert b"mobilecal_odometry_angular_scale" in export(folder / "params.yaml", "xacro").content
     assert export(folder / "params.yaml", "odometry_covariance").content
+
+
+@pytest.mark.parametrize(
+    ("robot", "belongs"), [("odometry_only", "factors"), ("skid_steer", "the effective separation")]
+)
+def test_the_urdf_keeps_its_wheels(made, tmp_path, robot, belongs):
+    text = urdf_text(ROBOTS[robot]())
+    (tmp_path / "robot.urdf").write_text(text)
+    done = export(made[robot][1] / "params.yaml", "urdf", urdf=tmp_path / "robot.urdf")
+    assert any(belongs in note and "wheels are unchanged" in note for note in done.notes)
+    assert [line for line in done.content.decode().splitlines() if "wheel" in line] == [
+        line for line in text.splitlines() if "wheel" in line
+    ]
 
 
 def test_evaluate_and_compare(made, tmp_path):

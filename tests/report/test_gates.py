@@ -233,7 +233,7 @@ def test_a_name_that_ends_in_a_unit_has_it():
 
 
 def test_the_metrics_of_the_report_are_the_gates(report):
-    assert set(report.metrics) == set(gate_names())
+    assert set(report.metrics) == {name for name in gate_names() if not name.startswith("std.odometry.")}
     assert all(gates_of([f"{name}=1"], {})[0].name == name for name in report.metrics)
 
 

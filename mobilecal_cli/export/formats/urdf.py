@@ -42,6 +42,14 @@ class UrdfFormat(Format):
 
     def export(self, asked: Request) -> Exported:
         robot, path, joints = asked.robot, asked.urdf, asked.joints
+        kept = ""
+        if robot.odometry is not None:
+            joints, kept = {}, "The wheels are unchanged: factors of odometry belong into the controller."
+        elif robot.side_joints:
+            joints, kept = (
+                {},
+                "The wheels are unchanged: the effective separation belongs into the controller.",
+            )
         chain = None
         if asked.with_chain:
             if robot.constants is None:
@@ -67,7 +75,9 @@ class UrdfFormat(Format):
         if robot.rectified:
             notes += (frame_note(robot),)
         missing = " and ".join(side for side in SIDES if side not in joints)
-        if missing:
+        if kept:
+            notes += (kept,)
+        elif missing:
             notes += (
                 f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
             )
