@@ -155,7 +155,7 @@ def _observed(route, T_c_k, random):
     """Views, points, board pose, square and misfit of one station; None if a camera does not show the whole board."""
     rig, corners_k = tick_robot().rig_cameras, route.corners_k()
     seen = []
-    for camera, T_x_c in zip(rig.each, (np.eye(4), np.linalg.inv(rig.T_c_r)), strict=True):
+    for camera, T_x_c in zip(rig.each, (np.eye(4), np.linalg.inv(rig.T_c_each[1])), strict=True):
         T = T_x_c @ T_c_k
         at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
         if at.min() < 0 or np.any(at > [camera.width, camera.height]):
