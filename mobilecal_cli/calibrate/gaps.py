@@ -130,7 +130,10 @@ def require_stations(extraction: Extraction) -> None:
         counted = ", ".join(f"{n} x {reason}" for reason, n in reasons)
         rejected = f"; rejected: {counted}" if counted else ""
         where = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
-        cure = "keep the whole board in both images, at rest, in good light, with squares of 7 pixels or more"
+        where_kept = extraction.rig.cameras.images_words
+        cure = (
+            f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
+        )
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

@@ -35,7 +35,7 @@ def _solvable() -> Iterator[None]:
     except np.linalg.LinAlgError as error:
         raise SolveError(
             "the inlier measurements do not determine all parameters",
-            "record more stations, with the whole board in both images",
+            "record more stations, with the whole board in the images",
         ) from error
 
 

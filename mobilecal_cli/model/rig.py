@@ -162,6 +162,11 @@ class CameraRig:
         """Where the whole board must be, in texts."""
         return {1: "the image", 2: "both images"}.get(len(self.each), "an image")
 
+    @property
+    def cameras_words(self) -> str:
+        """What must see the whole board, in texts."""
+        return {1: "the camera sees", 2: "both cameras see"}.get(len(self.each), "a camera sees")
+
     def some(self, cameras: Sequence[int]) -> CameraRig:
         """Some of the cameras, by their indices; c stays the frame of the first of all."""
         names = tuple(self.names[k] for k in cameras)

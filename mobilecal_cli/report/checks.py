@@ -73,13 +73,14 @@ def mistake(made: Calibration) -> Iterator[Check]:
 def stations(made: Calibration) -> Iterator[Check]:
     """Number of stations."""
     have, least = len(made.extraction.observations), MIN_STATIONS
+    cameras = made.extraction.rig.cameras
     yield Check(
         "stations", have, least, enough(have, least),
-        "stations with the board in both images",
+        f"stations with the board in {cameras.images_words}",
         f"{have:g}",
         f"at least {least:g}",
-        f"The board is in both images at {have:g} stations only (limit {least:g}, recommended 12).",
-        "Record again with more stops where both cameras see the whole board.",
+        f"The board is in {cameras.images_words} at {have:g} stations only (limit {least:g}, recommended 12).",
+        f"Record again with more stops where {cameras.cameras_words} the whole board.",
     )  # fmt: skip
 
 
@@ -418,14 +419,15 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
     found = made.solution.uncertainty
     stated = float(np.median([o.reprojection_px for o in made.extraction.observations]))
     px = stated if found is None else found.noise.pixel_px
-    text = std_text(px)
+    text, pair = std_text(px), made.extraction.rig.cameras.calibrated
+    what = "stereo reprojection error" if pair else "reprojection error"
     yield Check(
         "stereo_error", px, bad, graded(px, bad),
-        "stereo reprojection error of the board",
+        f"{what} of the board",
         f"{text} px (median)" if found is None else f"{text} px (with camera_info as stated: {std_text(stated)} px)",
         f"under {bad:g} px",
-        f"The stereo reprojection error of the board is {text} px (0.3 px is usual).",
-        "Calibrate the stereo pair again (camera_info), and check that the board is flat.",
+        f"The {what} of the board is {text} px (0.3 px is usual).",
+        f"Calibrate the {'stereo pair' if pair else 'cameras'} again (camera_info), and check that the board is flat.",
     )  # fmt: skip
 
 
@@ -433,7 +435,8 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
 def square_size(made: Calibration) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
     stated, bad = made.extraction.board.square_m, 3.0
-    if made.solution.uncertainty is not None or stated is None:
+    pair = made.extraction.rig.cameras.calibrated
+    if made.solution.uncertainty is not None or stated is None or not pair:
         return
     measured = float(np.median([o.square_m for o in made.extraction.observations]))
     off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3

@@ -160,7 +160,8 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
         else:
             gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
         sentences.append(
-            f"{path[0].upper()}{path[1:]}. Set {head}, so that both cameras see the whole board, and stop. "
+            f"{path[0].upper()}{path[1:]}. Set {head}, so that {extraction.rig.cameras.cameras_words} the whole board, "
+            "and stop. "
             f"Expected result: {gain}."
         )
     return tuple(sentences)

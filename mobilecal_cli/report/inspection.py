@@ -268,8 +268,10 @@ def _wheel(source: WheelSource) -> str:
 def _measured(found: Inspection) -> dict[str, str]:
     said = {}
     if found.covered is not None:
-        said["time"] = "{} of {} left images are within the time of right images, joints and wheels".format(
-            *found.covered
+        first, *others = found.parts.images or ("left", "right")
+        others_words = "".join(f"{name} images, " for name in others)
+        said["time"] = "{} of {} {} images are within the time of {}joints and wheels".format(
+            *found.covered, first, others_words
         )
     if found.motion is not None:
         motion = found.motion

@@ -223,7 +223,7 @@ TERMS = (
          "Standard deviation (1 sigma): the expected size of the error. The true value is within 1 sigma in 68 % of "
          "cases and within 2 sigma in 95 %."),
     Term("station", "Station", "stations?",
-         "A moment at which both cameras see the board, usually while the robot stands still."),
+         "A moment at which the cameras see the board, usually while the robot stands still."),
     Term("corner-error", "Station-to-station corner error", "station-to-station corner errors?",
          "How well the nine parameters predict the board corners of one station from those of the next."),
 )  # fmt: skip

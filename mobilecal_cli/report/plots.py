@@ -396,7 +396,7 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     times = [o.time_ns for _, o in stations]
     times += [r.time_ns for r in rejected] + [o.time_ns for o in outliers]
     values = [*residuals.leg_reprojection_px[mine], *(o.reprojection_px for _, o in stations)]
-    entries = [("line blue", "legs"), ("line green", "stereo pair alone")]
+    entries = [("line blue", "legs"), ("line green", "images alone")]
     entries += [("line red", f"outlier: {_OUTLIERS[kind]}") for kind in sorted({o.kind for o in outliers})]
     if rejected:
         entries.append(("line ink", "rejected image or station"))
@@ -425,18 +425,22 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
 
 @plot("description", corners=True)
 def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
-    """Residual of the flat board in the stereo pair, and the measured square size, at each station."""
+    """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
     seen, names = extraction.observations, station_names(extraction)
     square_mm = [o.square_m * 1e3 for o in seen]
     stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
     x = Scale(-0.6, len(seen) - 0.4)
-    canvas = Canvas(WIDE, 420.0, "stereo residual and square size at each station")
-    stereo = Scale.of([o.reprojection_px for o in seen], zero=True)
-    axes = Axes.of(canvas, x, stereo, "stereo residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
+    pair = extraction.rig.cameras.calibrated
+    what = "residual and square size" if pair else "residual"
+    canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
+    residual = Scale.of([o.reprojection_px for o in seen], zero=True)
+    axes = Axes.of(canvas, x, residual, "residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
     axes.grid(x=False)
     for i, o in enumerate(seen):
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
-    axes.names(names, "")
+    axes.names(names, "" if pair else "station")
+    if not pair:
+        return canvas.svg
     size = Scale.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)

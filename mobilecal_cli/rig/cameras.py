@@ -96,7 +96,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
                 )
         return chosen
     pair = _pair(config, description, present, chosen)
-    single = None if chosen else _single(present, cameras.rectified)
+    single = None if chosen else _single(present, cameras.rectified, acceptable=pair is not None)
     if pair is not None:
         of_rgbd = config.board.square_m is not None and single is not None and _is_infrared(pair["left"])
         if not (of_rgbd and single is not None and _is_color(single)):
@@ -185,11 +185,11 @@ def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: Robo
     return True
 
 
-def _single(present: Mapping[str, TopicInfo], rectified: bool | None) -> str | None:
+def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable: bool) -> str | None:
     """Image topic of the only camera, or of the only color camera; None if there is none.
 
     Raises:
-        ConfigError: several cameras.
+        ConfigError: several cameras, unless they are acceptable.
     """
     topics = [name for name in present if not _is_depth(name)]
     if rectified is not None:
@@ -205,7 +205,7 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None) -> str | N
         if len(some) == 1:
             ((_, names),) = some.items()
             return _preferred(names, present)
-    if len(cameras) > 1 and not pairs(present):
+    if len(cameras) > 1 and not acceptable:
         several = "; ".join(sorted(names[0] for names in cameras.values()))
         raise ConfigError(
             f"several cameras could be meant: {several}",

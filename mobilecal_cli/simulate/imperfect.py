@@ -25,6 +25,8 @@ PRIORS: dict[str, float] = {
     "stereo_rotation": np.radians(0.05),
     "baseline_direction": np.radians(0.1),
     "baseline_length": 0.002,
+    "camera_rotation": np.radians(1.0),
+    "camera_position": 0.005,
     "square_size": 0.001,
     "square_aspect": 0.001,
     "board_bend": 0.0005,

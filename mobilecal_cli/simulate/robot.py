@@ -6,8 +6,8 @@ kinematics are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal
 from xml.sax.saxutils import quoteattr
@@ -78,13 +78,14 @@ def stereo_infos(
     return left, right
 
 
-def camera_rig(infos: Sequence[CameraInfo]) -> CameraRig:
-    """One camera, or a stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
+def camera_rig(infos: Sequence[CameraInfo], mounted: Mapping[str, FloatArray]) -> CameraRig:
+    """Cameras by their poses; or a stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
     cameras = [
         Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion) for info in infos
     ]
-    if len(infos) == 1:
-        return CameraRig(("camera",), (cameras[0],), (np.eye(4),), False, (infos[0].R,), "camera")
+    if mounted:
+        names, rotations = tuple(mounted), tuple(info.R for info in infos)
+        return CameraRig(names, tuple(cameras), tuple(mounted.values()), False, rotations, names[0])
     left, right = infos
     T_c_r = np.eye(4)
     T_c_r[:3, :3] = left.R.T @ right.R
@@ -201,7 +202,7 @@ class SimulatedRobot:
         name: of the robot.
         joints: from base to head.
         pan, tilt: names of the pan and the tilt joint, "" for none.
-        infos: CameraInfo of the left and right camera, or of a single one.
+        infos: CameraInfo of the left and right camera, or of each that is `mounted`.
         T_h_c: (4, 4) true head-eye transform: first camera to head coordinates, m.
         wheels: true wheel radii and separation.
         nominal_wheels: nominal values, used in the URDF.
@@ -214,6 +215,7 @@ class SimulatedRobot:
         ticks_per_revolution, tick_bits: of the tick counters.
         joint_noise_rad: sigma of one joint reading, rad.
         joint_rate_hz: rate of the joint states (and ticks), Hz.
+        mounted: other cameras than a stereo pair: name → pose in the first one, (4, 4) m.
     """
 
     name: str
@@ -232,6 +234,7 @@ class SimulatedRobot:
     tick_bits: Literal[8, 16, 32, 64] = 16
     joint_noise_rad: float = np.radians(0.01)
     joint_rate_hz: int = 50
+    mounted: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def base_frame(self) -> str:
@@ -251,7 +254,7 @@ class SimulatedRobot:
     @property
     def rig_cameras(self) -> CameraRig:
         """The cameras, for raw images."""
-        return camera_rig(self.infos)
+        return camera_rig(self.infos, self.mounted)
 
     @property
     def chain(self) -> HeadChain:
@@ -277,7 +280,8 @@ class SimulatedRobot:
         """The topics of this robot's recordings."""
         suffix = "/compressed" if compressed else ""
         names = self.rig_cameras.names
-        places = {name: f"/stereo/{name}" for name in SIDES} | {"camera": "/camera/color"}
+        places = {name: "/camera/color" if name == "camera" else f"/{name}" for name in names}
+        places |= {name: f"/stereo/{name}" for name in SIDES}
         return Sources(
             image={name: f"{places[name]}/image_raw{suffix}" for name in names},
             info={name: f"{places[name]}/camera_info" for name in names},
@@ -440,6 +444,7 @@ def rgbd_robot() -> SimulatedRobot:
         nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
         T_h_c_nominal=T_h_c @ _NOMINAL,
         encoder_step_rad=2 * np.pi / 4096,
+        mounted={"camera": np.eye(4)},
     )
 
 

@@ -52,9 +52,14 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
     return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
 
 
+def slipping_radps(stretch: Stretch) -> float:
+    """Turning rate that the slip depends on: it grows up to twice the rate of turns in place."""
+    return min(abs(stretch.w_radps), 2 * TURN_RADPS)
+
+
 def wheel_speeds(stretch: Stretch, wheels: WheelGeometry, slip: float = 0.0) -> tuple[float, float]:
     """Right and left wheel speeds, rad/s, for rolling without slip, or with a slip that grows with the turning rate."""
-    half = wheels.separation_m / 2 * (1 + slip * (abs(stretch.w_radps) - TURN_RADPS))
+    half = wheels.separation_m / 2 * (1 + slip * (slipping_radps(stretch) - TURN_RADPS))
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
     return right, left
@@ -197,10 +202,11 @@ class Planner:
         self._aim = [(k, names.index(name)) for k, name in enumerate((robot.pan, robot.tilt)) if name]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
-        """Whether all images show the whole board, with squares large enough for detection."""
+        """Whether the images show the whole board, with squares large enough for detection."""
         rig = self._robot.rig_cameras
         T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
-        for camera, T_c_x in zip(rig.each, rig.T_c_each, strict=True):
+        # Other cameras than a stereo pair need not show the board together.
+        for camera, T_c_x in list(zip(rig.each, rig.T_c_each, strict=True))[: rig.fewest]:
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
             points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
             if points[:, 2].min() < 0.3:

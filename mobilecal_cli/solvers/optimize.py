@@ -61,7 +61,7 @@ def proposed(lin: Linearization, damping: float = 0.0) -> tuple[Step, float]:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise SolveError(
             "the inlier measurements do not determine all parameters",
-            "record more stations, with the whole board in both images",
+            "record more stations, with the whole board in the images",
         ) from error
     return normal.step(priors.basis @ along), normal.gain - float(s @ along)
 

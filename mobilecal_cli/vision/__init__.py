@@ -8,7 +8,7 @@ from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identif
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering
 from mobilecal_cli.vision.observing import Measured, measure, resolve_square
-from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points
+from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
 from mobilecal_cli.vision.snapshot import snapshot_jpeg
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
@@ -30,6 +30,7 @@ __all__ = [
     "find_board",
     "identify_size",
     "measure",
+    "pose_from_one",
     "resolve_numbering",
     "resolve_square",
     "snapshot_jpeg",

@@ -125,14 +125,14 @@ def test_where_processes_cannot_be_started_this_one_looks(log, alone, segmented,
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
-    resolve = EXTRACTING.resolve_rig
+    resolve = EXTRACTING.complete_rig
 
     def other_size(*args):
         rig, notes = resolve(*args)
         left = replace(rig.cameras.each[0], width=641)
         return replace(rig, cameras=with_pair(rig.cameras, left=left)), notes
 
-    monkeypatch.setattr(EXTRACTING, "resolve_rig", other_size)
+    monkeypatch.setattr(EXTRACTING, "complete_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:
         everything(log, 2)
     assert raised.value.hint

@@ -105,7 +105,7 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
     urdf = next(iter(read_description(original).urdfs.values()))
     rigs = [resolve_rig(RigConfig(), read_description(recording), urdf)[0] for recording in (original, other)]
     for side in ("left", "right"):
-        ours, theirs = (getattr(rig.cameras, side) for rig in rigs)
+        ours, theirs = (rig.cameras.each[side == "right"] for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)
         assert np.array_equal(ours.D, theirs.D)
     assert np.array_equal(rigs[0].cameras.T_c_each[1], rigs[1].cameras.T_c_each[1])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelSource,
 )
+from mobilecal_cli.rig.cameras import camera_rig, image_topics
 from mobilecal_cli.rig.config import RigConfig, load_rig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.head import urdf_of_transforms
@@ -564,3 +566,106 @@ def test_transforms_that_do_not_lead_to_the_camera_are_said():
     transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
     with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
         resolve_rig(RigConfig(), replace(description(urdf=None), transforms=transforms))
+
+
+SQUARE = RigConfig.model_validate({"board": {"square_m": 0.08}})
+
+
+def calibration(frame, baseline_m=0.0):
+    K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    P = np.hstack([K, [[-500 * baseline_m], [0], [0]]])
+    return CameraInfo(frame, 640, 480, K, np.zeros(5), "plumb_bob", np.eye(3), P)
+
+
+def recorded(*topics, baseline_m=0.0):
+    """A recording of images, each with a camera info of its own; those with a 2 or _1 are right cameras."""
+    infos = {
+        f"{topic.rsplit('/', 1)[0]}/camera_info": info(
+            topic, baseline_m * bool(re.search("2/|_1/|right", topic))
+        )
+        for topic in topics
+    }
+    return RobotDescription(
+        tuple(TopicInfo(topic, "sensor_msgs/msg/Image", 9) for topic in topics), infos, {}, {}, {}
+    )
+
+
+@pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        (("/camera/color/image_raw", "/camera/depth/image_rect_raw"), "/camera/color/image_raw"),
+        (
+            ("/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw", "/camera/infra1/image_rect_raw"),
+            "/camera/color/image_raw",
+        ),
+        (
+            ("/camera/camera/color/image_raw", "/camera/camera/infra1/image", "/camera/camera/infra2/image"),
+            "/camera/camera/color/image_raw",
+        ),
+        (("/oak/rgb/image_raw", "/oak/stereo/image_raw"), "/oak/rgb/image_raw"),
+        (("/camera/rgb/image_raw", "/camera/ir/image_raw", "/camera/depth/image_raw"), "/camera/rgb/image_raw"),
+        (("/usb_cam/image_raw", "/usb_cam/image_rect"), "/usb_cam/image_raw"),
+        (("/zed2i/zed_node/rgb/image_rect_color", "/zed2i/zed_node/depth/depth_registered"),
+         "/zed2i/zed_node/rgb/image_rect_color"),
+        (("/camera/color/image_raw", "/camera/depth/image_raw", "/camera/ir/image_raw"), "/camera/color/image_raw"),
+    ],
+)  # fmt: skip
+def test_the_color_camera_is_the_single_one(topics, chosen):
+    assert image_topics(SQUARE, recorded(*topics)) == {"camera": chosen}
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("/t265/fisheye1/image_raw", "/t265/fisheye2/image_raw"),
+        ("/camera1/image_raw", "/camera2/image_raw"),
+        ("/rig/camera_0/image_raw", "/rig/camera_1/image_raw"),
+        ("/cameraleft/image_raw", "/cameraright/image_raw"),
+        ("/camera/infra1/image_rect_raw", "/camera/infra2/image_rect_raw"),
+        ("/zed/zed_node/left/image_rect_color", "/zed/zed_node/right/image_rect_color"),
+        ("/oak/left/image_raw", "/oak/right/image_raw"),
+        ("/camera/left_ir/image_raw", "/camera/right_ir/image_raw"),
+    ],
+)
+def test_pairs_of_drivers(left, right):
+    found = image_topics(SQUARE, recorded(right, left, "/camera/depth/image_raw", baseline_m=0.06))
+    assert found == {"left": left, "right": right}
+
+
+@pytest.mark.parametrize(
+    "topics",
+    [
+        ("/camera1/image_raw", "/camera2/image_raw"),  # no baseline: two single cameras
+        ("/front/color/image_raw", "/back/color/image_raw"),
+        ("/front/image_raw", "/side/image_raw", "/back/image_raw"),
+    ],
+)
+def test_several_cameras_are_the_choice_of_the_user(topics):
+    with pytest.raises(ConfigError, match="several cameras could be meant") as told:
+        image_topics(SQUARE, recorded(*topics))
+    assert all(topic in told.value.message for topic in topics)
+
+
+def test_depth_alone_is_no_camera():
+    with pytest.raises(RecordingError, match="this tool serves a stereo pair, a single camera"):
+        image_topics(SQUARE, recorded("/camera/depth/image_raw"))
+
+
+def test_named_cameras_stand_where_they_are_configured_or_drawn():
+    names = {"front": {"image": "/front/image_raw"}, "side": {"image": "/side/image_raw"}}
+    T = se3.transform(se3.from_rpy(np.array([0.0, 0.4, 0.0])), np.array([0.1, 0.2, 0.3]))
+    infos = {"front": calibration("front_frame"), "side": calibration("side_frame")}
+    config = RigConfig.model_validate({"board": {"square_m": 0.08}, "cameras": names})
+    rig = camera_rig(infos, False, config, lambda frame, other: T)
+    np.testing.assert_array_equal(rig.T_c_each[1], T)
+    assert (rig.names, rig.reference, rig.calibrated) == (("front", "side"), "front", False)
+    with pytest.raises(RecordingError, match="the pose of camera side"):
+        camera_rig(infos, False, config, lambda frame, other: None)
+    names["side"]["pose"] = {"translation_m": [0, 0, 0.5], "quaternion_xyzw": [0, 0, 0, 1]}
+    config = RigConfig.model_validate(
+        {"board": {"square_m": 0.08}, "cameras": {**names, "reference": "side"}}
+    )
+    rig = camera_rig(infos, False, config, lambda frame, other: None)
+    assert rig.T_c_reference[:3, 3] == pytest.approx([0, 0, 0.5])
+    with pytest.raises(ConfigError, match="not show the size of the board's squares"):
+        camera_rig(infos, False, RigConfig.model_validate({"cameras": names}), lambda frame, other: T)

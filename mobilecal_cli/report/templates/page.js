@@ -46,7 +46,7 @@
       `leg ${name(leg.from_observation)}–${name(leg.to_observation)}: ${leg.point_rms_mm.toFixed(1)} mm, ` +
       `${leg.reprojection_px.toFixed(2)} px`);
     return `Station ${name(k)}: base at x ${s.base_x_m.toFixed(2)} m, y ${s.base_y_m.toFixed(2)} m, heading ` +
-      `${s.base_heading_deg.toFixed(0)}°; joints (rad or m): ${joints}; board at ${s.board_distance_m.toFixed(2)} m, stereo residual ` +
+      `${s.base_heading_deg.toFixed(0)}°; joints (rad or m): ${joints}; board at ${s.board_distance_m.toFixed(2)} m, residual ` +
       `${s.stereo_reprojection_px.toPrecision(2)} px. ${own.join("; ")}`;
   }
   const step = (by) => pick(picked < 0 ? (by > 0 ? 0 : stations.length - 1) : (picked + by + stations.length) % stations.length);

@@ -1,0 +1,118 @@
+"""Recordings of one camera and of three, from the file to the verdict; and what is refused."""
+
+import numpy as np
+import pytest
+import yaml
+
+from mobilecal_cli import se3
+from mobilecal_cli.calibrate.steps import calibrate, extract, solve
+from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.scenario import Scenario
+from tests.command import run
+from tests.robots import three_on_pan_tilt
+
+SQUARE = {"board.square_m": 0.08}
+
+
+def true_to(found, T_h_c, wheels, hidden=()):
+    """NEES of the nine parameters per parameter."""
+    error = np.concatenate(
+        [
+            se3.log_so3(found.parameters.T_h_c[:3, :3] @ T_h_c[:3, :3].T),
+            found.parameters.T_h_c[:3, 3] - T_h_c[:3, 3],
+            found.parameters.wheels.vector - wheels.vector,
+        ]
+    )
+    kept = [k for k in range(9) if k not in hidden]
+    covariance = found.covariance[np.ix_(kept, kept)]
+    return error[kept] @ np.linalg.solve(covariance, error[kept]) / len(kept)
+
+
+@pytest.fixture(scope="module", params=["mcap", "bag"])
+def rgbd(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("rgbd") / f"log.{request.param}"
+    simulate(Scenario(robot="rgbd", container=request.param, seed=4), path)
+    return path
+
+
+def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, tmp_path):
+    robot = ROBOTS["rgbd"]()
+    report, written = calibrate([rgbd], tmp_path / "result", flags=SQUARE)
+    assert report.verdict.level == "PASS"
+    assert true_to(report.fit, robot.T_h_c, robot.wheels, hidden=(5,)) < 2.7
+    params = yaml.safe_load((written / "params.yaml").read_text(encoding="utf-8"))
+    assert params["head_eye"]["child_frame"] == "camera_color_optical_frame"
+    assert params["head_eye"]["parent_frame"] == "base_link"
+    for target in ("camera_info", "foxglove", "json", "static_transform_yaml"):
+        made = run("export", written / "params.yaml", "--to", target, "--output", tmp_path / target)
+        assert made.code == 0, made.err
+    refused = run(
+        "export", written / "params.yaml", "--to", "camera_info_left", "--output", tmp_path / "left"
+    )
+    assert (refused.code, "no camera 'left'" in refused.err) == (2, True)
+    again = run("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
+    assert again.code == 0
+
+
+def test_one_camera_needs_the_squares(rgbd):
+    done = run("calibrate", rgbd)
+    assert done.code == 2
+    assert "does not show the size of the board's squares" in " ".join(done.err.split())
+    assert "board: {square_m: 0.08}" in " ".join(done.err.split())
+    looked = run("inspect", rgbd, "--set", "board.square_m=0.08")
+    assert looked.code == 0
+    assert "left" not in looked.out.replace("left wheel", "").replace("wheel_left", "").replace(
+        "rotation: left", ""
+    )
+
+
+def test_three_cameras_from_a_recording(tmp_path):
+    robot = three_on_pan_tilt()
+    scenario = Scenario(stations=14, seed=6, pictures="png")
+    route = plan_route(robot, stations=scenario.stations, board=scenario.board, seed=scenario.seed)
+    path, publisher = tmp_path / "three.mcap", Publisher(ros_of("mcap"))
+    messages = published(scenario, robot, route, publisher, lambda done, total: None)
+    WRITERS["mcap"](path, messages, publisher)
+    settings = {**SQUARE}
+    for side in ("left", "right"):
+        wheel = {"topic": f"/wheel_ticks/{side}", "field": "data", "ticks_per_revolution": 4096, "bits": 16}
+        settings[f"wheels.{side}"] = wheel
+    for name, T in robot.mounted.items():
+        settings[f"cameras.{name}.image"] = f"/{name}/image_raw/compressed"
+        if name != "front":
+            quaternion = se3.quaternion_xyzw(T[:3, :3]).tolist()
+            settings[f"cameras.{name}.pose"] = {
+                "translation_m": T[:3, 3].tolist(),
+                "quaternion_xyzw": quaternion,
+            }
+    data = extract([path], settings=settings)
+    extraction = data.extraction
+    assert extraction.rig.cameras.names == ("front", "beside", "aside")
+    shown = np.array([[view.pictures > 0 for view in o.views] for o in extraction.observations])
+    assert len(shown) >= 12
+    assert shown.any(axis=0).all()
+    assert not shown.all()
+    found = solve(data)
+    assert true_to(found, robot.T_h_c, robot.wheels) < 2.7
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"cameras.front.image": "/nowhere"}, "cameras.front.image: the topic /nowhere contains no images"),
+        ({"cameras.joints.image": "/camera/color/image_raw/compressed"}, "cannot name a camera"),
+        ({"cameras.front.info": "/camera/color/camera_info"}, "front has no image topic"),
+        (
+            {"cameras.front.image": "/a", "cameras.left.image": "/b"},
+            "give left and right (or both) for a stereo pair",
+        ),
+    ],
+)
+def test_wrong_cameras_are_refused(rgbd, settings, words):
+    flags = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
+    done = run("calibrate", rgbd, "--square-m", "0.08", *flags)
+    assert done.code in (2, 3)
+    assert words in " ".join(done.err.split())

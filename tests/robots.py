@@ -1,0 +1,118 @@
+"""Robots with other cameras than a stereo pair, and a stereo recording seen with one of its cameras alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import CameraRig, Extraction
+from mobilecal_cli.simulate.robot import SimulatedRobot, fixed_camera_robot, pose, rgbd_robot, tick_robot
+from mobilecal_cli.vision import Miss, pose_from_one
+
+
+@cache
+def one_on_pan_tilt() -> SimulatedRobot:
+    """A single camera on a pan-tilt head."""
+    robot = tick_robot()
+    return replace(robot, name="mono", infos=robot.infos[:1], mounted={"camera": np.eye(4)})
+
+
+@cache
+def one_that_pans() -> SimulatedRobot:
+    """A single camera on a head that only pans."""
+    robot = one_on_pan_tilt()
+    pan, *_ = robot.joints
+    return replace(robot, name="pan", joints=(pan,), tilt="")
+
+
+@cache
+def pair_that_pans() -> SimulatedRobot:
+    """A stereo pair on a head that only pans."""
+    robot = tick_robot()
+    pan, *_ = robot.joints
+    return replace(robot, name="pan_pair", joints=(pan,), tilt="")
+
+
+def _three(robot: SimulatedRobot) -> SimulatedRobot:
+    """Three cameras: two of them 0.2 m apart, the third turned away by 16 degrees."""
+    left, right = tick_robot().infos
+    beside = pose((0.2, 0.01, -0.02), Rotation.from_euler("xyz", (1.0, -2.0, 0.5), degrees=True))
+    aside = pose((-0.1, 0.0, 0.03), Rotation.from_euler("xyz", (0.0, -16.0, 1.0), degrees=True))
+    mounted = {"front": np.eye(4), "beside": beside, "aside": aside}
+    infos = (
+        left,
+        right,
+        replace(
+            left, frame_id="aside_optical", K=left.K * [[1.1, 1.0, 1.0], [1.0, 1.1, 1.0], [1.0, 1.0, 1.0]]
+        ),
+    )
+    return replace(robot, name=f"{robot.name}_three", infos=infos, mounted=mounted)
+
+
+@cache
+def three_on_pan_tilt() -> SimulatedRobot:
+    """Three cameras on a pan-tilt head."""
+    return _three(tick_robot())
+
+
+@cache
+def three_that_pan() -> SimulatedRobot:
+    """Three cameras on a head that only pans."""
+    return _three(pair_that_pans())
+
+
+@cache
+def three_on_the_base() -> SimulatedRobot:
+    """Three cameras on the base."""
+    return _three(fixed_camera_robot())
+
+
+#: (number of cameras, chain) → the robot.
+CONFIGURATIONS = {
+    (1, "none"): rgbd_robot,
+    (1, "pan"): one_that_pans,
+    (1, "pan-tilt"): one_on_pan_tilt,
+    (2, "none"): fixed_camera_robot,
+    (2, "pan"): pair_that_pans,
+    (2, "pan-tilt"): tick_robot,
+    (3, "none"): three_on_the_base,
+    (3, "pan"): three_that_pan,
+    (3, "pan-tilt"): three_on_pan_tilt,
+}
+
+
+def alone(extraction: Extraction, k: int) -> Extraction:
+    """What camera k alone measures of a recording: its corners, and the board's pose from them."""
+    cameras = extraction.rig.cameras
+    rig = CameraRig(
+        ("camera",), (cameras.each[k],), (np.eye(4),), cameras.rectified, (cameras.R_rect[k],), "camera"
+    )
+    board, observations = extraction.board.grid() * extraction.board.square_m, []
+    for o in extraction.observations:
+        view = o.views[k]
+        found = pose_from_one(rig, board, view.pixels, view.sigma_px)
+        assert not isinstance(found, Miss)
+        observations.append(
+            replace(
+                o,
+                views=(view,),
+                points_c=se3.act(found.T_c_k[None], board)[0],
+                points_cov=np.zeros_like(o.points_cov),
+                T_c_k=found.T_c_k,
+                T_c_k_cov=found.T_c_k_cov,
+                reprojection_px=found.rms_px,
+            )
+        )
+    nominal = extraction.rig.nominal
+    if nominal.T_h_reference is not None:
+        T = nominal.T_h_reference @ se3.inverse(cameras.T_c_reference) @ cameras.T_c_each[k]
+        nominal = replace(nominal, T_h_reference=T)
+    return replace(
+        extraction,
+        rig=replace(extraction.rig, cameras=rig, nominal=nominal),
+        observations=tuple(observations),
+    )

@@ -1,0 +1,108 @@
+"""Any number of cameras from one: one alone, three of which some do not show the board, and each of a pair alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.calibrate.steps import Data, Report, fitted
+from mobilecal_cli.kinematics import unseen_height
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.model import NINE, Parameters
+from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.route import plan_route
+from tests.bench.simulated import as_described
+from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.robots import CONFIGURATIONS, alone, one_on_pan_tilt, three_on_pan_tilt
+
+NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
+EXACT = Noise()
+
+
+def shown(robot):
+    """Which of the nine parameters the motion of a robot shows: all but the height, where no joint tilts."""
+    hidden = unseen_height(robot.chain)
+    return np.array([name != "t_z" or hidden is None for name in NINE])
+
+
+@pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
+def test_exact_measurements_give_the_true_robot(cameras, chain):
+    robot = CONFIGURATIONS[cameras, chain]()
+    extraction = ideal_extraction(robot, plan_route(robot, stations=14, seed=1), EXACT)
+    assert len(extraction.rig.cameras.each) == cameras
+    found = fitted(as_described(extraction))
+    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))
+    assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
+
+
+@pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_stated_sigmas_are_true(cameras, chain, seed):
+    robot = CONFIGURATIONS[cameras, chain]()
+    route = plan_route(robot, stations=20, seed=seed)
+    found = fitted(ideal_extraction(robot, route, NOISE, seed))
+    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[shown(robot)]
+    covariance = found.covariance[np.ix_(shown(robot), shown(robot))]
+    assert error @ np.linalg.solve(covariance, error) / len(error) < 2.7  # chance 0.5 % of 8 or 9
+
+
+@pytest.mark.parametrize("k", [0, 1])
+@pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
+def test_each_camera_of_a_pair_alone_agrees_with_both(name, k):
+    robot = ROBOTS[name]()
+    both = ideal_extraction(robot, plan_route(robot, stations=20, seed=3), NOISE, 3)
+    pair, one = fitted(both), fitted(alone(both, k))
+    expected = pair.parameters.seen_from(both.rig.cameras.T_c_each[k])
+    difference = one.parameters.minus(expected)[shown(robot)]
+    std = np.sqrt(np.diag(one.covariance))[shown(robot)]
+    assert np.abs(difference / std).max() < 3
+
+
+def test_a_station_counts_with_the_cameras_that_show_the_board():
+    robot = three_on_pan_tilt()
+    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    seen = dataset_of(extraction).seen.any(axis=2)
+    assert seen[:, 0].all()
+    assert seen[:, 1].any()
+    assert 0 < seen[:, 2].sum() < len(seen)  # the third camera looks aside
+    hidden = replace(
+        extraction,
+        observations=tuple(
+            replace(o, views=tuple(replace(v, pixels=v.pixels + 1000 * ~v.seen[:, None]) for v in o.views))
+            for o in extraction.observations
+        ),
+    )
+    a, b = fitted(extraction), fitted(hidden)
+    np.testing.assert_allclose(
+        a.parameters.vector, b.parameters.vector, atol=1e-12
+    )  # unseen pixels mean nothing
+
+
+def test_other_cameras_have_priors_of_a_drawing():
+    """Cameras that stand 0.6 degrees and 4 mm from where they are drawn do not move the result beyond its sigmas."""
+    robot = three_on_pan_tilt()
+    rows = {row.name: row for row in table(robot.rig_cameras, robot.chain)}
+    assert rows["turn_aside_x"].kind == "camera_rotation"
+    assert rows["shift_beside_z"].kind == "camera_position"
+    assert "baseline_scale" not in rows
+    constants = {"turn_beside_x": 0.01, "shift_beside_z": 0.004, "turn_aside_y": -0.01, "focal_aside": 0.002}
+    what = Imperfection(constants, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
+    found = fitted(imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2))
+    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))
+    assert error @ np.linalg.solve(found.covariance, error) / 9 < 2.7
+    for name in ("turn_beside_x", "turn_aside_y", "shift_beside_z"):
+        constant = found.solution.constants[name]
+        assert abs(constant.value - constants[name]) < 4 * constant.std < 2 * abs(constants[name])
+
+
+def test_the_report_of_one_camera_speaks_of_one():
+    robot = one_on_pan_tilt()
+    robot = replace(robot, infos=(replace(robot.infos[0], frame_id="optical"),))
+    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    report = Report(Data(extraction), fitted(extraction))
+    assert report.verdict.level == "PASS"
+    shown = report.html.replace("stereo_error", "").replace("stereo_reprojection_px", "")  # names in the JSON
+    for word in ("stereo", "left camera", "right camera", "both cameras", "both images"):
+        assert word not in str(report), word
+        assert word not in shown, word
