@@ -20,7 +20,9 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
     frames = f"{visible(found.child_frame)} in {visible(found.parent_frame)}"
     sigma = " (± 1 sigma)" if report.uncertainty is not None else ""
     lines = wrapped(f"{frames}, and wheels{sigma}", "", "  ", _WIDTH)
-    lines += [f"  {label:<{_LABEL}}{value}" for label, value in numbers_table(report.numbers)]
+    rows = numbers_table(report.numbers)
+    wide = max(_LABEL, *(len(label) + 2 for label, _ in rows))
+    lines += [f"  {label:<{wide}}{value}" for label, value in rows]
     lines += wrapped(f"Stations used: {report.quality.stations_text}", "", "  ", _WIDTH)
     if budget is not None and budget.limiting:
         lines += wrapped(budget.limiting, "", "  ", _WIDTH)
