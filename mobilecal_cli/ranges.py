@@ -9,6 +9,14 @@ from typing import SupportsFloat
 from mobilecal_cli.errors import ConfigError
 
 _PER_METER = 1000.0  # millimeters
+#: Gate on an expected error in use (1 sigma) → default limit of the verdict.
+ACCURACY = {
+    "predicted.camera_mm": 20.0,
+    "predicted.camera_deg": 1.0,
+    "predicted.along_mm_per_m": 10.0,
+    "predicted.heading_deg_per_m": 1.0,
+    "predicted.heading_deg_per_turn": 5.0,
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -46,7 +47,7 @@ def run_job(job: FleetJob) -> FleetRow:
     Raises:
         OutputError: the record cannot be written.
     """
-    key = ""  # without a fingerprint the job is repeated
+    key, began_s = "", time.perf_counter()  # without a fingerprint the job is repeated
     try:
         key = fingerprint(job)
         done = None if job.force else _finished(job, key)
@@ -69,6 +70,7 @@ def run_job(job: FleetJob) -> FleetRow:
         row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
     if row.verdict == "ERROR" and (job.output / job.name).is_dir():
         row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
+    row = replace(row, seconds=round(time.perf_counter() - began_s, 3))
     _write_record(job, {"key": key, "row": to_plain(row), "params": _params_digest(job)})
     return row
 

@@ -41,12 +41,12 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
-from mobilecal_cli.report.findings import advice_on
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
-from mobilecal_cli.report.plots import draw_all
+from mobilecal_cli.report.plots import draw_all, path_picture
+from mobilecal_cli.report.summary import job_summary, notebook_html
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.values import build_report
+from mobilecal_cli.report.values import Advice, advice_on, build_report
 from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import settings_of
@@ -334,13 +334,17 @@ class Report:
     def html(self) -> str:
         """Text of report.html."""
         fit = self.fit
-        return report_html(self.values, draw_all(fit.solution, fit.extraction, self.data.snapshots))
+        drawn = draw_all(fit.solution, fit.extraction, self.data.snapshots, self.verdict.limits)
+        return report_html(self.values, drawn)
 
     def _repr_html_(self) -> str:
-        """The page in a frame, for notebooks."""
-        from html import escape
+        """Verdict, numbers and path, for notebooks; `html` is the whole page."""
+        return notebook_html(self.values, path_picture(self.fit.solution, self.fit.extraction))
 
-        return f'<iframe srcdoc="{escape(self.html)}" width="100%" height="900"></iframe>'
+    @property
+    def markdown(self) -> str:
+        """Verdict, numbers and change as Markdown, for the summary of a CI job."""
+        return job_summary(self.values)
 
     def save(self, directory: AnyPath, force: bool = False) -> None:
         """Write params.yaml, report.html, report.json and extraction.npz, completely or not at all.
@@ -414,7 +418,7 @@ def default_output(log: Path) -> Path:
 
 def suggest(
     logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
-) -> tuple[str, ...]:
+) -> Advice:
     """What limits the result, its cures from the cheapest on, and additional stops that improve it by 5 % or more.
 
     Raises:

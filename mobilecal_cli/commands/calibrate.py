@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +20,7 @@ from mobilecal_cli.commands.options import (
     Quiet,
     Settings,
     Stations,
+    Summary,
     Verbose,
     conclude,
     errors_to,
@@ -94,6 +96,7 @@ def calibrate(
     open_report: OpenReport = False,
     as_json: AsJson = False,
     junit: JUnit = None,
+    summary: Summary = None,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -108,12 +111,15 @@ def calibrate(
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
-    from mobilecal_cli.export import write_file
+    from mobilecal_cli.export import append_text, check_appendable, write_file
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.solvers import constraints_of
 
+    began_s = time.perf_counter()
     with errors_to(junit, logs, force, [config, last], output or steps.default_output(logs[0])):
+        if summary is not None:
+            check_appendable(summary)
         flags = flags_of(setting, board, square_m, stations)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
@@ -132,11 +138,14 @@ def calibrate(
                 jobs=jobs or os.cpu_count() or 1,
             )
         if junit is not None:
-            write_file(junit, junit_xml(str(logs[0]), report.values.verdict), force)
+            took_s = time.perf_counter() - began_s
+            write_file(junit, junit_xml(str(logs[0]), report.values.verdict, took_s), force)
+        if summary is not None:
+            append_text(summary, report.markdown)
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:
-        typer.echo(summary_text(report.values))
+        typer.echo(summary_text(report.values, verbose))
     if open_report:
         typer.echo(open_page(directory / "report.html"), err=True)
     verdict = report.verdict

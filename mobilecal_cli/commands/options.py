@@ -69,7 +69,12 @@ Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
 NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print each stage and its duration on standard error.")
+    bool,
+    typer.Option(
+        "--verbose",
+        "-v",
+        help="Print every figure and check; on standard error, each stage.",
+    ),
 ]
 OpenReport = Annotated[
     bool,
@@ -79,6 +84,14 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 JUnit = Annotated[
     Path | None,
     typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
+]
+Summary = Annotated[
+    Path | None,
+    typer.Option(
+        "--summary",
+        readable=False,
+        help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
+    ),
 ]
 #: Which moments of a recording are used.
 Stations = Literal["auto", "all"]

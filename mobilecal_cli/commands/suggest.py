@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import typer
 
-from mobilecal_cli.commands.options import Config, Logs, NoBar, Settings, flags_of
+from mobilecal_cli.commands.options import AsJson, Config, Logs, NoBar, Settings, flags_of
 
 
-def suggest(logs: Logs, config: Config = None, setting: Settings = None, quiet: NoBar = False) -> None:
-    """Suggest additional stops that improve a calibration most.
+def suggest(
+    logs: Logs,
+    config: Config = None,
+    setting: Settings = None,
+    as_json: AsJson = False,
+    quiet: NoBar = False,
+) -> None:
+    """Suggest what improves a calibration most, the cheapest first.
 
-    For each stop: where to drive, where to point the head, and the standard deviation to expect. Reads recordings or
-    an extraction.npz. Writes nothing.
+    Limits of the expected errors (gates in rig.yaml) say what matters. A stop says where to drive, where to point the
+    head, and the standard deviation to expect. Reads recordings or an extraction.npz. Writes nothing.
 
     Example: mobilecal suggest log.mcap
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.report.formats import json_text
 
     with progress_bar(quiet) as progress:
-        lines = steps.suggest(logs, config, flags_of(setting), progress)
-    typer.echo("\n".join(lines))
+        advice = steps.suggest(logs, config, flags_of(setting), progress)
+    typer.echo(json_text(advice) if as_json else "\n".join(advice.lines), nl=not as_json)

@@ -3,13 +3,22 @@
 from mobilecal_cli.export.board_print import BoardPrint, board_pdf
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
-from mobilecal_cli.export.outputs import check_file, check_output, write_file, write_outputs
+from mobilecal_cli.export.outputs import (
+    append_text,
+    check_appendable,
+    check_file,
+    check_output,
+    write_file,
+    write_outputs,
+)
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.export.plain import from_plain, to_plain
 
 __all__ = [
     "BoardPrint",
+    "append_text",
     "board_pdf",
+    "check_appendable",
     "check_file",
     "check_output",
     "extraction_from_npz",

@@ -71,6 +71,34 @@ def write_file(path: Path, content: bytes, force: bool) -> None:
         ) from error
 
 
+def check_appendable(path: Path) -> None:
+    """Check before the work whether text can be appended to a file.
+
+    Raises:
+        OutputError: it cannot be created, or is not a regular file.
+    """
+    check_parent(path)
+    if os.path.lexists(path):
+        recognized_file(path)
+
+
+def append_text(path: Path, text: str) -> None:
+    """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
+
+    Raises:
+        OutputError: it cannot be written, or is not a regular file.
+    """
+    check_appendable(path)
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror}",
+            "check free space and permissions, or choose another output path",
+        ) from error
+
+
 def write_synced(path: Path, content: bytes) -> None:
     """Write a new file, and flush it to the disk.
 

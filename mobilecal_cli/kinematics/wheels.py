@@ -43,14 +43,14 @@ class Increments:
 
     @property
     def above_mean_rate(self) -> FloatArray:
-        """(n,) turning rate over its mean, less 1; the mean is weighted with the turns. 0 where it is unknown."""
+        """(n,) turning rate over its mean (weighted with the turns), less 1, at most 1; 0 where it is unknown."""
         if self.rate is None:
             return np.zeros(len(self.leg))
         known = np.isfinite(self.rate)
         turned = np.abs(self.right_rad - self.left_rad) * known
         rate = np.where(known, self.rate, 0.0)
         mean = float(turned @ rate) / max(float(turned.sum()), 1e-12)
-        return np.where(known & (mean > 0), rate / max(mean, 1e-12) - 1, 0.0)
+        return np.where(known & (mean > 0), np.minimum(rate / max(mean, 1e-12) - 1, 1.0), 0.0)
 
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""

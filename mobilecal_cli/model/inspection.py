@@ -198,6 +198,7 @@ class FleetRow:
         std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
         skipped: why the robot was not calibrated in this run; empty if it was.
         hint: what to do next, if it did not pass.
+        seconds: how long it took, s.
     """
 
     name: str
@@ -210,3 +211,4 @@ class FleetRow:
     std: tuple[float | None, ...] = ()
     skipped: str = ""
     hint: str = ""
+    seconds: float = 0.0

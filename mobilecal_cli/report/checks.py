@@ -32,9 +32,10 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     advice,
-    cures,
+    error_of,
     limiting_sentence,
     missing_motion,
+    next_step_of,
     shares_of,
     small_motion,
     uses,
@@ -685,8 +686,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             f"{limiting_sentence(shares, figure.meaning)}",
             " ".join(
                 tuple(small_motion(made.solution, figure))
-                or cures(made.solution, made.extraction, made.limits)[:1]
-                or (advice(shares),)
+                or (next_step_of(error_of(use, made.solution), made.solution, made.extraction) or advice(shares),)
             ),
         )  # fmt: skip
 

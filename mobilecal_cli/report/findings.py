@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
-from mobilecal_cli.report.use import LEAST_GAIN, SOURCES, cures, recommendation
+from mobilecal_cli.report.use import SOURCES
 
 #: Further constants of a group are named if they are so many standard deviations off.
 _NAMED_SIGMAS = 2.0
@@ -165,25 +165,6 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             f"Expected result: {gain}."
         )
     return tuple(sentences)
-
-
-def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> tuple[str, ...]:
-    """What limits the result, its cures from the cheapest on, and the stops that improve it by 5 % or more."""
-    sentences = suggestion_sentences(solution, extraction)
-    useful = [
-        text
-        for text, suggestion in zip(sentences, solution.suggestions, strict=True)
-        if suggestion.gain >= LEAST_GAIN
-    ]
-    lines = [*recommendation(solution, extraction, limits)[:1], *cures(solution, extraction, limits)]
-    if useful:
-        lines.append("Additional stop at the end of this recording, most useful first:")
-        lines += [f"{number}. {sentence}" for number, sentence in enumerate(useful, 1)]
-    elif sentences:
-        lines.append("One more stop improves no parameter by 5 % or more.")
-    else:
-        lines.append("No stop near the last one shows the whole board. Move the robot and record again.")
-    return tuple(lines)
 
 
 def outlier_sentences(outliers: Sequence[Outlier], extraction: Extraction) -> Iterator[str]:

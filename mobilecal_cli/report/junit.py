@@ -23,17 +23,21 @@ class _Case(NamedTuple):
     kind: str
     text: str
     out: str = ""
+    seconds: float = 0.0
 
 
-def junit_xml(name: str, verdict: VerdictData) -> bytes:
-    """A test suite, for example of a recording: each check is a case, failed also where there is too little data."""
+def junit_xml(name: str, verdict: VerdictData, seconds: float = 0.0) -> bytes:
+    """A test suite, for example of a recording: each check is a case, failed also where there is too little data.
+
+    The time is that of the whole suite: one solution is judged by all checks.
+    """
     cases = []
     for check in verdict.checks:
         tag, warning = "failure" if check.outcome in LEVELS else "", check.outcome == "warning"
         out = f"measured: {check.measured_text}; limit: {check.limit_text}"
         out += f"; warning: {check.why}" if warning else ""
         cases.append(_Case(check.name, tag, check.why, check.label, check.next_step, out))
-    return _xml(name, cases)
+    return _xml(name, cases, seconds)
 
 
 def junit_error_xml(name: str, error: MobilecalError) -> bytes:
@@ -46,7 +50,14 @@ def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
     """A test suite of a directory of recordings: each robot is a case, an error if it has no result."""
     tags = {"PASS": "", "ERROR": "error"}
     cases = [
-        _Case(row.name, tags.get(row.verdict, "failure"), row.reason, row.verdict.lower(), row.hint)
+        _Case(
+            row.name,
+            tags.get(row.verdict, "failure"),
+            row.reason,
+            row.verdict.lower(),
+            row.hint,
+            seconds=row.seconds,
+        )
         for row in rows
         if row.verdict != "SKIPPED"
     ]
@@ -62,13 +73,15 @@ def is_junit(path: Path) -> bool:
         return False
 
 
-def _xml(name: str, cases: Sequence[_Case]) -> bytes:
+def _xml(name: str, cases: Sequence[_Case], seconds: float = 0.0) -> bytes:
     counts = {"tests": str(len(cases))}
     counts |= {f"{tag}s": str(sum(case.tag == tag for case in cases)) for tag in ("failure", "error")}
+    counts["time"] = f"{seconds or sum(case.seconds for case in cases):.3f}"
     suites = ET.Element("testsuites", counts)
     suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
     for case in cases:
-        element = ET.SubElement(suite, "testcase", {"classname": "mobilecal", "name": visible(case.name)})
+        about = {"classname": "mobilecal", "name": visible(case.name), "time": f"{case.seconds:.3f}"}
+        element = ET.SubElement(suite, "testcase", about)
         if case.tag:
             found = ET.SubElement(element, case.tag, {"message": visible(case.message), "type": case.kind})
             found.text = visible(case.text)

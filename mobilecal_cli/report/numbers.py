@@ -27,9 +27,12 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.formats import json_value
 
 _MOST_DECIMALS = 6
 _LEAST_PROBABILITY = 1e-6
+_UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
+_MOST_REASONS = 3
 _VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 
 
@@ -73,9 +76,7 @@ _ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
 _WHEELS = ("right wheel radius", "left wheel radius", "wheel separation")
 PARAMETERS = (
     *(
-        Parameter(
-            f"r_{axis}", f"rotation vector {axis}", f"small rotation about the head's {axis} axis", *_ANGLE
-        )
+        Parameter(f"r_{axis}", f"rotation {axis}", f"small rotation about the head's {axis} axis", *_ANGLE)
         for axis in "xyz"
     ),
     *(
@@ -131,6 +132,85 @@ def decimals_of(std: float, otherwise: int = 3) -> int:
         return otherwise
     exponent = int(f"{std:.1e}".partition("e")[2])
     return min(max(1 - exponent, 0), _MOST_DECIMALS)
+
+
+@json_value
+class NumberData:
+    """One number of the result, as every output shows it.
+
+    The value of a rotation is a component of the rotation vector from the camera to the head, and its standard
+    deviation that of a small rotation about the head's axis, as in params.yaml.
+
+    Attributes:
+        name: as in params.yaml.
+        label: for people.
+        unit: of value and std, as in params.yaml.
+        value, std: None where it has no standard deviation.
+        state: "" for an estimated number, otherwise "fixed", "not determined" or "from the robot description".
+        value_text, std_text: with two digits of the standard deviation.
+    """
+
+    name: str
+    label: str
+    unit: str
+    value: float
+    std: float | None
+    state: str
+    value_text: str
+    std_text: str
+
+
+def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
+    """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
+    shown, factors = parameters_of(rig), odometry_factors(rig, solution)
+    T, found = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
+    values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
+    stds = reference_std(solution) or (None,) * len(PARAMETERS)
+    numbers = []
+    for k, (parameter, value, std) in enumerate(zip(shown, values, stds, strict=True)):
+        state = ""
+        if found is not None:
+            state = "fixed" if std is None else "" if found.observable[k] else "not determined"
+            state = "from the robot description" if found.described[k] else state
+        name, unit = parameter.factor_name or parameter.name, parameter.unit
+        if parameter.factor_name:
+            (value, std), unit = factors.pop(name), parameter.shown_unit
+        numbers.append(_number(name, parameter.label, unit, float(value), std, state))
+    for name, (value, std) in factors.items():  # that follow from those above
+        numbers.append(_number(name, name.replace("_", " "), "factor", value, std, numbers[-1].state))
+    return tuple(numbers)
+
+
+def _number(name: str, label: str, unit: str, value: float, std: float | None, state: str) -> NumberData:
+    return NumberData(
+        name=name,
+        label=label,
+        unit=unit,
+        value=value,
+        std=std,
+        state=state,
+        value_text=value_text(value, std, _UNCERTAIN_DIGITS),
+        std_text="" if std is None else std_text(std),
+    )
+
+
+def numbers_table(numbers: Sequence[NumberData]) -> list[tuple[str, str]]:
+    """Label, and value with standard deviation and unit, of each number."""
+    rows = []
+    for n in numbers:
+        sigma = f" ± {n.std_text}" if n.std_text else ""
+        rows.append((n.label, f"{n.value_text}{sigma} {n.unit}{f', {n.state}' if n.state else ''}"))
+    return rows
+
+
+def stations_text(extraction: Extraction) -> str:
+    """Stations used and searched, with how many were rejected and why: "26 of 40 (12 blurred, 2 no board)"."""
+    used, searched = len(extraction.observations), stations_looked_at(extraction)
+    last = {(r.log, r.station): r.reason for r in extraction.rejections if r.station >= 0}
+    at = {(o.log, o.station) for o in extraction.observations}
+    reasons = Counter(reason for key, reason in last.items() if key not in at).most_common(_MOST_REASONS)
+    said = ", ".join(f"{count} {visible(reason)}" for reason, count in reasons)
+    return f"{used} of {searched}{f' ({said})' if said and used < searched else ''}"
 
 
 #: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.

@@ -1,6 +1,6 @@
 """report.html: the report as one file that needs no network; without scripts, texts, tables and plots are there.
 
-Terms of the report link to their definitions; docs/reference/glossary.md defines the same terms.
+Terms have their definitions as tooltips; docs/reference/glossary.md defines the same terms.
 """
 
 from __future__ import annotations
@@ -15,55 +15,79 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mobilecal_cli.model import SIDES
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import percent_text, std_text, value_text
 from mobilecal_cli.report.plots import Drawings
 from mobilecal_cli.report.svg import STYLE
+from mobilecal_cli.report.use import LEAST_GAIN
 from mobilecal_cli.report.values import ReportData, ResultData
+from mobilecal_cli.report.verdict import LEVELS
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
 
+#: Sections behind the first screen, in order: id and title.
+CONTENTS = {
+    "checks": "Checks",
+    "limits": "Uncertainty",
+    "stations": "Stations",
+    "description": "Robot description",
+    "record": "Input",
+}
+#: Kind of criterion → the section that shows it; "checks" for others.
+_SECTIONS = {
+    **dict.fromkeys(
+        ("stations", "legs", "observable", "motion", "rejected", "leg_outlier", "jump"), "stations"
+    ),
+    **dict.fromkeys(("point_error", "reprojection_error", "outliers", "outliers_as_noise"), "stations"),
+    **dict.fromkeys(
+        ("contradiction", "description", "stereo_error", "square_size", "camera_info"), "description"
+    ),
+    **dict.fromkeys(("predicted", "noise", "change"), "limits"),
+}
+
+
+def opened_section(report: ReportData) -> str:
+    """The section that shows what decides the verdict; "" for one that passes."""
+    failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
+    decisive = next((check for check in failed if check.why == report.verdict.reason), None)
+    return "" if decisive is None else _SECTIONS.get(decisive.id.partition(".")[0], "checks")
+
+
 def report_html(report: ReportData, drawings: Drawings) -> str:
     """The report as one HTML page: no network, one script, the same bytes for the same values.
 
-    The script links plots, tables and images by station, and draws the view in space from the report's JSON, which is
-    in the page.
+    The first screen has the verdict, the numbers and what limits them; the rest is collapsed. The script links plots
+    and images by station, and draws the view in space from the report's JSON, which is in the page.
     """
     from markupsafe import Markup  # SVG made here, with every text escaped
 
-    plots, views = drawings
     script, style = _asset("page.js"), _asset("page.css") + STYLE
-    said, shares = _sentences(report), report.image_coverage.items()
-    filled = {"linear": report.linear, "refinement": said["refinement"]}
-    filled["squares"] = ""
-    if set(report.image_coverage) == set(SIDES):
-        filled["squares"] = ", and the same square size at all distances"
-    filled["coverage"] = " and ".join(f"{100 * share:.0f} %" for _, share in shares)
     figures = [
         {
             "section": figure.section,
             "half": figure.half,
             "parts": [(title, Markup(svg)) for title, svg in figure.parts],
-            "caption": Markup.escape(figure.caption.format(**filled)).replace(
-                "Good:", Markup("<strong>Good:</strong>")
-            ),
+            "caption": figure.caption,
         }
-        for figure in plots
+        for figure in drawings.figures
     ]
     text = link_terms(
         template("report.html.jinja").render(
             report=report,
             figures=figures,
-            views=views,
-            said=said,
-            least_stations=MIN_STATIONS,
-            terms=TERMS,
+            views=drawings.views,
+            path=Markup(drawings.path),
+            limits=drawings.limits,
+            bar=Markup("" if drawings.limits is None else drawings.limits.svg),
+            contents=list(CONTENTS.items()),
+            opened=opened_section(report),
+            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
+            change="" if report.change is None else _change(report.change),
+            orientation=_orientation(report.parameters),
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
             style=Markup(style),
         )
@@ -104,38 +128,6 @@ def template(name: str) -> Template:
         finalize=shown,
     )
     return found.get_template(name)
-
-
-_REFINEMENTS = {
-    "paper": "Powell's method",
-    "lm": "Levenberg-Marquardt",
-    "ml": "maximum likelihood with Levenberg-Marquardt. The point error can rise because noisy points have less weight",
-}
-_INITIAL = {
-    "grid": "the best of a grid of wheel ratios",
-    "nominal": "the nominal wheels",
-    "given": "the given wheel ratios",
-}
-
-
-def _sentences(report: ReportData) -> dict[str, str]:
-    """Name in the template → sentences."""
-    method, change = report.quality.method, report.change
-    solutions = "The solution was not refined."
-    if report.refinement is not None:
-        solutions = (
-            "The refined solution starts from it and weights each measurement by its own noise (maximum likelihood). "
-            "Its point error can be larger although its parameters are more accurate."
-            if method == "ml"
-            else "The refined solution starts from it and minimizes the point error. The two solutions should be close."
-        )
-    return {
-        "solutions": solutions,
-        "orientation": _orientation(report.parameters),
-        "change": "" if change is None else _change(change),
-        "refinement": _REFINEMENTS.get(method, method),
-        "initial": f"Initial estimate: {_INITIAL[report.linear.initial_from]}.",
-    }
 
 
 def _orientation(found: ResultData) -> str:
@@ -251,7 +243,7 @@ _PLAIN = frozenset(
 
 
 def link_terms(page: str) -> str:
-    """The page with a link from the first use of each term in each section to its definition.
+    """The page with the definition of each term at its first use in each section, as a tooltip.
 
     Args:
         page: HTML in which "<" and ">" occur in tags only.
@@ -266,7 +258,7 @@ def link_terms(page: str) -> str:
             continue
         found = _NAME.match(part)
         name = found.group(1).lower() if found else ""
-        if name == "section":
+        if name in ("section", "details"):
             linked.clear()
         elif name in _PLAIN and not part.endswith("/>"):
             plain += -1 if part.startswith("</") else 1
@@ -278,4 +270,4 @@ def _link(match: re.Match[str], linked: set[str]) -> str:
     if term.key in linked:
         return match.group()
     linked.add(term.key)
-    return f'<a class="term" href="#term-{term.key}" title="{escape(term.definition)}">{match.group()}</a>'
+    return f'<abbr title="{escape(term.definition)}">{match.group()}</abbr>'

@@ -1,15 +1,14 @@
 """The plots of the page, each an <svg> element, "" where there is nothing to show.
 
-A new plot is a function with the decorator `plot`.
+A new plot is a function with the decorator `plot`. `path_picture` and `budget_bar` are those of the first screen.
 """
 
 from __future__ import annotations
 
 import base64
-import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -28,18 +27,13 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import (
-    PARAMETERS,
-    parameters_of,
-    predicted_point_rms_m,
-    reference_pose,
-    shown_lengths,
-    station_names,
-)
+from mobilecal_cli.report.numbers import image_coverage, predicted_point_rms_m, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, families
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Use, families, uses
 
-_Draw = TypeVar("_Draw", bound=Callable[..., str])
+#: An SVG element, or one with its caption.
+Drawn: TypeAlias = str | tuple[str, str]
+_Draw = TypeVar("_Draw", bound=Callable[..., Drawn])
 _MOST_PATHS = 4  # recordings with their own plots
 
 
@@ -49,7 +43,7 @@ class Figure:
 
     Attributes:
         parts: title ("" for none) and SVG element of each.
-        caption: sentences below it; its braces are filled in by `report_html`.
+        caption: what it shows, from its numbers; "" for none.
         half: half as wide as the page, side by side.
     """
 
@@ -91,23 +85,48 @@ class LegView:
     pictures: tuple[Overlay, ...]
 
 
-#: What the page shows beside values: plots in the order of their definition, and images of legs.
-Drawings: TypeAlias = tuple[tuple[Figure, ...], list[LegView]]
+class Drawings(NamedTuple):
+    """What the page shows beside values.
+
+    Attributes:
+        figures: plots in the order of their definition.
+        views: images of legs, the worst first.
+        path: small picture of the path, for the first screen.
+        limits: what limits the result, for the first screen; None if unknown.
+    """
+
+    figures: tuple[Figure, ...]
+    views: list[LegView]
+    path: str
+    limits: Bar | None
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One bar with its title and its legend: (style, label) each."""
+
+    title: str
+    svg: str
+    legend: tuple[tuple[str, str], ...]
+
+
 _PLOTS: list[Callable[[Solution, Extraction], Figure]] = []
 
 
 def plot(
     section: str,
-    caption: str = "",
     *,
     half: bool = False,
     each: Literal["log", "camera"] | None = None,
     corners: bool = False,
 ) -> Callable[[_Draw], _Draw]:
-    """Add a function to the plots of the page: solution, data (and log or camera's index) → SVG element, "" for none.
+    """Add a function to the plots of the page.
+
+    Its arguments are the solution, its data, and a log or a camera's index. It returns the SVG element ("" for none),
+    alone or with a caption: what this plot shows, from its numbers.
 
     Args:
-        section, caption, half: see `Figure`.
+        section, half: see `Figure`.
         each: draw it for each recording, or for each camera.
         corners: it is about corners, and is left out where poses were measured in their place.
     """
@@ -123,8 +142,13 @@ def plot(
                 titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
             if corners and extraction.measured:
                 titles = {}
-            drawn = ((title, draw(solution, extraction, *more)) for more, title in titles.items())
-            return Figure(section, tuple(part for part in drawn if part[1]), caption, half)
+            parts, captions = [], []
+            for more, title in titles.items():
+                drawn = draw(solution, extraction, *more)
+                element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
+                parts += [(title, element)] if element else []
+                captions += [caption] if caption else []
+            return Figure(section, tuple(parts), " ".join(dict.fromkeys(captions)), half)
 
         _PLOTS.append(figure)
         return draw
@@ -132,15 +156,26 @@ def plot(
     return registered
 
 
-def draw_all(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot] = ()) -> Drawings:
-    """All plots, and the images of those legs whose first station has a snapshot."""
+def draw_all(
+    solution: Solution,
+    extraction: Extraction,
+    snapshots: Sequence[Snapshot] = (),
+    limits: Mapping[str, float] | None = None,
+) -> Drawings:
+    """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
     drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
-    return tuple(figure for figure in drawn if figure.parts), leg_views(solution, extraction, snapshots)
+    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
+    bar = None
+    if worst is not None and worst.share > 0:
+        value = f"{std_text(worst.value)} of {worst.limit:g} {worst.figure.unit}"
+        bar = budget_bar(solution, worst, f"What limits the {worst.figure.short} ({value})")
+    views = leg_views(solution, extraction, snapshots)
+    figures = tuple(figure for figure in drawn if figure.parts)
+    return Drawings(figures, views, path_picture(solution, extraction), bar)
 
 
-_COLORS = ("blue", "orange", "green")
-_MOST_VIEWS = 40  # legs with images beside the worst, the median and the best; keeps the page under 5 MB
-_VIEW_WIDTH_PX = 640  # wider regions are scaled down; the marks are vectors and stay sharp
+_MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
+_VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
@@ -148,104 +183,13 @@ _TRAIL_POINTS = 400
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
+_MARK_BYTES = 160  # of a detected and a predicted corner in the page
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 _OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "joint": "joint reading"}
 
 
-@plot(
-    "convergence",
-    "Iterations of the linear method. Good: constant after a few iterations. Dashed line: iteration "
-    "{linear.iterations_to_tolerance}, after which no parameter changed by more than 0.1 %.",
-)
-def wheel_convergence(solution: Solution, extraction: Extraction) -> str:
-    """Right wheel radius rR and wheel separation b over the iterations (paper's Fig. 5)."""
-    nine = parameters_of(extraction.rig)
-    history = solution.linear.history
-    numbers = np.stack([shown_lengths(parameters, solution.cameras, nine) for parameters in history])
-    canvas = Canvas(WIDE, 210.0, "wheel radius and separation over the iterations")
-    for k, (column, title) in enumerate(
-        (column, f"{nine[column + 3].label} [{nine[column + 3].shown_unit}]") for column in (3, 5)
-    ):
-        y = Scale.of(numbers[:, column], margin=0.25)
-        box = (k * WIDE / 2, 0.0, (k + 1) * WIDE / 2, 210.0)
-        _over_rounds(solution, numbers[:, [column]], Axes.of(canvas, _rounds(solution), y, title, box))
-    return canvas.svg
-
-
-@plot(
-    "convergence",
-    "Difference of each parameter from its final value. Good: lines that become smaller, on this logarithmic "
-    "scale nearly straight. A line that rises at first is normal.",
-)
-def all_convergence(solution: Solution, extraction: Extraction) -> str:
-    """Difference of each of the nine parameters from its final value, over the iterations."""
-    history, cameras = solution.linear.history, solution.cameras
-    nine = parameters_of(extraction.rig)
-    numbers = np.stack([shown_lengths(parameters, cameras, nine) for parameters in history])
-    R = np.stack([reference_pose(parameters, cameras)[:3, :3] for parameters in history])
-    turned = np.degrees([se3.log_so3(each @ R[-1].T) for each in R])
-    apart = np.abs(np.concatenate([turned, numbers - numbers[-1]], axis=1))
-    names = (*"xyzxyz", *(parameter.name.removeprefix("radius_") for parameter in PARAMETERS[6:]))
-    canvas = Canvas(WIDE, 250.0, "difference of each parameter from its final value, over the iterations")
-    for k, title in enumerate(("rotation [deg]", "translation [mm]", f"wheels [{nine[-1].shown_unit}]")):
-        part = apart[:, 3 * k : 3 * k + 3]
-        part = np.where(part > 1e-7, part, np.nan)
-        if not np.isfinite(part).any():
-            continue
-        y = Scale(10 ** np.floor(np.log10(np.nanmin(part))), 10 ** np.ceil(np.log10(np.nanmax(part))), True)
-        left = k * WIDE / 3
-        box = (left, 18.0, left + WIDE / 3, 250.0)
-        _over_rounds(solution, part, Axes.of(canvas, _rounds(solution), y, title, box))
-        wide = Canvas(left + WIDE / 3, 1.0, "")
-        entries = zip(_COLORS, names[3 * k : 3 * k + 3], strict=True)
-        wide.legend([(f"line {color}", name) for color, name in entries], left + 8, 16.0)
-        canvas.parts += wide.parts
-    return canvas.svg
-
-
-@plot("convergence", "Refinement by {refinement}. Good: the curve reaches a constant value.")
-def refinement_convergence(solution: Solution, _: Extraction) -> str:
-    """Point error over the iterations of the refinement; "" without a refinement."""
-    if solution.refinement is None:
-        return ""
-    error_mm = solution.refinement.point_rms_history_m * 1e3
-    canvas = Canvas(WIDE, 190.0, "point error over the iterations of the refinement")
-    axes = Axes.of(
-        canvas, Scale(0, max(len(error_mm) - 1, 1)), Scale.of(error_mm, zero=True), "point error [mm]"
-    )
-    axes.grid("iteration of the refinement (0: linear solution)", whole=True)
-    _line_with_dots(axes, np.column_stack([np.arange(len(error_mm)), error_mm]), "blue")
-    return canvas.svg
-
-
-def _rounds(solution: Solution) -> Scale:
-    return Scale(1, max(solution.linear.rounds, 2))
-
-
-def _over_rounds(solution: Solution, columns: FloatArray, axes: Axes) -> None:
-    """A line for each column of values over the iterations, (n, up to 3), and one at the tolerance."""
-    axes.grid("iteration", whole=True)
-    at = solution.linear.rounds_to_tolerance
-    axes.line([(at, axes.y.low), (at, axes.y.high)], "faint thin dash")
-    for color, values in zip(_COLORS, columns.T, strict=False):
-        _line_with_dots(axes, np.column_stack([np.arange(1, len(values) + 1), values]), color)
-
-
-def _line_with_dots(axes: Axes, points: FloatArray, color: str) -> None:
-    axes.line(points, color)
-    for x, y in points.tolist():
-        if np.isfinite(y):
-            axes.dot(x, y, color, tip=f"{x:g}: {y:.4g}", r=2.5)
-
-
-@plot(
-    "space",
-    "Path of the base with the calibrated wheels (solid) and with the nominal wheels (dotted), and the board "
-    "as measured from each station. Good: the green lines coincide (dead reckoning drifts, so they spread "
-    "slowly along a long path), the cameras point at the board, and the path is the one that the robot drove.",
-    each="log",
-)
-def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str:
+@plot("stations", each="log")
+def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
     picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
     seen = [extraction.observations[i] for i in picked]
@@ -263,10 +207,13 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
     axes.grid("x at the first station [m]")
     entries = [("line soft", "path of the base")]
     axes.line(path, "soft")
-    nominal = extraction.rig.nominal.wheels
+    nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
-        axes.line(trail(extraction.wheels[log], times, nominal), "red thin dots")
+        without = trail(extraction.wheels[log], times, nominal)
+        axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "with nominal wheels"))
+        apart = float(np.linalg.norm(without[-1] - path[-1]))
+        caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
         tip = f"station {names[i]}"
@@ -280,6 +227,45 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> str
         canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
     entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
     canvas.legend(entries, 8.0, 16.0)
+    return canvas.svg, caption
+
+
+def path_picture(solution: Solution, extraction: Extraction) -> str:
+    """Small top view of the first recording: the path, the mean board, and a scale bar."""
+    log = min((o.log for o in extraction.observations), default=None)
+    if log is None:
+        return ""
+    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    seen = [extraction.observations[i] for i in picked]
+    T_w_v, board, square_m = (
+        solution.residuals.T_w_v[picked],
+        extraction.board,
+        float(np.median([o.square_m for o in seen])),
+    )
+    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
+    ends = np.stack([se3.act(T, ends_k)[:, :2] for T in solution.residuals.T_w_k[picked]])
+    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
+    everything = np.concatenate([ends.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
+    left, low = 10.0, canvas.height - 22.0
+    x, y = (Scale.of(column) for column in everything.T)
+    axes = Axes(
+        canvas, replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
+    ).with_equal_units()
+    axes.line(path, "soft")
+    for i, end in zip(picked, ends, strict=True):
+        axes.line(end, "green thin", [i])
+        axes.dot(
+            float(solution.residuals.T_w_v[i, 0, 3]),
+            float(solution.residuals.T_w_v[i, 1, 3]),
+            "blue",
+            [i],
+            r=3,
+        )
+    meter = axes.x(1.0) - axes.x(0.0)
+    canvas.path(np.array([[left, canvas.height - 8], [left + meter, canvas.height - 8]]), "line ink")
+    canvas.text(left + meter + 6, canvas.height - 4, "1 m")
+    canvas.legend([("line green", "board")], HALF - 70.0, canvas.height - 4)
     return canvas.svg
 
 
@@ -297,8 +283,8 @@ def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> Flo
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-@plot("head", "Head angles at each station. Good: spread in both directions, not along one line.", half=True)
-def head_angles(_: Solution, extraction: Extraction) -> str:
+@plot("stations", half=True)
+def head_angles(_: Solution, extraction: Extraction) -> Drawn:
     """Pan and tilt angle at each station; "" if the chain names neither joint."""
     chain, seen = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
@@ -310,15 +296,18 @@ def head_angles(_: Solution, extraction: Extraction) -> str:
     canvas = Canvas(HALF, 290.0, "head angles at each station")
     labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
     title = labels[1] if len(columns) == 2 else ""
-    spans = (Scale.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
-    axes = Axes.of(canvas, next(spans), next(spans), title)
+    scales = (Scale.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
+    axes = Axes.of(canvas, next(scales), next(scales), title)
     axes.grid(labels[0])
     names = station_names(extraction)
     for i, (name, x, y) in enumerate(zip(names, pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
     if len(seen) <= _MOST_LABELS:
         canvas.labels(axes.at(np.column_stack([pan, other])), names)
-    return canvas.svg
+    spans = [
+        f"{label.partition(' [')[0]} {np.ptp(v):.0f}°" for label, v in zip(labels, (pan, other), strict=False)
+    ]
+    return canvas.svg, f"Range: {', '.join(spans)}."
 
 
 def _short(name: str) -> str:
@@ -343,15 +332,8 @@ def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes
     return canvas, axes
 
 
-@plot(
-    "coverage",
-    "Outlines of the board in the images: corners in {coverage} of the image cells. Good: many positions and "
-    "sizes, some near the edges.",
-    half=True,
-    each="camera",
-    corners=True,
-)
-def picture_coverage(_: Solution, extraction: Extraction, k: int) -> str:
+@plot("description", half=True, each="camera", corners=True)
+def picture_coverage(_: Solution, extraction: Extraction, k: int) -> Drawn:
     """Outlines of the board in the images of one camera."""
     import cv2  # slow to import, and other plots do not need it
 
@@ -365,16 +347,14 @@ def picture_coverage(_: Solution, extraction: Extraction, k: int) -> str:
             continue
         hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
         axes.line(measured[hull.ravel()], "blue thin outline", [i], f"station {names[i]}", closed=True)
-    return canvas.svg
+    camera = extraction.rig.cameras.each[k]
+    pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
+    share = image_coverage(pixels, camera.width, camera.height)
+    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
 
 
-@plot(
-    "residuals",
-    "One bar per leg. Good: bars of similar height. One bar far above the others: a wheel slipped or the "
-    "board moved on that leg. All bars far above the dashed line: errors of the wheels or of the head joints "
-    "are larger than the depth noise of the cameras.",
-)
-def leg_residuals(solution: Solution, extraction: Extraction) -> str:
+@plot("stations")
+def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
@@ -396,15 +376,15 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> str:
             axes.level(depth_mm, "orange dash")
         axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
     canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
-    return canvas.svg
+    worst, median = (
+        int(np.argmax(residuals.leg_reprojection_px)),
+        float(np.median(residuals.leg_reprojection_px)),
+    )
+    times = float(residuals.leg_reprojection_px[worst]) / median if median else 1.0
+    return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
 
 
-@plot(
-    "residuals",
-    "Residuals over time, with outliers and rejected stations at the bottom. Good: no trend, and outliers "
-    "with a known cause.",
-    each="log",
-)
+@plot("stations", each="log")
 def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     """Leg and stereo residuals of one recording over time, with outliers and rejected stations."""
     seen, residuals, names = extraction.observations, solution.residuals, station_names(extraction)
@@ -443,14 +423,8 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
     return canvas.svg
 
 
-@plot(
-    "residuals",
-    "The images alone, without robot motion. Good: residuals of about 0.3 px or less{squares}. High residuals at all "
-    "stations: camera_info does not match the cameras. Square size different from the stated one: the baseline or the "
-    "stated size is wrong.",
-    corners=True,
-)
-def station_residuals(_: Solution, extraction: Extraction) -> str:
+@plot("description", corners=True)
+def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
     seen, names = extraction.observations, station_names(extraction)
     square_mm = [o.square_m * 1e3 for o in seen]
@@ -476,17 +450,12 @@ def station_residuals(_: Solution, extraction: Extraction) -> str:
     for i, value in enumerate(square_mm):
         axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
     axes.names(names, "station")
-    return canvas.svg
+    median = float(np.median([o.reprojection_px for o in seen]))
+    sizes = f"the squares measure {min(square_mm):.2f} to {max(square_mm):.2f} mm"
+    return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
 
 
-@plot(
-    "residuals",
-    "Corner residuals across the image, magnified. Good: lines point in random directions. Lines that circle "
-    "the image center or point away from it: camera_info does not match the lens.",
-    half=True,
-    each="camera",
-    corners=True,
-)
+@plot("description", half=True, each="camera", corners=True)
 def picture_residuals(_: Solution, extraction: Extraction, k: int) -> str:
     """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
 
@@ -509,30 +478,6 @@ def picture_residuals(_: Solution, extraction: Extraction, k: int) -> str:
     return canvas.svg
 
 
-@plot(
-    "residuals",
-    "All corner residuals. Good: one symmetric peak at zero.",
-    corners=True,
-)
-def residual_histogram(_: Solution, extraction: Extraction) -> str:
-    """How often the corners are off by how much from the fitted flat board, u and v of all cameras."""
-    stations = range(len(extraction.observations))
-    cameras = range(len(extraction.rig.cameras.names))
-    values = np.concatenate([_board_residuals(extraction, k, i)[1] for k in cameras for i in stations])
-    most = float(np.percentile(np.abs(values), 99.5)) or 1.0
-    counts, edges = np.histogram(values, bins=41, range=(-most, most))
-    share = 100 * counts / values.size
-    canvas = Canvas(WIDE, 200.0, "histogram of the corner residuals")
-    axes = Axes.of(
-        canvas, Scale(-most, most), Scale.of(share, zero=True), "corner residuals, share of all [%]"
-    )
-    axes.grid("residual of a coordinate [px]")
-    left, right = edges[:-1], edges[1:]
-    steps = np.stack([left, share, right, share], axis=1).reshape(-1, 2)
-    axes.line(np.concatenate([[[left[0], 0.0]], steps, [[right[-1], 0.0]]]), "blue")
-    return canvas.svg
-
-
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:
     """Detected corners of a station, (n, 2), and their residuals from the fitted board, (n, 2), px."""
     cameras, o = extraction.rig.cameras, extraction.observations[i]
@@ -542,12 +487,8 @@ def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray
     return measured, measured - project(cameras.each[k], points)
 
 
-@plot(
-    "correlation",
-    "Blue: positive correlation; orange: negative. Near ±1 the recording determines a combination of the two "
-    "parameters better than each one alone. More varied motion separates them.",
-)
-def correlation_matrix(solution: Solution, _: Extraction) -> str:
+@plot("limits")
+def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
     """Correlation matrix of the nine parameters; "" without a covariance."""
     found = solution.uncertainty
     if found is None:
@@ -567,15 +508,13 @@ def correlation_matrix(solution: Solution, _: Extraction) -> str:
             shade = 0.6 * min(1.0, abs(value))
             canvas.shape("rect", kind, x=x, y=y, width=wide - 1, height=high - 1, fill_opacity=shade)
             canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
-    return canvas.svg
+    apart = np.nan_to_num(np.abs(correlation - np.eye(9)))
+    i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    return canvas.svg, f"Largest correlation: {NINE[i]} and {NINE[j]}, {correlation[i, j]:+.2f}."
 
 
-@plot(
-    "budget",
-    "What each variance consists of. Dark: noise of the measurements, which more stations reduce. Light: "
-    "uncertainty of the robot description, which only better stated values reduce.",
-)
-def error_budget(solution: Solution, _: Extraction) -> str:
+@plot("limits")
+def error_budget(solution: Solution, _: Extraction) -> Drawn:
     """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
     found = solution.uncertainty
     if found is None:
@@ -601,11 +540,32 @@ def error_budget(solution: Solution, _: Extraction) -> str:
             if shares[k, column] > _LABELED_SHARE:
                 canvas.text(x + width / 2, y + 13, share, anchor="middle")
             x += width
-    return canvas.svg
+    return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
+
+
+def budget_bar(solution: Solution, use: Use, title: str) -> Bar:
+    """What the variance of one expected error consists of."""
+    names, shares = families(solution)
+    column = (
+        len(NINE) + [*solution.uncertainty.budget.at_work].index(use.figure.field)
+        if solution.uncertainty
+        else 0
+    )
+    largest = sorted(((float(shares[k, column]), name) for k, name in enumerate(names)), reverse=True)
+    used = [(share, name) for share, name in largest[:4] if share > _LABELED_SHARE / 2]
+    canvas = Canvas(WIDE, 24.0, f"error budget of the {use.figure.meaning}")
+    x = 0.0
+    for share, name in used:
+        canvas.shape(
+            "rect", f"fill {FAMILIES[name].style}", (), name, x=x, y=0.0, width=WIDE * share, height=24.0
+        )
+        x += WIDE * share
+    legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
+    return Bar(title, canvas.svg, legend)
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
-    """The worst, the median and the best leg among those whose first station has images, and up to 40 others."""
+    """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
     residuals, seen = solution.residuals, extraction.observations
     cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots}
@@ -616,11 +576,12 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
     words = {1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
     ranks = dict(zip(chosen, words, strict=True))
-    others = [leg for leg in shown if leg not in ranks]
-    others = others[:: max(1, math.ceil(len(others) / _MOST_VIEWS))]
     names = station_names(extraction)
-    views = []
-    for leg in (*ranks, *others):
+    views: list[LegView] = []
+    for leg in (*ranks, *(leg for leg in order if leg not in ranks)):
+        size = sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for view in views for each in view.pictures)
+        if len(views) >= len(ranks) and size > _MOST_VIEW_BYTES:
+            break
         i, j = residuals.legs[leg]
         snapshot = pictures[seen[i].log, seen[i].station]
         views.append(

@@ -255,6 +255,12 @@ class Axes:
         """A line through points, (n, 2), in the units of the axes."""
         self.canvas.path(self.at(np.asarray(points)), f"line {kind}", closed, stations, tip)
 
+    def clipped_line(self, points: FloatArray, kind: str) -> None:
+        """A line through points, (n, 2), without those outside the axes."""
+        x, y = np.asarray(points).T
+        inside = (x >= self.x.low) & (x <= self.x.high) & (y >= self.y.low) & (y <= self.y.high)
+        self.line(np.where(inside[:, None], points, np.nan), kind)
+
     def level(self, value: float, kind: str) -> None:
         """A horizontal line."""
         self._line(self.x.start, self.y(value), self.x.end, self.y(value), f"line {kind}")

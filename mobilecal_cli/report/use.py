@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, FloatArray, Solution
+from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import std_text
 
 #: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; name; cure.
@@ -32,7 +33,6 @@ class Figure:
         meaning, short: label, and the one in a chart.
         unit: for people.
         factor: how many of it one unit of the field is.
-        limit: default limit in this unit; None for no limit.
     """
 
     field: str
@@ -41,7 +41,11 @@ class Figure:
     short: str
     unit: str
     factor: float
-    limit: float | None = None
+
+    @property
+    def limit(self) -> float | None:
+        """Default limit in this unit; None for no limit."""
+        return ACCURACY.get(self.name)
 
     def of(self, expected: AtWork) -> float:
         """The figure in its unit."""
@@ -51,17 +55,17 @@ class Figure:
 _DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
-    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3, 20.0),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG, 1.0),
+    Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "point", "mm", 1e3),
     Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight",
-           "distance per meter", "mm/m", 1e3, 10.0),
+           "distance per meter", "mm/m", 1e3),
     Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
            "lateral position per meter", "mm/m", 1e3),
     Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight",
-           "heading per meter", "deg/m", _DEG, 1.0),
+           "heading per meter", "deg/m", _DEG),
     Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn",
-           "heading per turn", "deg", _DEG, 5.0),
+           "heading per turn", "deg", _DEG),
 )
 # fmt: on
 
@@ -135,54 +139,88 @@ def missing_motion(solution: Solution, names: Sequence[str]) -> str:
 LEAST_GAIN = 0.05
 #: Stated values are taken to be measured this many times better, if the user measures them again.
 _BETTER = 2.0
+_MOST_STOPS = 4  # times as many; more are not practical
 
 
-def cures(
-    solution: Solution, extraction: Extraction, limits: Mapping[str, float] | None = None
-) -> tuple[str, ...]:
-    """What improves the expected error that is nearest to its limit by 5 % or more, the cheapest first."""
-    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
-    if worst is None or not worst.share > 0:
-        return ()
-    shares = shares_of(solution, worst.figure.field)
-    return cures_of(worst.figure.meaning, worst.value, worst.figure.unit, shares, solution, extraction)
+class Error(NamedTuple):
+    """An error (1 sigma) that has a limit, and its (share, source), largest first."""
+
+    meaning: str
+    value: float
+    limit: float
+    unit: str
+    shares: Sequence[tuple[float, str]]
 
 
-def cures_of(
-    meaning: str,
-    value: float,
-    unit: str,
-    shares: Sequence[tuple[float, str]],
-    solution: Solution,
-    extraction: Extraction,
-) -> tuple[str, ...]:
-    """What improves an error with these (share, source) by 5 % or more, the cheapest first; to first order."""
-    of = {name: share for share, name in shares}
-    found: list[str] = []
+class Cure(NamedTuple):
+    """What to do about an error, and the share of its variance that this removes, to first order."""
 
-    def add(command: str, removed: float) -> None:
-        """A cure that removes a share of the variance."""
-        left = math.sqrt(max(1 - removed, 0.0))
-        if 1 - left >= LEAST_GAIN:
-            then = f"{std_text(value)} to {std_text(value * left)} {unit}"
-            found.append(f"{command}: the {meaning} improves from {then}.")
+    command: str
+    removed: float
 
+    def text(self, error: Error) -> str:
+        """The command and what it gives, as a sentence."""
+        then = f"{std_text(error.value)} to {std_text(error.value * self.left)} {error.unit}"
+        return f"{self.command}: the {error.meaning} improves from {then}."
+
+    @property
+    def left(self) -> float:
+        """The error afterwards, as a share of what it is."""
+        return math.sqrt(max(1 - self.removed, 0.0))
+
+
+def error_of(use: Use, solution: Solution) -> Error:
+    """An expected error with its error budget."""
+    figure = use.figure
+    return Error(figure.meaning, use.value, use.limit, figure.unit, shares_of(solution, figure.field))
+
+
+def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[Cure, ...]:
+    """What improves an error by 5 % or more, the cheapest first."""
+    of = {name: share for share, name in error.shares}
     kinds = {kind.name: kind for kind in nuisance.KINDS}
-    scale = solution.constants.get("baseline_scale")
-    if extraction.board.square_m is None and scale is not None and scale.std > 0:
+    found = []
+    scale, measured = solution.constants.get("baseline_scale"), {"baseline_length", "square_size"}
+    unstated = extraction.board.square_m is None and scale is not None and scale.std > 0
+    if unstated and scale is not None:
         ratio = kinds["square_size"].sigma / scale.std
-        removed = (of.get("baseline_length", 0.0) + of.get("square_size", 0.0)) / (1 + ratio**2)
-        add("Measure the squares, and state board.square_m in rig.yaml", removed)
-    stated = max((name for name in of if name in kinds), key=lambda name: of[name], default=None)
-    if stated is not None:
-        command, better = source(stated).advice, 1 - 1 / _BETTER**2
-        add(
-            f"{command[0].upper()}{command[1:]}, and state half of `priors: {stated}` in rig.yaml",
-            of[stated] * better,
-        )
-    noises = [share for share, name in shares if name not in kinds and source(name).family not in _NOT_NOISE]
-    add("Record twice as many stops", sum(noises) / 2)
-    return tuple(found)
+        removed = sum(of.get(name, 0.0) for name in measured) / (1 + ratio**2)
+        found.append(Cure("Measure the squares, and state board.square_m in rig.yaml", removed))
+    other = [name for name in of if name in kinds and not (unstated and name in measured)]
+    if other:
+        stated = max(other, key=lambda name: of[name])
+        command = source(stated).advice
+        command = f"{command[0].upper()}{command[1:]}, and state half of `priors: {stated}` in rig.yaml"
+        found.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
+    noise = sum(
+        share for share, name in error.shares if name not in kinds and source(name).family not in _NOT_NOISE
+    )
+    alone = (error.limit / error.value) ** 2 - (1 - noise) if error.value > 0 else 1.0
+    with_others = alone + sum(cure.removed for cure in found)
+    needed = (math.ceil(noise / room) for room in (alone, with_others) if room > 0)
+    times = next((max(2, times) for times in needed if times <= _MOST_STOPS), _MOST_STOPS)
+    words = {2: "twice", 3: "three times", 4: "four times"}
+    found.append(Cure(f"Record {words[times]} as many stops", noise * (1 - 1 / times)))
+    return tuple(cure for cure in found if 1 - cure.left >= LEAST_GAIN)
+
+
+def next_step_of(error: Error, solution: Solution, extraction: Extraction) -> str:
+    """The cheapest cure that brings an error within its limit; if none does alone, all of them; "" without any."""
+    found = cures_of(error, solution, extraction)
+    for cure in found:
+        if cure.left * error.value <= error.limit:
+            return cure.text(error)
+    if not found:
+        return ""
+    first, *others = (cure.command for cure in found)
+    command = "; ".join((first, *(f"{other[0].lower()}{other[1:]}" for other in others)))
+    return Cure(command, sum(cure.removed for cure in found)).text(error)
+
+
+def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None:
+    """The expected error that is nearest to its limit, or furthest beyond; None where nothing is known."""
+    worst = max(uses(solution, limits), key=lambda use: use.share, default=None)
+    return None if worst is None or not worst.share > 0 else error_of(worst, solution)
 
 
 #: Families that more stops of the same kind do not reduce.
@@ -190,15 +228,14 @@ _NOT_NOISE = frozenset({"nominal values", "other"})
 
 
 def recommendation(
-    solution: Solution, extraction: Extraction, limits: Mapping[str, float] | None = None
+    solution: Solution, extraction: Extraction, limits: Mapping[str, float]
 ) -> tuple[str, ...]:
     """What limits the expected error nearest to its limit, and the cheapest cure; empty where nothing is known."""
-    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
-    if worst is None or not worst.share > 0:
+    error = worst_error(solution, limits)
+    if error is None:
         return ()
-    shares = shares_of(solution, worst.figure.field)
-    cheapest = cures(solution, extraction, limits)[:1]
-    return limiting_sentence(shares, worst.figure.meaning), *(cheapest or (advice(shares),))
+    cure = next_step_of(error, solution, extraction) or advice(error.shares)
+    return limiting_sentence(error.shares, error.meaning), cure
 
 
 def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:

@@ -55,8 +55,10 @@ from mobilecal_cli.report.formats import (
 )
 from mobilecal_cli.report.numbers import (
     NEAR_LOCK_DEG,
+    NumberData,
     board_distance_m,
     image_coverage,
+    numbers_of,
     odometry_factors,
     predicted_point_rms_m,
     reference_frame,
@@ -67,10 +69,11 @@ from mobilecal_cli.report.numbers import (
     square_size_mm,
     stated_priors,
     stations_looked_at,
+    stations_text,
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import recommendation
+from mobilecal_cli.report.use import LEAST_GAIN, cures_of, recommendation, worst_error
 from mobilecal_cli.report.verdict import Case, VerdictData, verdict_data
 
 
@@ -154,6 +157,7 @@ class QualityData:
 
     stations: int
     stations_found: int
+    stations_text: str
     point_rms_mm: float
     point_rms_predicted_by_depth_noise_mm: float
     reprojection_rms_px: float
@@ -359,6 +363,7 @@ class ReportData:
 
     schema_version: Literal[6]
     verdict: VerdictData
+    numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
     parameters: ResultData
     quality: QualityData
@@ -390,6 +395,34 @@ class ReportData:
     tables: tuple[Table, ...]
 
 
+@json_value
+class Advice:
+    """What limits a result, and what improves it by 5 % or more."""
+
+    limiting: str
+    cures: tuple[str, ...]
+    stops: tuple[SuggestionData, ...]
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """For the terminal."""
+        stops: tuple[str, ...] = ("No further stop near the last one improves a parameter by 5 % or more.",)
+        if self.stops:
+            texts = (f"{number}. {stop.text}" for number, stop in enumerate(self.stops, 1))
+            stops = ("Additional stop at the end of this recording, most useful first:", *texts)
+        return (*filter(None, [self.limiting]), *self.cures, *stops)
+
+
+def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> Advice:
+    """What limits a solution, its cures from the cheapest on, and the stops that improve it; limits as for `uses`."""
+    error = worst_error(solution, limits)
+    return Advice(
+        limiting="".join(recommendation(solution, extraction, limits)[:1]),
+        cures=() if error is None else tuple(c.text(error) for c in cures_of(error, solution, extraction)),
+        stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
+    )
+
+
 def build_report(case: Case) -> ReportData:
     """All numbers, sentences and tables of a report."""
     solution, extraction, cameras = case.solution, case.extraction, case.solution.cameras
@@ -401,6 +434,7 @@ def build_report(case: Case) -> ReportData:
     return ReportData(
         schema_version=6,
         verdict=verdict_data(case.verdict),
+        numbers=numbers_of(solution, extraction.rig),
         metrics=case.verdict.metrics,
         parameters=ResultData(
             **_nine(solution.parameters, cameras, alone),
@@ -532,6 +566,7 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
         solution,
         stations=len(extraction.observations),
         stations_found=stations_looked_at(extraction),
+        stations_text=stations_text(extraction),
         point_rms_mm=solution.point_rms_m * 1e3,
         point_rms_predicted_by_depth_noise_mm=predicted_point_rms_m(extraction, solution) * 1e3,
         reprojection_parts_px=parts,

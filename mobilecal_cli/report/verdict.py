@@ -21,7 +21,7 @@ from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRIT
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
-from mobilecal_cli.report.use import FIGURES, MOTION, advice, cures, cures_of, use_sentence
+from mobilecal_cli.report.use import FIGURES, MOTION, Error, advice, next_step_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
@@ -83,7 +83,7 @@ def judge(
     made = Calibration(solution, extraction, limits, change)
     found = [check for criterion in CRITERIA for check in criterion.checks(made)]
     metrics = figures_of(solution, extraction, trial, found)
-    checks = Checks((*found, *gate_checks(gates, metrics, lambda name: _gate_cure(name, made))))
+    checks = Checks((*found, *gate_checks(gates, metrics, lambda gate: _gate_cure(gate, made))))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return replace(decided_by(decisive, checks, metrics), limits=limits)
@@ -266,26 +266,25 @@ def evaluated_figures(found: Evaluation) -> Figures:
     return {metric.name: of(found) for metric, of in _EVALUATED.items()}
 
 
-def _gate_cure(name: str, made: Calibration) -> str:
-    """What improves a figure: for a standard deviation by its error budget, else by the expected errors' one."""
+def _gate_cure(gate: Gate, made: Calibration) -> str:
+    """What improves a figure beyond its gate: for a standard deviation by its error budget."""
     found, names = made.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
     if found is None:
         return "Calibrate with --method ml (the default), which estimates standard deviations."
-    if name in names:
-        column = found.budget.nine[:, names.index(name)].tolist()
-        pairs = zip(column, found.budget.sources, strict=True)
-        shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
-        k = names.index(name)
-        value, label = float(reference_std(made.solution)[k] or 0.0), f"sigma of the {PARAMETERS[k].label}"
-        found_cures = cures_of(label, value, PARAMETERS[k].unit, shares, made.solution, made.extraction)
-        return (found_cures or (advice(shares),))[0]
-    return " ".join(cures(made.solution, made.extraction, made.limits)[:1])
+    if gate.name not in names:
+        return ""
+    k = names.index(gate.name)
+    pairs = zip(found.budget.nine[:, k].tolist(), found.budget.sources, strict=True)
+    shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
+    value, unit = float(reference_std(made.solution)[k] or 0.0), PARAMETERS[k].unit
+    error = Error(f"sigma of the {PARAMETERS[k].label}", value, gate.limit, unit, shares)
+    return next_step_of(error, made.solution, made.extraction) or advice(shares)
 
 
 def gate_checks(
-    gates: Sequence[Gate], figures: Figures, cure: Callable[[str], str] = lambda _: ""
+    gates: Sequence[Gate], figures: Figures, cure: Callable[[Gate], str] = lambda _: ""
 ) -> Iterator[Check]:
-    """Each gate as a criterion of the verdict, with a cure by its name; an unknown figure fails.
+    """Each gate as a criterion of the verdict, with its cure; an unknown figure fails.
 
     Known expected errors in use are left out: `judge` compares them with the limits of their gates.
     """
@@ -302,7 +301,7 @@ def gate_checks(
             measured,
             f"at {'least' if metric.at_least else 'most'} {gate.limit:g}",
             f"{gate.name} = {measured} (limit {gate.limit:g}).",
-            cure(gate.name) or "Record again, or change the limit.",
+            cure(gate) or "Record again, or change the limit.",
             unit=metric.unit,
             at_least=metric.at_least,
         )  # fmt: skip

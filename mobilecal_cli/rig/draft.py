@@ -29,6 +29,7 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 from mobilecal_cli.model.text import listed, visible
+from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import (
     TODO,
     BoardConfig,
@@ -206,6 +207,8 @@ def draft_rig(
     page.add(
         "# known standard deviations; those omitted are estimated from the recording",
         f"# noise: {NoiseConfig.example}",
+        "",
+        *_accuracy(),
         "",
         *_priors(),
     )
@@ -499,6 +502,15 @@ def _nominal(page: _Page) -> None:
             needed=False,
             indent=indent,
         )
+
+
+def _accuracy() -> list[str]:
+    """The section `gates` with the default limits of the expected errors, as comments."""
+    return [
+        "# the accuracy that this robot needs (1 sigma; here the defaults): verdict, report and suggestions go by it",
+        "# gates:",
+        *(f"#   {name}: {limit:g}" for name, limit in ACCURACY.items()),
+    ]
 
 
 def _priors() -> list[str]:

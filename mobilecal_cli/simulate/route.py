@@ -52,9 +52,14 @@ def moved(pose: Pose, stretch: Stretch, time_s: float) -> Pose:
     return centre_x + radius * math.sin(heading), centre_y - radius * math.cos(heading), heading
 
 
+def slipping_radps(stretch: Stretch) -> float:
+    """Turning rate that the slip depends on: it grows up to twice the rate of turns in place."""
+    return min(abs(stretch.w_radps), 2 * TURN_RADPS)
+
+
 def wheel_speeds(stretch: Stretch, wheels: WheelGeometry, slip: float = 0.0) -> tuple[float, float]:
     """Right and left wheel speeds, rad/s, for rolling without slip, or with a slip that grows with the turning rate."""
-    half = wheels.separation_m / 2 * (1 + slip * (abs(stretch.w_radps) - TURN_RADPS))
+    half = wheels.separation_m / 2 * (1 + slip * (slipping_radps(stretch) - TURN_RADPS))
     right = (stretch.v_mps + stretch.w_radps * half) / wheels.radius_right_m
     left = (stretch.v_mps - stretch.w_radps * half) / wheels.radius_left_m
     return right, left

@@ -40,7 +40,7 @@ from mobilecal_cli.simulate.robot import (
     skid_steer_robot,
     tick_robot,
 )
-from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route
+from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route, slipping_radps
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import Solver
@@ -175,7 +175,7 @@ def true_robot(robot: SimulatedRobot, extraction: Extraction, route: Route) -> S
     """
     odometry = extraction.rig.sources.assumed_odometry
     if robot.slip:
-        turns = [(abs(s.w_radps), abs(s.w_radps) * s.duration_s) for s in route.drive.stretches]
+        turns = [(slipping_radps(s), abs(s.w_radps) * s.duration_s) for s in route.drive.stretches]
         mean_radps = sum(rate * turn for rate, turn in turns) / sum(turn for _, turn in turns)
         wheels = robot.wheels
         wider = 1 + robot.slip * (mean_radps - TURN_RADPS)

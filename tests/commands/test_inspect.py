@@ -76,7 +76,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == [
-        "no stereo pair",
+        "no camera info for the camera images on /left/image_raw",
         "no joints are named as left and right wheel",
     ]
     assert any("the head chain is unknown" in text for text in said)

@@ -42,13 +42,13 @@ def test_the_verdict_stands_once(sample_logs, tmp_path):
     shown = run("calibrate", sample_logs / "straight.mcap", "-o", "out", cwd=tmp_path)
     assert shown.code == 6
     assert shown.err == ""
-    assert shown.out.count("NOT ENOUGH: The recording does not determine") == 1
+    assert shown.out.count("NOT ENOUGH: The wheel separation is not determined") == 1
     assert shown.out.count("Next: Record again") == 1
-    assert "± 100 mm, unobservable" in shown.out
+    assert "± 0.10 m, not determined" in shown.out
     again = ("calibrate", tmp_path / "out/extraction.npz", "-o", "out", "--force")
     quiet = run(*again, "--quiet", cwd=tmp_path)
     assert (quiet.code, quiet.out) == (6, "")
-    assert quiet.err.startswith("NOT ENOUGH: The recording does not determine")
+    assert quiet.err.startswith("NOT ENOUGH: The wheel separation is not determined")
     assert "Written: out/params.yaml, out/report.html" in quiet.err
     program = run(*again, "--json", cwd=tmp_path)
     assert program.code == 6

@@ -36,7 +36,7 @@ def test_hold_out_gates_and_json(made):
     assert printed["hold_out"]["drift_after"]["mm_per_m"] < printed["hold_out"]["drift_before"]["mm_per_m"]
     names = [check["name"] for check in printed["verdict"]["checks"]]
     assert {"gate std.wheels.separation_m", "gate hold_out.translation_rms_mm", "gate stations"} <= set(names)
-    assert "Hold-out test" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Held-out stations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
     suite = ET.parse(folder / "junit.xml").getroot().find("testsuite")
     assert [case.get("name") for case in suite.findall("testcase")] == names
     assert suite.get("failures") == "0"

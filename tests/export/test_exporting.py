@@ -87,9 +87,7 @@ def test_params_yaml_states_the_verdict(straight, passed):
 
 @pytest.mark.parametrize("target", list(Target))
 def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
-    with pytest.raises(
-        QualityError, match=r"NOT ENOUGH\. The recording does not determine separation"
-    ) as caught:
+    with pytest.raises(QualityError, match=r"NOT ENOUGH\. The wheel separation is not determined") as caught:
         mc.export_to(straight, target, **options(straight, target))
     assert "--allow-failed" in caught.value.hint
     made = mc.export_to(straight, target, **options(straight, target), allow_failed=True)
@@ -97,11 +95,11 @@ def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
     if target == Target.foxglove:
         (record,) = make_reader(io.BytesIO(made.content)).iter_metadata()
         assert (record.name, record.metadata["verdict"]) == ("mobilecal", "NOT ENOUGH")
-        assert "does not determine separation" in record.metadata["reasons"]
+        assert "wheel separation is not determined" in record.metadata["reasons"]
         return
     text = made.content.decode()
     assert "NOT ENOUGH" in text
-    assert "The recording does not determine separation" in text
+    assert "The wheel separation is not determined" in text
     if target == Target.json:
         assert json.loads(text)["verdict"] == "NOT ENOUGH"
     elif target in LINES:
@@ -115,7 +113,7 @@ def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
     refused = run("export", straight, "--to", "ros2_control", "-o", tmp_path / "out.yaml", cwd=tmp_path)
     assert (refused.code, refused.out, refused.left) == (6, "", [])
     assert "error: " in refused.err
-    assert "NOT ENOUGH. The recording does not determine separation" in refused.err
+    assert "NOT ENOUGH. The wheel separation is not determined" in refused.err
     assert "hint: " in refused.err
     done = run("export", straight, "--to", "ros2_control", "--allow-failed")
     assert done.code == 0

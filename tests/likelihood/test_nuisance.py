@@ -60,8 +60,9 @@ def test_a_made_up_constant_is_estimated_and_reported():
     assert abs(found.value - SHIFT_RAD) < 4 * found.std
     assert found.std < 0.3 * found.prior
     assert next(e for e in solution.evidence if e.kind == "shaky").part == "torso"
-    name, meaning, value, _, _, unit, *_ = rows_of(made(solution, extraction), "constants")["torso"]
-    assert name == "shaky_joint"
+    meaning, value, _, _, unit, *_ = rows_of(
+        made(solution, extraction), "description", "Estimated constants"
+    )["shaky_joint"]
     assert SHAKY.meaning in meaning
     assert (unit, float(value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 

@@ -137,6 +137,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
         figures[name] is not None
         for name in figures
         if name.startswith(("std.", "predicted.", "noise.", "motion."))
+        and not name.startswith("std.odometry.")
     )
     unknown = figures_of(solve(extraction, "lm"), extraction)
     assert unknown["std.wheels.separation_m"] is None

@@ -11,7 +11,7 @@ import pytest
 
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.page import TERMS, link_terms
+from mobilecal_cli.report.page import link_terms
 from tests.report.example import (
     HOSTILE,
     Page,
@@ -27,13 +27,13 @@ from tests.report.example import (
 
 def test_the_page_says_what_matters_first(page, solution):
     text = page.text
-    assert text.index("PASS") < text.index("The nine parameters") < text.index("Checks")
+    assert text.index("PASS") < text.index("wheel separation") < text.index("Checks")
     for words in (
-        "rotation vector",
-        f"{1e3 * solution.parameters.wheels.radius_right_m:.2f}",
-        f"{1e3 * solution.parameters.wheels.separation_m:.2f}",
-        f"{1e3 * solution.linear.point_rms_m:.2f}",
-        f"{1e3 * solution.point_rms_m:.2f}",
+        "rotation x",
+        f"{solution.parameters.wheels.radius_right_m:.5f}",
+        f"{solution.parameters.wheels.separation_m:.5f}",
+        f"{1e3 * solution.point_rms_m:.1f}",
+        "12 of 15 (2 board partly hidden)",
         "board partly hidden",
         "head_link",
     ):
@@ -108,20 +108,32 @@ def test_the_fewest_stations_make_a_page():
 def test_the_linear_method_alone(extraction):
     solution = make_solution(extraction, "linear")
     text = Page(page_of(solution, extraction)).text
-    assert "The solution was not refined" in text
-    assert "iteration of the refinement (0" not in text
+    assert "± 1 sigma" not in text
     assert json.loads(json_text(made(solution, extraction)))["refinement"] is None
 
 
-def test_terms_link_to_their_definitions_once_a_section(html):
-    for section in re.findall(r"<section.*?</section>", html, flags=re.DOTALL):
-        links = re.findall(r'<a class="term" href="#term-([\w-]+)" title="', section)
-        assert len(links) == len(set(links))
-    assert {term.key for term in TERMS} >= set(re.findall(r'href="#term-([\w-]+)"', html))
-    first = html.index("<h2>The nine parameters</h2>")
-    assert re.search(
-        r'<a class="term" href="#term-head-eye" title="[^"]+">Head-eye transform</a>', html[first:]
-    )
+def test_terms_have_their_definitions_once_a_section(html):
+    for section in re.findall(r"<(?:section|details).*?</(?:section|details)>", html, flags=re.DOTALL):
+        said = re.findall(r'<abbr title="[^"]*">([^<]*)</abbr>', section)
+        assert len(said) == len(set(said))
+    assert re.search(r'<abbr title="Standard deviation \(1 sigma\)[^"]+">', link_terms("<p>one sigma</p>"))
+
+
+def test_the_section_that_the_verdict_names_is_open(extraction, html):
+    assert "<details" in html
+    assert not re.search("<details[^>]* open", html)
+    short = make_extraction(n=4)
+    text = page_of(make_solution(short), short)
+    assert re.findall(r'<details class="part" id="(\w+)" open', text) == ["stations"]
+
+
+def test_a_page_of_a_pass_is_short():
+    """Also with every section open; without the labels inside plots."""
+    extraction = make_extraction()
+    text = page_of(make_solution(extraction, "ml"), extraction, make_snapshots(extraction))
+    bare = re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
+    words = [word for word in Page(bare).text.split() if re.search(r"\w", word)]
+    assert len(words) < 1200
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,17 @@ from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, 
 
 def test_overlays_draw_both_marks_for_every_corner(extraction, page):
     circles = [a for tag, a in page.tags if tag == "circle" and "class" not in a]
-    legs = len(extraction.observations) - 1
-    assert len(circles) == legs * 2 * 2 * extraction.board.corners
-    assert sum(tag == "image" for tag, _ in page.tags) == legs * 2
+    images = sum(tag == "image" for tag, _ in page.tags)
+    assert len(circles) == images * 2 * extraction.board.corners
+    assert (
+        7 <= images <= 2 * len(extraction.observations) - 1
+    )  # three legs, and the worst on the first screen
 
 
 def test_overlays_pick_worst_median_and_best(extraction, solution):
     views = leg_views(solution, extraction, make_snapshots(extraction))
     px = solution.residuals.leg_reprojection_px
-    assert sorted(view.observation for view in views) == list(range(len(px)))
+    assert 3 <= len({view.observation for view in views}) == len(views) <= len(px)
     assert {view.rank for view in views[3:]} == {""}
     views = views[:3]
     assert [view.error_px for view in views] == [max(px), sorted(px)[len(px) // 2], min(px)]

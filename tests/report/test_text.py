@@ -18,6 +18,7 @@ from mobilecal_cli.model import (
     Parameters,
     WheelGeometry,
 )
+from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
@@ -64,6 +65,7 @@ def texts(extraction):
     page = page_of(solution, slipped, make_snapshots(slipped), trial=trial)
     return {
         "summary": summary_text(report),
+        "details": summary_text(report, verbose=True),
         "verdict": f"{report.verdict.level}\n{report.verdict.reason}\n{report.verdict.next_step}\n{checks}",
         "evaluation": evaluation_text(evaluation_data(trial)),
         "comparison": comparison_text(["one", "two", "three"], changes, history(past)),
@@ -87,7 +89,7 @@ def prose(page):
 
 
 TEXTS = (
-    "summary", "verdict", "evaluation", "comparison", "fleet", "junit", "page", "suggestions", "findings"
+    "summary", "details", "verdict", "evaluation", "comparison", "fleet", "junit", "page", "suggestions", "findings"
 )  # fmt: skip
 
 
@@ -105,11 +107,18 @@ def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
             for name, value, std in (("time_joints", 0.00321, 5e-5), ("time_wheels", -0.0012, 2e-7))
         },
     )
-    table = summary_text(made(moving, extraction))
-    assert "Cameras to joints                    3.210 ± 0.050 ms" in table
-    assert "Cameras to wheels                 -1.20000 ± 0.00020 ms" in table
+    table = summary_text(made(moving, extraction), verbose=True)
+    assert "clock of the joints   3.210 ± 0.050 ms" in table
+    assert "clock of the wheels   -1.20000 ± 0.00020 ms" in table
     assert "± 0.00 " not in table
-    assert "Clock" not in summary_text(made(solved, extraction))
+    assert "clock" not in summary_text(made(solved, extraction))
+
+
+def test_the_terminal_has_at_most_twenty_lines(texts, extraction):
+    solution = make_solution(extraction, "ml")
+    verdict = made(solution, extraction).verdict
+    end = verdict_lines(verdict.level, verdict.reason, verdict.next_step)
+    assert len(summary_text(made(solution, extraction)).splitlines()) + 1 + len(end) + 1 <= 20
 
 
 def test_the_table_cannot_steer_the_terminal(solution, extraction):
@@ -122,6 +131,5 @@ def test_gimbal_lock_is_said(extraction, solution):
     locked = Parameters(se3.transform(se3.from_rpy(np.radians([-164, 89.4, -166])), np.zeros(3)), WHEELS)
     solution = replace(solution, parameters=locked)
     assert "0.6° from gimbal lock" in Page(page_of(solution, extraction)).text
-    table = summary_text(made(solution, extraction))
-    assert "0.6 deg from gimbal lock" in table
-    assert "Euler angle x" not in table
+    table = summary_text(made(solution, extraction), verbose=True)
+    assert "Euler angles          none (0.6 deg from gimbal lock" in table

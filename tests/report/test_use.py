@@ -121,17 +121,17 @@ def test_the_words_know_every_source():
 def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
     solution, extraction = drawn()
     worst = max(uses(solution, {}), key=lambda use: use.share)
-    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62), extraction)
+    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62), extraction, {})
     assert limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
 
 
 def test_more_stations_do_not_help_against_stated_values():
     solution, extraction = drawn()
-    _, advice = recommendation(with_share(solution, "square_size", 0.8), extraction)
+    _, advice = recommendation(with_share(solution, "square_size", 0.8), extraction, {})
     assert advice.startswith(
         "Measure the board (ten squares, with a caliper), and state half of `priors: square_size`"
     )
-    _, advice = recommendation(with_share(solution, "floor_rad", 0.9), extraction)
+    _, advice = recommendation(with_share(solution, "floor_rad", 0.9), extraction, {})
     assert advice.startswith("Record twice as many stops: ")
 
 

@@ -90,8 +90,7 @@ def test_the_files_hold_budget_and_constants():
     assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
     page = page_of(solution, extraction)
     for said in (
-        "What the description gets wrong",
-        "Error budget",
+        "Robot description",
         "contradicts",
         "error budget: what each",
     ):

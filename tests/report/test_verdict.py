@@ -340,6 +340,6 @@ def test_an_unevenness_of_the_floor_is_told():
     assert verdict.level == "PASS"
     assert verdict.next_step == "Use params.yaml on the robot."
     assert verdict.checks["noise.floor"].measured_text == "0.5 degrees"
-    rows = rows_of(made(solution, extraction), "uncertainty", "Measurement noise")
+    rows = rows_of(made(solution, extraction), "limits", "Measurement noise")
     assert rows["floor: roll and pitch under the base"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station

@@ -130,7 +130,7 @@ def test_a_wrong_reading_of_a_prismatic_joint_is_told_in_mm():
     (error_mm,) = re.findall(r"joint lift is wrong by \+([\d.]+) mm", outlier.text)
     assert float(error_mm) == pytest.approx(40, abs=2)
     assert found.uncertainty.noise.joint_rad < 0.002
-    rows = rows_of(made(found, extraction), "uncertainty", "Measurement noise")
+    rows = rows_of(made(found, extraction), "limits", "Measurement noise")
     assert rows["joint reading, revolute"][1] == "deg"
     assert rows["joint reading, prismatic"][1] == "mm"
     mm, deg = (float(rows[f"joint reading, {kind}"][0]) for kind in ("prismatic", "revolute"))

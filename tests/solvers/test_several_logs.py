@@ -89,7 +89,7 @@ def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, 
     if stations == 12:
         assert found.between.shown[poor].sum() == 9 - len(hidden)
 
-    rows = rows_of(made(found, extraction), "uncertainty", "Each recording separately")
+    rows = rows_of(made(found, extraction), "limits", "Each recording separately")
     said = dict(zip(NINE, rows[f"recording {poor}"], strict=True))
     assert all(said[name] == "unobservable" for name in hidden)
     assert "nan" not in str(rows)
@@ -104,7 +104,7 @@ def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
     extraction = joined(recorded("straight", 2), recorded("straight", 3))
     found = solve(extraction, constraints=constraints_of(["t_x"], [], []))
     assert found.between.shown.tolist() == [[name not in ("separation", "t_x") for name in NINE]] * 2
-    rows = rows_of(made(found, extraction), "uncertainty", "Each recording separately")
+    rows = rows_of(made(found, extraction), "limits", "Each recording separately")
     assert rows["recording 0"][NINE.index("separation")] == "unobservable"
     assert rows["recording 1"][NINE.index("t_x")] == "fixed"
 

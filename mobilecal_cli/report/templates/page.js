@@ -4,6 +4,13 @@
   const $ = (id) => document.getElementById(id);
   const report = JSON.parse($("data").textContent);
   const { stations, legs, paths, board } = report;
+  // A link of the contents opens its section.
+  const open = () => {
+    const target = location.hash && $(location.hash.slice(1));
+    if (target && target.tagName === "DETAILS") target.open = true;
+  };
+  window.addEventListener("hashchange", open);
+  open();
   if (!stations.length) return;
   const marks = [...document.querySelectorAll("[data-s]")].map((element) => ({
     element,
@@ -23,13 +30,13 @@
     list.value = k;
     document.body.classList.toggle("picking", k >= 0);
     for (const { element, own } of marks) element.classList.toggle("on", own.includes(k));
-    const pictures = [...document.querySelectorAll(`main > section .view[data-view="${k}"]`)].slice(0, 1);
-    $("pictures").replaceChildren(...pictures.map((found) => {
+    const pictures = [...document.querySelectorAll(`#stations > .view[data-view="${k}"]`)].slice(0, 1);
+    $("images").replaceChildren(...pictures.map((found) => {
       const copy = found.cloneNode(true);
       copy.hidden = false;
       return copy;
     }));
-    said.textContent = k < 0 ? "Pick a station here, in a plot or in the view: it is highlighted in all plots." : describe(k);
+    said.textContent = k < 0 ? "Pick a station: all plots highlight it. Red: its view of the board against the mean, magnified 10 times." : describe(k);
     draw();
   }
   function describe(k) {
@@ -75,7 +82,9 @@
   }
   function draw() {
     const { own, path, boards, middle, low, high, size, usual } = prepare();
-    const wide = view.clientWidth, tall = view.clientHeight, dense = window.devicePixelRatio || 1;
+    const wide = view.clientWidth, tall = view.clientHeight;
+    if (!wide) return; // its section is collapsed
+    const dense = window.devicePixelRatio || 1;
     view.width = wide * dense;
     view.height = tall * dense;
     context.setTransform(dense, 0, 0, dense, 0, 0);
@@ -103,6 +112,11 @@
     line(path, "soft", 1.5);
     ends = [];
     const names = [];
+    // Axes of the world, the base at the first station, half a meter long.
+    [["x", "red", [0.5, 0, 0]], ["y", "green", [0, 0.5, 0]], ["z", "blue", [0, 0, 0.5]]].forEach(([axis, ink, end]) => {
+      line([[0, 0, 0], end], ink, 2.5);
+      names.push([axis, true, ...project(end)]);
+    });
     own.forEach((station, n) => {
       const k = stations.indexOf(station), on = k === picked, faded = picked >= 0 && !on;
       context.globalAlpha = faded ? 0.3 : 1;
@@ -118,6 +132,15 @@
       ends.push([k, project(base([0, 0, 0]))], [k, project(eye([0, 0, 0]))]);
       if (on || own.length <= 40) names[on ? "unshift" : "push"]([name(k), on, ...project(base([0, 0, 0]))]);
     });
+    // A scale bar: the longest round length that fits.
+    const meters = [0.1, 0.2, 0.5, 1, 2, 5, 10].filter((length) => length * unit < wide / 3).pop() || 0.1;
+    context.beginPath();
+    context.moveTo(12, tall - 12);
+    context.lineTo(12 + meters * unit, tall - 12);
+    context.strokeStyle = color("ink");
+    context.lineWidth = 2;
+    context.stroke();
+    names.push([`${meters} m`, true, 12 + meters * unit, tall - 15]);
     // Names over the lines; the picked one first, and none over another.
     const taken = [];
     context.lineWidth = 3;
@@ -166,7 +189,7 @@
     draw();
   }
   view.addEventListener("wheel", (event) => {
-    if (document.activeElement !== view) return; // scrolling over the view scrolls the page
+    if (!event.ctrlKey) return; // scrolling over the view scrolls the page
     event.preventDefault();
     scale(Math.exp(-event.deltaY / 500));
   }, { passive: false });
@@ -183,6 +206,7 @@
   $("farther").addEventListener("click", () => scale(0.8));
   $("above").addEventListener("click", () => { [yaw, pitch, zoom] = [0, Math.PI / 2, 1]; draw(); });
   window.addEventListener("resize", draw);
+  $("stations").addEventListener("toggle", draw);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   for (const element of document.querySelectorAll(".scripted")) element.hidden = false;
   pick(-1);

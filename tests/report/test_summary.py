@@ -1,0 +1,128 @@
+"""Other places than the page: notebook, job summary, JUnit, JSON of suggestions."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from mobilecal_cli.calibrate.steps import Data, Report, solve
+from mobilecal_cli.model import LogSource
+from mobilecal_cli.ranges import ACCURACY
+from mobilecal_cli.report.junit import junit_xml
+from mobilecal_cli.report.summary import job_summary
+from tests.command import run
+from tests.conftest import REPOSITORY
+from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution
+
+NOTEBOOK = REPOSITORY / "docs" / "tutorial" / "notebook.ipynb"
+
+
+@pytest.fixture(scope="module")
+def result(sample_logs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("summary")
+    done = run("calibrate", sample_logs / "paper_robot.mcap", "-o", "result", "-q", cwd=folder)
+    assert done.code == 0, done.err
+    return folder
+
+
+def test_every_cell_of_the_notebook_runs(sample_logs, tmp_path, monkeypatch):
+    """Each cell as a notebook runs it: the value of its last expression is shown."""
+    (tmp_path / "sample_logs").mkdir()
+    shutil.copy(sample_logs / "paper_robot.mcap", tmp_path / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    cells = [cell for cell in json.loads(NOTEBOOK.read_text())["cells"] if cell["cell_type"] == "code"]
+    names, shown = {}, []
+    for cell in cells:
+        *lines, last = "".join(cell["source"]).splitlines()
+        try:
+            code = compile(last, "<cell>", "eval")
+        except SyntaxError:
+            code = compile("None", "<cell>", "eval")
+            lines.append(last)
+        exec(compile("\n".join(lines), "<cell>", "exec"), names)
+        shown.append(eval(code, names))
+    assert "PASS" in Page(shown[0]._repr_html_()).text
+    assert len(shown[1]) == len(names["report"].values.numbers)
+    assert "your limits" in shown[2].verdict.reason
+    assert (tmp_path / "result" / "report.html").is_file()
+    assert "outputs" in cells[0]
+    assert not any(cell["outputs"] for cell in cells)
+
+
+def test_a_notebook_shows_verdict_numbers_and_one_picture():
+    extraction = make_extraction()
+    report = Report(Data(extraction), solve(extraction))
+    card = report._repr_html_()
+    page = Page(f"<main>{card}</main>")
+    assert page.text.startswith(report.verdict.level)
+    assert card.count("<img") == 1
+    assert len(card) < 40_000
+    assert "<script" not in card
+    assert "<style" not in card
+
+
+def test_the_job_summary_takes_hostile_strings():
+    extraction = make_extraction()
+    report = made(make_solution(extraction, "ml"), extraction, logs=(LogSource(HOSTILE, HOSTILE),))
+    text = job_summary(report)
+    assert "\\<script\\>" in text
+    assert len(text.split("\n| ")) == 3 + len(report.numbers)
+    assert all(character == "\n" or character.isprintable() for character in text)
+
+
+def test_the_summary_has_the_change_and_is_appended(result):
+    accepted = result / "result" / "params.yaml"
+    path = result / "summary.md"
+    path.write_text("before\n")
+    done = run(
+        "calibrate", "result/extraction.npz", "-o", "again", "-q", "--last", accepted, "--summary", path,
+        "--junit", "junit.xml", cwd=result,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    text = path.read_text()
+    assert text.startswith("before\n### PASS: ")
+    assert "change from" in text
+    assert len(re.findall(r"\| [+-][\d.]+ (?:m|rad) \([+-]0\.0 sigma\) \|", text)) == 9
+    suite = ET.parse(result / "junit.xml").getroot()
+    assert 0 < float(suite.get("time")) < 600
+
+
+def test_a_summary_that_cannot_be_written(result):
+    done = run(
+        "calibrate", "result/extraction.npz", "-o", "third", "-q", "--summary", "none/s.md", cwd=result
+    )
+    assert done.code == 7
+    assert not os.path.lexists(result / "third")
+
+
+def test_junit_has_times():
+    extraction = make_extraction()
+    text = junit_xml("log", made(make_solution(extraction), extraction).verdict, 12.5).decode()
+    assert text.count('time="12.500"') == 2
+
+
+def test_suggest_as_json(result):
+    done = run("suggest", "result/extraction.npz", "-q", "--json", cwd=result)
+    assert done.code == 0, done.err
+    advice = json.loads(done.out)
+    assert advice["limiting"].endswith("of its variance.")
+    assert all(stop["gain"] >= 0.05 for stop in advice["stops"])
+    assert all(" improves from " in cure for cure in advice["cures"])
+
+
+def test_suggestions_go_by_the_user_s_limits(result, sample_logs):
+    (result / "mine.yaml").write_text("gates: {predicted.camera_mm: 4}\n")
+    done = run("suggest", sample_logs / "paper_robot.mcap", "-q", "-c", "mine.yaml", cwd=result)
+    assert done.code == 0, done.err
+    assert "limits the camera position in the base" in done.out.splitlines()[0]
+
+
+def test_the_draft_has_the_limits(sample_logs):
+    done = run("init", sample_logs / "paper_robot.mcap", "-o", "-")
+    for name, limit in ACCURACY.items():
+        assert f"#   {name}: {limit:g}\n" in done.out
