@@ -149,7 +149,9 @@ class Case:
         """What the estimate should find, to first order in the errors: constants that make the pair right again."""
         found = {name: -value for name, value in self.constants.items()}
         for side in self.k1:
-            camera, stated = (getattr(rig, side) for rig in (true, Case(k1=self.k1).of(true)))
+            camera, stated = (
+                rig.each[["left", "right"].index(side)] for rig in (true, Case(k1=self.k1).of(true))
+            )
             found |= {
                 f"distortion_{side}_radial_{k}": value for k, value in enumerate(_radial(camera, stated), 1)
             }

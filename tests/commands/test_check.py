@@ -48,8 +48,8 @@ def test_a_rig_that_fits(sample_logs, tmp_path):
 
 
 WRONG = {
-    "cameras": ({"cameras.each[0].image": "/joint_states"}, 3, "/joint_states contains no images"),
-    "camera infos": ({"cameras.each[0].info": "/joint_states"}, 3, "contains no camera info"),
+    "cameras": ({"cameras.left.image": "/joint_states"}, 3, "/joint_states contains no images"),
+    "camera infos": ({"cameras.left.info": "/joint_states"}, 3, "contains no camera info"),
     "wheels": ({"wheels.left.joint": "nope"}, 3, "no joint 'nope'"),
     "head chain": ({"head.head_frame": "nope"}, 2, "no link 'nope'"),
     "joints": ({"joints.topic": "/nope"}, 3, "/nope contains no joint states"),

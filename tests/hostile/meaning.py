@@ -240,10 +240,10 @@ def focal(left: float, right: float) -> Change:
     def change(rig: CameraRig) -> CameraRig:
         scaled = {}
         for side, factor in (("left", left), ("right", right)):
-            camera = getattr(rig, side)
+            camera = rig.each[["left", "right"].index(side)]
             K = camera.K * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
             scaled[side] = replace(camera, K=K)
-        return replace(rig, **scaled)
+        return with_pair(rig, **scaled)
 
     return cameras(change)
 
@@ -326,7 +326,9 @@ def nominal_wheels(radius: float, separation: float) -> Change:
 
 def with_pixels_of(n: int, o: Observation, other: Observation, right: bool, left: bool) -> Observation:
     """A station with the images of another one."""
-    return with_views(o, left=other.left if left else o.views[0], right=other.right if right else o.views[1])
+    return with_views(
+        o, left=other.views[0] if left else o.views[0], right=other.views[1] if right else o.views[1]
+    )
 
 
 def old_images(left: bool, right: bool, frozen: bool) -> Change:
@@ -342,8 +344,8 @@ def old_images(left: bool, right: bool, frozen: bool) -> Change:
             made,
             made.rig.cameras,
             lambda n, o: (
-                (source(n) if left else o).left.pixels,
-                (source(n) if right else o).right.pixels,
+                (source(n) if left else o).views[0].pixels,
+                (source(n) if right else o).views[1].pixels,
             ),
         )
 
@@ -429,7 +431,7 @@ def board_in_hand(made: Extraction) -> Extraction:
 def board_on_the_robot(made: Extraction) -> Extraction:
     """All stations show the board where the first one does."""
     first = made.observations[0]
-    return _measured(made, made.rig.cameras, lambda n, o: (first.left.pixels, first.right.pixels))
+    return _measured(made, made.rig.cameras, lambda n, o: (first.views[0].pixels, first.views[1].pixels))
 
 
 def stretched(factor: float) -> Change:
@@ -463,7 +465,9 @@ def swapped_stations(made: Extraction) -> Extraction:
     def source(n: int) -> Observation:
         return made.observations[{a: b, b: a}.get(n, n)]
 
-    return _measured(made, made.rig.cameras, lambda n, o: (source(n).left.pixels, source(n).right.pixels))
+    return _measured(
+        made, made.rig.cameras, lambda n, o: (source(n).views[0].pixels, source(n).views[1].pixels)
+    )
 
 
 def another_robot(made: Extraction) -> Extraction:
@@ -600,7 +604,7 @@ WRONG: dict[str, Wrong] = {
     "board on the robot": Wrong(board_on_the_robot, _BOARD + "|head|wheel|did not move"),
     "board 3 % wider than high": Wrong(stretched(1.03), "squares|board|height"),
     "images of two stations exchanged": Wrong(swapped_stations, "station"),
-    "right images of the next station": Wrong(measured(lambda n, o: (o.views[0].pixels, recorded().observations[min(n + 1, STATIONS - 1)].right.pixels)), _CAMERA + "|station"),
+    "right images of the next station": Wrong(measured(lambda n, o: (o.views[0].pixels, recorded().observations[min(n + 1, STATIONS - 1)].views[1].pixels)), _CAMERA + "|station"),
     "left images upside down": Wrong(measured(lambda n, o: (np.array([_WIDTH, _HEIGHT]) - o.views[0].pixels, o.views[1].pixels)), _CAMERA),
     "images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.views[0].pixels, 0.5 * o.views[1].pixels)), _SCALE + "|camera"),
     "left images of half the resolution": Wrong(measured(lambda n, o: (0.5 * o.views[0].pixels, o.views[1].pixels)), _SCALE + "|camera"),

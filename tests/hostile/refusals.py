@@ -254,7 +254,7 @@ CASES = (
     Case(
         "both cameras are one topic",
         ("calibrate", LOG, *(f"--set=cameras.{side}.image={IMAGES[0]}" for side in ("left", "right"))), 2,
-        "cameras.each[0].image and cameras.each[1].image are both",
+        "cameras.left.image and cameras.right.image are both",
     ),
     Case("a joint reads 1e300 in every second message: dropped", READ, 0, "PASS", positions(head_pan_joint=1e300)),
     Case("a URDF with a wheel radius of 1e-300 m", READ, 2, "cylinder radius: 1e-300 m is not possible", urdf('radius="0.225"', 'radius="1e-300"')),

@@ -258,7 +258,12 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
                 grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
             )
             assert np.abs(found[:, 0] - corners.pixels).max() < 0.1
-            assert np.abs(corners.pixels - getattr(stated.observations[i], side).pixels).max() > 0.5
+            assert (
+                np.abs(
+                    corners.pixels - stated.observations[i].views[["left", "right"].index(side)].pixels
+                ).max()
+                > 0.5
+            )
         for j, name in enumerate(robot.joint_names):
             track = signals.joints[name]
             assert track.at(np.array([o.time_ns]))[0] == pytest.approx(o.joints[j], abs=1e-8)

@@ -37,7 +37,7 @@ def test_both_cameras_see_the_whole_board(name, motion):
     rig = robot.rig_cameras
     corners_k = route.board.grid() * route.board.square_m
     for T_w_c in camera_poses(robot, route, times_s):
-        for camera, T_c_x in ((rig.each[0], np.eye(4)), (rig.each[1], rig.T_c_each[1])):
+        for camera, T_c_x in zip(rig.each, rig.T_c_each, strict=True):
             T = np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k
             assert (corners_k @ T[:3, :3].T + T[:3, 3])[:, 2].min() > 0.3
             rvec = cv2.Rodrigues(T[:3, :3])[0]

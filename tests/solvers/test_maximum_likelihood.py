@@ -401,13 +401,13 @@ def misstated(extraction, name, by):
     cameras = rig.cameras
     if name.startswith(("focal", "principal")):
         side = "left" if "left" in name else "right"
-        camera = getattr(cameras, side)
+        camera = cameras.each[["left", "right"].index(side)]
         K = camera.K.copy()
         if name.startswith("focal"):
             K[[0, 1], [0, 1]] /= 1 + by
         else:
             K["xy".index(name[-1]), 2] -= by * camera.width
-        cameras = replace(cameras, **{side: replace(camera, K=K)})
+        cameras = with_pair(cameras, **{side: replace(camera, K=K)})
     elif name == "baseline_scale":
         T = cameras.T_c_each[1].copy()
         T[:3, 3] /= 1 + by
