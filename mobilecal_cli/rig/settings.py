@@ -103,7 +103,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     settings: dict[str, Any] = {
         "board": _board(board, [o.square_m for o in extraction.observations]),
         "cameras": {
-            **{name: _camera(rig, name) for name in rig.cameras.names},
+            **{name: _camera(rig, name) for name in rig.cameras.names if rig.sources.image[name]},
             **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),
             "reference": rig.cameras.reference,
             "rectified": rig.cameras.rectified,

@@ -59,7 +59,7 @@ def test_odometry_alone(made):
     true = np.array([truth["odometry"][name] for name in FACTORS])
     assert np.all(np.abs(found.factors - true) < 4 * found.factors_std)
     assert np.all(found.factors_std < 0.01)
-    assert "Linear scale" in text
+    assert "linear scale" in text
     params = YAML_.load((folder / "params.yaml").read_text())
     assert "wheels" not in params
     assert "radius" not in json.dumps(params["uncertainty"]["order"]).replace("radius_multiplier", "")

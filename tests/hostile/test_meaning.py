@@ -65,4 +65,4 @@ def test_an_uneven_floor_is_no_step(seed):
     assert solution.jumps == ()
     (height,) = (check for check in judge(solution, made).checks if check.id == "noise.height")
     assert height.value == pytest.approx(10, rel=0.5)
-    assert height.outcome == "warning"
+    assert height.outcome == "pass"

@@ -52,7 +52,7 @@ def test_the_verdict_is_about_what_can_be_seen():
     extraction, _ = fixed_camera(0)
     report = Report(Data(extraction), fitted(extraction))
     assert report.verdict.level == "PASS"
-    assert "mm, from the robot description" in str(report)
+    assert " m, from the robot description" in str(report)
     assert "tilt the head" not in str(report)
     assert "8 of 8 that the motion of this robot can show" in report.html
 

@@ -111,10 +111,10 @@ MISTAKES = {
     ),
     "diameter for radius": (
         lambda e: with_nominal_wheels(e, 2.0, 1.0),
-        "The right wheel radius is 82.4 mm, about half of the nominal 164.0 mm",
+        "The right wheel radius is 0.0824 m, about half of the nominal 0.1640 m",
     ),
-    "half the ticks": (lambda e: with_wheels(e, 2, 2), "about half of the nominal 82.0 mm"),
-    "twice the ticks": (lambda e: with_wheels(e, 0.5, 0.5), "about twice the nominal 82.0 mm"),
+    "half the ticks": (lambda e: with_wheels(e, 2, 2), "about half of the nominal 0.0820 m"),
+    "twice the ticks": (lambda e: with_wheels(e, 0.5, 0.5), "about twice the nominal 0.0820 m"),
     "swapped": (lambda e: with_wheels(e, 1, 1, swapped=True), "the left and right wheels are swapped"),
 }
 
@@ -168,7 +168,7 @@ def with_joints_of_previous(extraction):
 def with_images_of_previous(extraction):
     """Images of the station before."""
     seen = extraction.observations
-    fields = ("left", "right", "points_c", "points_cov", "T_c_k", "T_c_k_cov")
+    fields = ("views", "points_c", "points_cov", "T_c_k", "T_c_k_cov")
     moved = (
         replace(o, **{name: getattr(seen[max(k - 1, 0)], name) for name in fields})
         for k, o in enumerate(seen)
