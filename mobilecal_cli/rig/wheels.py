@@ -367,10 +367,18 @@ def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> Record
 
 
 def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...]]:
-    """Wheel joints of the URDF: those that are read, otherwise the set found by name."""
+    """Wheel joints of the URDF: those that are read, otherwise the set found by name.
+
+    Joints that are named for the other side are there: their readings are exchanged, not their places.
+    """
     read = {side: tuple(one.joint or "" for one in source.every) for side, source in sources.items()}
     if len(read) == 2 and all(name in urdf.joints for names in read.values() for name in names):
-        return read
+        crossed = all(
+            (place := wheel_place(name)) is not None and place[1] != side
+            for side, names in read.items()
+            for name in names
+        )
+        return {"left": read["right"], "right": read["left"]} if crossed else read
     by_name = wheel_sets(name for name in urdf.joints if is_wheel(name))
     return by_name[0] if len(by_name) == 1 else {}
 

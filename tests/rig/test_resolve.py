@@ -132,6 +132,16 @@ def test_base_link_off_the_axle_is_taken_out():
     assert "x -200.0 mm" in notes[0]
 
 
+def test_exchanged_readings_leave_the_wheels_where_they_are():
+    """An encoder's cable in the other socket: the axle of the URDF does not turn around with the names."""
+    crossed = {"left": {"joint": JOINTS[1]}, "right": {"joint": JOINTS[0]}}
+    T_v_h = [
+        head_pose(resolve_rig(made, description())[0].chain, np.zeros(2))
+        for made in (RigConfig(), config(wheels=crossed))
+    ]
+    np.testing.assert_array_equal(*T_v_h)
+
+
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
 <joint name="optical" type="fixed"><parent link="cam"/><child link="stereo_left_optical"/><origin rpy="0 0 1"/></joint>
 </robot>"""
