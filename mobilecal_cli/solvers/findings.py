@@ -265,8 +265,10 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         text = f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by {by}. It is excluded."
         found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
     for i in (int(k) for k in np.flatnonzero(excluded.any(axis=(1, 2)) & inliers.views)):
-        left, right = (int(n) for n in excluded[i].sum(axis=1))
-        counts = f"{left} corners of the left image and {right} of the right image"
+        names, number = extraction.rig.cameras.names, excluded[i].sum(axis=1).tolist()
+        counts = f"{number[0]} corners of the {names[0]} image" if len(names) > 1 else f"{number[0]} corners"
+        for k, camera in enumerate(names[1:], 1):
+            counts += f"{' and' if k == len(names) - 1 else ','} {number[k]} of the {camera} image"
         text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
         found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))
     return tuple(sorted(found, key=lambda o: (o.log, o.time_ns)))

@@ -1,6 +1,7 @@
 """`make studies`: the accuracy studies of docs/validation/results.md, in sequence; this takes hours."""
 
 from tests.bench import (
+    configurations,
     correlated,
     degenerate,
     drawn,
@@ -22,6 +23,19 @@ from tests.bench import (
 
 exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
 stay = (correlated, one_thing, jumps, invariance)
-for study in (table1, samples, fleet, memory, real_pairs, drawn, used, odometry, wheels_alone, *stay, *exact):
+for study in (
+    table1,
+    samples,
+    fleet,
+    memory,
+    real_pairs,
+    drawn,
+    configurations,
+    used,
+    odometry,
+    wheels_alone,
+    *stay,
+    *exact,
+):
     print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
     study.main()

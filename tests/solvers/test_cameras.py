@@ -106,3 +106,20 @@ def test_the_report_of_one_camera_speaks_of_one():
     for word in ("stereo", "left camera", "right camera", "both cameras", "both images"):
         assert word not in str(report), word
         assert word not in shown, word
+
+
+@pytest.mark.parametrize("cameras", [1, 2, 3])
+def test_gross_corners_are_named_by_their_camera(cameras):
+    robot = CONFIGURATIONS[cameras, "pan-tilt"]()
+    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=1), NOISE, 1)
+    observations, first = list(extraction.observations), extraction.rig.cameras.names[0]
+    view = observations[4].views[0]
+    pixels = view.pixels.copy()
+    pixels[7] += 40
+    observations[4] = replace(
+        observations[4], views=(replace(view, pixels=pixels), *observations[4].views[1:])
+    )
+    found = fitted(replace(extraction, observations=tuple(observations)))
+    (outlier,) = [one for one in found.solution.outliers if one.kind == "corners"]
+    assert f"1 corners of the {first} image" in outlier.text or cameras == 1
+    assert "1 corners" in outlier.text
