@@ -37,7 +37,7 @@ ROBOTS: dict[str, str] = {
     "paper": "the robot of the paper",
     "tick": "pan-tilt head, tick counters",
     "fixed_camera": "stereo pair fixed to the base",
-    "rgbd": "color camera fixed to the base, depth images",
+    "rgbd": "color camera of an RGB-D camera, fixed to the base",
     "skid_steer": "four wheel joints, which slip in turns",
     "odometry_only": "odometry, no wheels",
 }

@@ -163,4 +163,4 @@ def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedR
         part: " ".join(small_extents(solution.motion, part == "head", part == "base"))
         for part in ("head", "base")
     }
-    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure, small)
+    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure, small, found.described)

@@ -47,12 +47,14 @@ class OwnEstimate:
         reprojection_px: (L,) station-to-station corner error of each inlier leg.
         cure: the motion that makes the unobservable parameters observable; empty if all are.
         small: what to do about small motion of "head" and "base"; empty sentences where it is large enough.
+        described: (9,) parameters that no motion of the robot shows; these are not compared.
     """
 
     robot: CalibratedRobot
     reprojection_px: FloatArray
     cure: str = ""
     small: Mapping[str, str] = field(default_factory=lambda: {"head": "", "base": ""})
+    described: BoolArray = field(default_factory=lambda: np.zeros(9, dtype=np.bool_))
 
 
 def judge_evaluation(
@@ -146,7 +148,8 @@ def _corner_error(found: Evaluation, cameras: CameraRig, own: OwnEstimate | Mobi
 def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
     """Whether each quantity is that of the recording's own estimate."""
     change, covariance, known = _compared(robot, own.robot)
-    for key, name, part, limit, unit in _QUANTITIES:
+    for key, name, whole, limit, unit in _QUANTITIES:
+        part = np.arange(9)[whole][~own.described[whole]]
         at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
         if not known[part].all():
             cure = own.cure or "record more motion of base and head"
@@ -160,7 +163,7 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
                 unit=unit,
             )  # fmt: skip
             continue
-        x, C = change[part], covariance[part, part]
+        x, C = change[part], covariance[np.ix_(part, part)]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))

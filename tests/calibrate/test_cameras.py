@@ -55,6 +55,9 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, tmp_path):
     assert (refused.code, "no camera 'left'" in refused.err) == (2, True)
     again = run("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
     assert again.code == 0
+    # The height of the camera, which no motion shows, is not compared.
+    judged = run("evaluate", rgbd, written / "params.yaml", "--set", "board.square_m=0.08")
+    assert (judged.code, "camera position" in judged.out) == (0, True)
 
 
 def test_one_camera_needs_the_squares(rgbd):
