@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import CameraRig, Extraction
-from mobilecal_cli.simulate.robot import SimulatedRobot, fixed_camera_robot, pose, rgbd_robot, tick_robot
+from mobilecal_cli.simulate.robot import (
+    SimulatedRobot,
+    fixed_camera_robot,
+    pose,
+    rgbd_robot,
+    skid_steer_robot,
+    tick_robot,
+)
 from mobilecal_cli.vision import Miss, pose_from_one
 
 
@@ -69,6 +76,21 @@ def three_that_pan() -> SimulatedRobot:
 def three_on_the_base() -> SimulatedRobot:
     """Three cameras on the base."""
     return _three(fixed_camera_robot())
+
+
+@cache
+def rgbd_with_odometry() -> SimulatedRobot:
+    """An RGB-D camera on the base, and the odometry of the driver in place of the wheels."""
+    return replace(rgbd_robot(), name="rgbd_odometry", wheel_signal="odometry")
+
+
+@cache
+def skid_steer_that_pans() -> SimulatedRobot:
+    """Four wheel joints, and a single camera on a head that only pans."""
+    robot = skid_steer_robot()
+    pan, *_ = robot.joints
+    camera = {"infos": robot.infos[:1], "mounted": {"camera": np.eye(4)}}
+    return replace(robot, name="skid_steer_pan", joints=(pan,), tilt="", **camera)
 
 
 #: (number of cameras, chain) → the robot.

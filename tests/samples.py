@@ -7,7 +7,11 @@ from pathlib import Path
 
 from mobilecal_cli.model import Board
 from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.scenario import Scenario
+from tests.robots import rgbd_with_odometry, skid_steer_that_pans
+
+ROBOTS |= {"rgbd_odometry": rgbd_with_odometry, "skid_steer_pan": skid_steer_that_pans}
 
 _SMALL_BOARD = Board(9, 6, 0.07)
 SAMPLES: dict[str, Scenario] = {
@@ -18,6 +22,8 @@ SAMPLES: dict[str, Scenario] = {
     "imperfect_robot.mcap": Scenario(stations=16, seed=2, imperfect=True),
     "head_fixed.mcap": Scenario(motion="head_fixed", stations=10),
     "straight.mcap": Scenario(motion="straight", stations=10),
+    "rgbd_odometry.mcap": Scenario(robot="rgbd_odometry", seed=3),
+    "skid_steer_pan.mcap": Scenario(robot="skid_steer_pan", seed=4),
 }
 
 

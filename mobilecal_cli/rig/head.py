@@ -131,7 +131,7 @@ def _mounted(
     notes: list[str],
 ) -> Head:
     base = _base_of(config, urdf)
-    head = _head_link_of(config, urdf, base, tilt, camera_frame)
+    head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
     chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
     drawn = Nominal(_drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
@@ -150,11 +150,22 @@ def _base_of(config: RigConfig, urdf: Urdf) -> str:
     return config.head.base_frame or next(usual, urdf.root)
 
 
-def _head_link_of(config: RigConfig, urdf: Urdf, base: str, tilt: str, camera_frame: str) -> str:
+def _carried(urdf: Urdf, link: str, other: str) -> bool:
+    """Whether another link is below a link."""
+    above = {joint.child: joint.parent for joint in urdf.joints.values()}
+    while other in above:
+        other = above[other]
+        if other == link:
+            return True
+    return False
+
+
+def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str, camera_frame: str) -> str:
     """Head link of a URDF: as configured, or the child of the tilt joint, or head_link if that is fixed to it.
 
     Without a tilt joint, it is the last link that a joint moves on the way to the camera; if none moves, the camera is
-    fixed to the base, which is the head then.
+    fixed to the base, which is the head then. Where the camera is not in the URDF either, it is the child of a pan
+    joint that carries no other moving joint.
     """
     if config.head.head_frame is not None:
         return config.head.head_frame
@@ -162,6 +173,12 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, tilt: str, camera_fr
     if not tilts and camera_frame in urdf.links:
         moving = [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
         return moving[-1].child if moving else base
+    if tilt not in urdf.joints and pan in urdf.joints:
+        head = urdf.joints[pan].child
+        if not any(
+            _carried(urdf, head, joint.child) for joint in urdf.joints.values() if joint.kind != "fixed"
+        ):
+            return head
     if tilt not in urdf.joints:
         raise ConfigError(
             f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",

@@ -464,7 +464,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def urdf_text(robot: SimulatedRobot) -> str:
-    """URDF with the head's joints and the nominal wheels; without joints, with the nominal camera."""
+    """URDF with the head's joints and the nominal wheels; without a tilt joint, with the nominal camera."""
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>", '  <link name="base_link"/>']
     parent = robot.base_frame
     for joint in robot.joints:
@@ -481,13 +481,13 @@ def urdf_text(robot: SimulatedRobot) -> str:
             lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
         lines.append("  </joint>")
         parent = joint.link
-    if not robot.joints:  # a description states where a camera on the base is
+    if not robot.tilt:  # no motion shows the height of this camera: a description states it
         T = robot.T_h_c_nominal
         rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
         lines += [
             f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
             '  <joint name="camera_fixed" type="fixed">',
-            f'    <parent link="base_link"/><child link={quoteattr(robot.infos[0].frame_id)}/>',
+            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(robot.infos[0].frame_id)}/>",
             f"    <origin xyz={_numbers(T[:3, 3])} rpy={_numbers(rpy)}/>",
             "  </joint>",
         ]

@@ -1,18 +1,23 @@
 """Recordings of one camera and of three, from the file to the verdict; and what is refused."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import calibrate, extract, solve
+from mobilecal_cli.model import FACTORS
 from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.command import run
-from tests.robots import three_on_pan_tilt
+from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 SQUARE = {"board.square_m": 0.08}
 
@@ -119,3 +124,24 @@ def test_wrong_cameras_are_refused(rgbd, settings, words):
     done = run("calibrate", rgbd, "--square-m", "0.08", *flags)
     assert done.code in (2, 3)
     assert words in " ".join(done.err.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())],
+)
+def test_samples_of_other_robots(name, robot, tmp_path):
+    report, _ = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", flags=SQUARE)
+    assert report.verdict.level == "PASS"
+    assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
+    assumed = report.data.extraction.rig.sources.assumed_odometry
+    if assumed is None:
+        assert true_to(report.fit, robot.T_h_c, robot.wheels, hidden=(5,)) < 2.7
+        return
+    factors, covariance = (
+        assumed.factors(report.fit.parameters.wheels),
+        assumed.covariance(report.fit.parameters.wheels, report.fit.covariance[6:, 6:]),
+    )
+    truth = yaml.safe_load((SAMPLES / f"{name}.truth.yaml").read_text(encoding="utf-8"))["odometry"]
+    off = factors - [truth[key] for key in FACTORS]
+    assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(covariance)))
