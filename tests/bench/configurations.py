@@ -2,20 +2,31 @@
 
 `python -m tests.bench.configurations [RUNS]`: robots with every constant drawn from its prior, 20 stops. NEES / n is over
 the n parameters that the motion shows: all nine, or all but the camera's height where no joint tilts the camera.
+
+`python -m tests.bench.configurations recordings`: one rendered recording of each robot with two wheel joints, four, tick
+counters and odometry alone, in all containers in turn, from the file to the verdict.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from mobilecal_cli.calibrate.steps import Data, Report, fitted
+from mobilecal_cli import se3
+from mobilecal_cli.calibrate.steps import Data, Fit, Report, calibrate, fitted
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE, Parameters
 from mobilecal_cli.simulate.imperfect import draw
+from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.imperfect import USUAL
 from tests.bench.simulated import conditions, map_runs
 from tests.extractions import Imperfection, imperfect_extraction
@@ -34,17 +45,76 @@ def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
         found = fitted(extraction)
     except MobilecalError as error:
         return np.nan, np.nan, type(error).__name__
+    nees, worst = _against(found, robot)
+    return nees, worst, Report(Data(extraction), found).verdict.level
+
+
+def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
+    """NEES / n, and the largest error in sigmas."""
     hidden = unseen_height(robot.chain) is not None
     kept = [k for k, name in enumerate(NINE) if not (hidden and name == "t_z")]
     error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[kept]
     covariance = found.solution.uncertainty.covariance[np.ix_(kept, kept)]
     nees = float(error @ np.linalg.solve(covariance, error)) / len(kept)
-    worst = float(np.abs(error / np.sqrt(np.diag(covariance))).max())
-    return nees, worst, Report(Data(extraction), found).verdict.level
+    return nees, float(np.abs(error / np.sqrt(np.diag(covariance))).max())
+
+
+_WHEELS = {
+    "two joints": "joint_states",
+    "four joints": "four_joints",
+    "counters": "ticks",
+    "odometry": "odometry",
+}
+_CONTAINERS = ("mcap", "bag", "rosbag2", "mcap-ros1", "rosbag2-mcap")
+
+
+def recordings() -> None:
+    """One recording of each robot."""
+    print(conditions())
+    print("\n| cameras | chain | wheels | container | verdict | NEES / n | largest error (sigma) |")
+    print("| --- " * 7 + "|")
+    containers = itertools.cycle(_CONTAINERS)
+    for (cameras, chain), (wheels, signal) in itertools.product(CONFIGURATIONS, _WHEELS.items()):
+        robot, container = replace(CONFIGURATIONS[cameras, chain](), wheel_signal=signal), next(containers)
+        ROBOTS["this"] = lambda robot=robot: robot
+        flags = {"board.square_m": 0.08} | (_counted(robot) if signal == "ticks" else {})
+        for name in robot.mounted if cameras > 2 else ():
+            flags |= _placed(robot, name)
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / (
+                "log" if container.startswith("rosbag2") else f"log.{container[:4].strip('-')}"
+            )
+            simulate(Scenario(robot="this", container=container, seed=cameras), log)
+            cells = [cameras, chain, wheels, container]
+            try:
+                report, _ = calibrate([log], Path(folder) / "result", flags=flags)
+            except MobilecalError as error:
+                print("| " + " | ".join(map(str, cells)) + f" | {error.message} | | |", flush=True)
+                continue
+            found = replace(robot, wheels=report.fit.parameters.wheels) if signal == "odometry" else robot
+            nees, worst = _against(report.fit, found)
+            cells += [report.verdict.level, f"{nees:.2f}", f"{worst:.1f}"]
+            print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def _counted(robot: SimulatedRobot) -> dict[str, object]:
+    return {f"wheels.{side}.ticks_per_revolution": robot.ticks_per_revolution for side in ("left", "right")}
+
+
+def _placed(robot: SimulatedRobot, name: str) -> dict[str, object]:
+    """Topics and pose of one of several cameras."""
+    topics, T = robot.topics(compressed=True), robot.mounted[name]
+    pose = {"translation_m": T[:3, 3].tolist(), "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist()}
+    return {f"cameras.{name}.image": topics.image[name], f"cameras.{name}.info": topics.info[name]} | (
+        {} if np.array_equal(T, np.eye(4)) else {f"cameras.{name}.pose": pose}
+    )
 
 
 def main() -> None:
     """All configurations; runs as an argument, 100 by default."""
+    if sys.argv[1:] == ["recordings"]:
+        recordings()
+        return
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     print(conditions())
     print(f"\n{runs} runs each\n")
