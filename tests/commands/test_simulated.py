@@ -61,10 +61,10 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     moving = ("--motion", "moving", "--stations", "4", "--camera-late", "0.025")
     made = run("simulate", log, "--exact", *moving, cwd=tmp_path)
     assert made.code == 0, made.err
-    result = run("calibrate", log, "--output", "out", cwd=tmp_path)
+    result = run("calibrate", log, "--output", "out", "-v", cwd=tmp_path)
     assert result.code == 0, result.err
     for clock in ("joints", "wheels"):
-        assert re.search(rf"Cameras to {clock} +-2[45]\.\d+ ± 0\.\d+ ms", result.out), result.out
+        assert re.search(rf"clock of the {clock} +-2[45]\.\d+ ± 0\.\d+ ms", result.out), result.out
     turn, move, wheels = apart(load(tmp_path / "out/params.yaml"), load(log.with_name("moving.truth.yaml")))
     assert turn < 0.3
     assert move < 6

@@ -54,7 +54,7 @@ def aside(topic, message):
 )
 def test_a_wrong_camera_info_is_named_and_does_no_harm(sample_logs, tmp_path, tmp_path_factory, edit, named):
     log = edited(sample_logs / "paper_robot.mcap", tmp_path_factory.mktemp("logs") / "log.mcap", edit)
-    result = run("calibrate", log, "--output", "out", cwd=tmp_path)
+    result = run("calibrate", log, "--output", "out", "-v", cwd=tmp_path)
     assert result.code in (0, 6), result.err
     out = " ".join(result.out.split())
     assert named in out
