@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTrack
 from mobilecal_cli.simulate.robot import pixels, tick_robot
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
-from mobilecal_cli.solvers import solve
 from mobilecal_cli.vision import board_pose, square_from_points, triangulate
-from tests.bench.imperfect import judged, level_counts
+from tests.bench.imperfect import level_counts, run_of
 from tests.bench.simulated import conditions
 
 _STEP_S = 0.002
@@ -179,13 +178,10 @@ def main() -> None:
     robot = tick_robot()
     for name, world in WORLDS.items():
         for motion, stations in (("standard", 20), ("moving", 27)):
-            results = []
-            for seed in range(runs):
-                made = recorded(world, motion, stations, seed)
-                results.append(judged(solve(made), made, robot))
-            camera = np.mean([(r.nees[0] + r.nees[1]) / 2 for r in results])
-            wide = np.mean([100 * r.error[8] / robot.wheels.separation_m for r in results])
-            sigmas = np.mean([r.error[8] / r.std[8] for r in results])
+            results = [run_of(recorded(world, motion, stations, seed), robot) for seed in range(runs)]
+            camera = np.nanmean([(r.nees[0] + r.nees[1]) / 2 for r in results])
+            wide = np.nanmean([100 * r.error[8] / robot.wheels.separation_m for r in results])
+            sigmas = np.nanmean([r.error[8] / r.std[8] for r in results])
             cells = [runs, f"{camera:.2f}", f"{wide:+.2f}", f"{sigmas:+.1f}", *level_counts(results)]
             cells.append(sum(r.beyond for r in results))
             print(f"| {name}, {motion} | " + " | ".join(map(str, cells)) + " |", flush=True)
