@@ -30,6 +30,12 @@ _QUANTITIES = (
     ("radius_left", "left wheel radius", slice(7, 8), 1.0, "%"),
     ("separation", "wheel separation", slice(8, 9), 2.0, "%"),
 )
+#: What these are for odometry alone, whose wheels nobody measured.
+_OF_ODOMETRY = {
+    "radius_right": "right wheel radius multiplier",
+    "radius_left": "left wheel radius multiplier",
+    "separation": "wheel separation multiplier",
+}
 #: A difference counts from so many standard deviations on.
 _SIGMAS = 3.0
 #: The standard deviation may be this share of the limit: a difference of twice the limit is then 4 sigma.
@@ -148,7 +154,8 @@ def _corner_error(found: Evaluation, cameras: CameraRig, own: OwnEstimate | Mobi
 def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
     """Whether each quantity is that of the recording's own estimate."""
     change, covariance, known = _compared(robot, own.robot)
-    for key, name, whole, limit, unit in _QUANTITIES:
+    for key, of_wheels, whole, limit, unit in _QUANTITIES:
+        name = of_wheels if robot.odometry is None else _OF_ODOMETRY.get(key, of_wheels)
         part = np.arange(9)[whole][~own.described[whole]]
         at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
         if not known[part].all():

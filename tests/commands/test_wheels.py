@@ -106,6 +106,9 @@ def test_evaluate_and_compare(made, tmp_path):
     log, folder, _, _ = made["odometry_only"]
     second = made["skid_steer"][1] / "params.yaml"
     done = evaluate([log], folder / "params.yaml")
+    named = {check.name for check in done.verdict.checks}
+    assert "wheel separation multiplier" in named
+    assert "wheel separation" not in named
     assert done.verdict.level in ("PASS", "NOT ENOUGH")
     with pytest.raises(
         ConfigError, match="a calibration of wheels, and the recording is read as odometry alone"
