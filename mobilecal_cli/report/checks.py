@@ -350,6 +350,31 @@ def nominal(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
+@criterion(Metric("nominal.scale", "%"), gated=False)
+def scale_of_one_camera(made: Calibration) -> Iterator[Check]:
+    """Whether all sizes of the wheels differ from the nominal ones alike, where one camera alone measures.
+
+    Its scale is that of the stated squares, which nothing else in the images can contradict.
+    """
+    bad, apart = 5.0, 3.0
+    rig, wheels = made.extraction.rig, made.solution.parameters.wheels.vector
+    nominal = rig.sources.assumed_wheels or rig.nominal.wheels
+    square_m = made.extraction.board.square_m
+    if len(rig.cameras.each) > 1 or nominal is None or square_m is None or made.solution.uncertainty is None:
+        return
+    off = 100 * (wheels / nominal.vector - 1)
+    common = float(np.mean(off)) if np.ptp(off) < apart else 0.0
+    yield Check(
+        "nominal.scale", common, bad, graded(abs(common), bad),
+        "common factor of all sizes of the wheels",
+        f"{common:+.1f} %" if common else "none",
+        f"within {bad:g} %",
+        f"Radii and separation of the wheels all differ by {common:+.1f} % from the nominal ones.",
+        f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m:g} m) gives the scale. "
+        "If it is as stated, correct the nominal wheels.",
+    )  # fmt: skip
+
+
 def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction) -> str:
     """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
     like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]

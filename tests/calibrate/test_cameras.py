@@ -65,6 +65,13 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, tmp_path):
     assert (judged.code, "camera position" in judged.out) == (0, True)
 
 
+def test_wrong_squares_of_one_camera_do_not_pass(rgbd, tmp_path):
+    report, _ = calibrate([rgbd], tmp_path / "result", flags={"board.square_m": 0.072})
+    assert report.verdict.level == "FAIL"
+    assert "all differ by -" in report.verdict.reason
+    assert "Measure ten squares" in report.verdict.next_step
+
+
 def test_one_camera_needs_the_squares(rgbd):
     done = run("calibrate", rgbd)
     assert done.code == 2
