@@ -61,6 +61,7 @@ _FREE_STATIONS = 40  # at which a free part is estimated
 _FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
 _STILL, _MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
+_AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
 _SAME_UNIT_M = 0.05
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
@@ -142,7 +143,16 @@ class Readings:
     @property
     def distinguishes(self) -> bool:
         """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
-        return self.motion.tilts and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+        return self.motion.tilts and self._roams
+
+    @property
+    def planar(self) -> bool:
+        """Whether the motion can tell mistakes of the wheels apart, of a camera that no joint moves."""
+        return not self.rig.chain.joints and self._roams
+
+    @property
+    def _roams(self) -> bool:
+        return self.motion.drives and self.motion.turned_rad > _TURNED_RAD
 
 
 def readings_of(extraction: Extraction) -> Readings:
@@ -208,7 +218,8 @@ class _Scorer:
         """
         legs = len(readings.log) - len(np.unique(readings.log))
         full = legs >= _FEWEST_IN_PART - 1 and readings.distinguishes
-        if legs < FEWEST_LEGS or not (full or readings is self._as_is):
+        shown = full or (legs >= _FEWEST_IN_PART - 1 and readings.planar)
+        if legs < FEWEST_LEGS or not (shown or readings is self._as_is):
             return None
         pairs = _thinned(readings.pairs)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
@@ -226,7 +237,7 @@ class _Scorer:
                     misfit, _ = _misfit(pairs, parameters, distance_m)
             except (SolveError, np.linalg.LinAlgError):
                 continue
-            if not (full and possible) or np.all(parameters.wheels.vector > 0):
+            if not (shown and possible) or np.all(parameters.wheels.vector > 0):
                 found.append((misfit, parameters))
         if not found:
             return None
@@ -717,6 +728,30 @@ def _same_view(readings: Readings) -> Diagnosis | None:
     return Diagnosis(
         "all stations show the board at the same place, but the base or the head moves",
         "check that the images are not frozen, and that the board does not move with the robot",
+        None,
+        None,
+    )
+
+
+def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
+    """A camera on the base that is upside down or looks back against its nominal pose: wheels that are exchanged.
+
+    A planar drive with exchanged or reversed wheels fits as well as the right one, with the base turned by 180 degrees.
+    """
+    nominal = rig.nominal.T_h_reference
+    if rig.chain.joints or nominal is None:
+        return None
+    turn = T_h_c[:3, :3] @ (nominal @ se3.inverse(rig.cameras.T_c_reference))[:3, :3].T
+    if float(np.linalg.norm(se3.log_so3(turn))) < _AROUND_RAD:
+        return None
+    swapped, back = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
+    causes = ["the left and right wheels are swapped"] * swapped
+    causes += ["the encoders of both wheels have the wrong sign"] * back
+    cures = ["exchange wheels.left and wheels.right in rig.yaml"] * swapped
+    cures += ["negate wheels.left.sign and wheels.right.sign in rig.yaml"] * back
+    return Diagnosis(
+        " and ".join(causes) + ", or the nominal pose of the camera is that of another frame",
+        ", then ".join(cures) + ", or correct nominal.head_eye",
         None,
         None,
     )

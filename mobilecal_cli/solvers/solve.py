@@ -43,7 +43,7 @@ from mobilecal_cli.solvers.findings import (
     widening,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit
+from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit, turned_around
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import Solver
@@ -132,7 +132,11 @@ def solve(
         raise
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
-    found = explain(extraction) if _fits_badly(solution, extraction) else None
+    found = (
+        explain(extraction)
+        if _fits_badly(solution, extraction)
+        else turned_around(extraction.rig, solution.parameters.T_h_c)
+    )
     if found is None and solution.contradictions and len(extraction.wheels) > 1:
         found = _different_cameras(solution, extraction, constraints)
     return replace(solution, diagnosis=found)

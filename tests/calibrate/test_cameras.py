@@ -72,6 +72,24 @@ def test_wrong_squares_of_one_camera_do_not_pass(rgbd, tmp_path):
     assert "Measure ten squares" in report.verdict.next_step
 
 
+@pytest.mark.parametrize(
+    ("settings", "cause"),
+    [
+        (["wheels.left.sign=-1"], "the left wheel's encoder has the wrong sign"),
+        (["wheels.left.sign=-1", "wheels.right.sign=-1"], "the encoders of both wheels have the wrong sign"),
+        (
+            ["wheels.left.joint=wheel_right_joint", "wheels.right.joint=wheel_left_joint"],
+            "the left and right wheels are swapped",
+        ),
+    ],
+)
+def test_wheels_of_a_camera_on_the_base_that_are_not_as_stated(rgbd, tmp_path, settings, cause):
+    flags = [word for setting in settings for word in ("--set", setting)]
+    done = run("calibrate", rgbd, "--square-m", "0.08", *flags, "--output", tmp_path / "result")
+    assert done.code in (5, 6)
+    assert cause in " ".join((done.out + done.err).split())
+
+
 def test_one_camera_needs_the_squares(rgbd):
     done = run("calibrate", rgbd)
     assert done.code == 2
