@@ -456,4 +456,5 @@ def test_a_wheel_with_the_wrong_sign_beside_a_fixed_camera(workplace, sample_log
     wrong = ["--set", f"head.urdf={fixed_camera}", "--set", "wheels.left.sign=-1"]
     result = run("calibrate", sample_logs / "head_fixed.mcap", *wrong, "-o", "sign", cwd=workplace)
     assert result.code == 5
-    assert "one of the wheels counts in the other direction" in result.err
+    assert "the left wheel's encoder has the wrong sign" in result.err
+    assert "negate wheels.left.sign" in result.err
