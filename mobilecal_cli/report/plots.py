@@ -85,18 +85,29 @@ class LegView:
     pictures: tuple[Overlay, ...]
 
 
+class Thumbnail(NamedTuple):
+    """A small image of a station, as base64; the observation is -1 and the reason is given where it is not used."""
+
+    observation: int
+    station: str
+    jpeg: str
+    reason: str
+
+
 class Drawings(NamedTuple):
     """What the page shows beside values.
 
     Attributes:
         figures: plots in the order of their definition.
         views: images of legs, the worst first.
+        thumbnails: stations with a small image, in order of time.
         path: small picture of the path, for the first screen.
         limits: what limits the result, for the first screen; None if unknown.
     """
 
     figures: tuple[Figure, ...]
     views: list[LegView]
+    thumbnails: list[Thumbnail]
     path: str
     limits: Bar | None
 
@@ -171,7 +182,8 @@ def draw_all(
         bar = budget_bar(solution, worst, f"What limits the {worst.figure.short} ({value})")
     views = leg_views(solution, extraction, snapshots)
     figures = tuple(figure for figure in drawn if figure.parts)
-    return Drawings(figures, views, path_picture(solution, extraction), bar)
+    small = thumbnails(solution, extraction, snapshots)
+    return Drawings(figures, views, small, path_picture(solution, extraction), bar)
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
@@ -568,7 +580,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
     residuals, seen = solution.residuals, extraction.observations
     cameras = extraction.rig.cameras
-    pictures = {(s.log, s.station): s for s in snapshots}
+    pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
     if not order:
@@ -605,6 +617,24 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
             )
         )
     return views
+
+
+def thumbnails(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[Thumbnail]:
+    """The small images of the stations, with the reasons of those that are not used."""
+    used = {(o.log, o.station): i for i, o in enumerate(extraction.observations)}
+    outliers = {
+        i for each in solution.outliers if each.kind in ("station", "corners") for i in each.observations
+    }
+    rejected = {(r.log, r.station): r.reason for r in extraction.rejections}
+    several, shown = len(extraction.wheels) > 1, []
+    for each in snapshots:
+        place = (each.log, each.station)
+        i, reason = used.get(place, -1), rejected.get(place, "")
+        if each.thumbnail and (i >= 0 or reason):
+            name = f"{each.log}:{each.station}" if several else str(each.station)
+            jpeg = base64.b64encode(each.thumbnail).decode("ascii")
+            shown.append(Thumbnail(i, name, jpeg, reason if i < 0 else "outlier" if i in outliers else ""))
+    return shown
 
 
 def _overlay(camera: str, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:

@@ -52,7 +52,8 @@ def page(tmp_path_factory):
     solution = replace(solution, outliers=outliers)
     trial = evaluate(extraction, solution.parameters, robot.wheels)
     change = Change(HOSTILE, np.linspace(-1, 1, 9) * 1e-3, np.linspace(-3, 3, 9), np.full(9, np.nan), 0.2)
-    text = page_of(solution, extraction, make_snapshots(extraction), trial=trial, change=change)
+    rejected = replace(make_snapshots(extraction)[0], station=20, jpegs={})
+    text = page_of(solution, extraction, (*make_snapshots(extraction), rejected), trial=trial, change=change)
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
     return path
