@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 _SHOWN = 1.0  # a recording shows a direction that it knows better than its scale
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
@@ -102,7 +99,7 @@ def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> flo
     return math.sqrt(max(1.0, q)) * float(stdtrit(spare, _TWO_SIGMA)) / 2
 
 
-def weigh_logs(lin: Linearization) -> Pooled:
+def weigh_logs(lin: Posterior) -> Pooled:
     """Weigh the recordings with the spread between them.
 
     Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.normal import NormalEquations
 from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.model import FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,16 +70,16 @@ def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     return out
 
 
-def marginals(lin: Linearization) -> Marginals:
+def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
     Args:
-        lin: an optimum.
+        lin, normal: an optimum.
+        C: (P, P) covariance of the shared parameters there.
 
     Raises:
         LinAlgError: a singular matrix.
     """
-    C, normal = lin.conditional_covariance, lin.normal
     follow, with_board = normal.base_by_shared, normal.base_by_board
     E_inverse, by_base, by_board, by_shared = normal.own_conditional()
     views, legs, log = lin.views, lin.legs, lin.data.log

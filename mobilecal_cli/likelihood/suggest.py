@@ -9,10 +9,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose
-from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
@@ -158,7 +159,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
     return wide, replace(there, constants=state.constants)
 
 
-def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
+def _leg(lin: Posterior, turn_rad: float, drive_m: float) -> FloatArray:
     """(P + 2 B, P + 2 B) information of a leg that turns and then drives, and of the processes along it.
 
     About the shared parameters and the base blocks of both ends.
@@ -192,7 +193,7 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     return H
 
 
-def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
+def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
     """(C, P + 6 + B, P + 6 + B) information of each stop about the shared parameters, the board and the last base."""
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
@@ -227,7 +228,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
     return out
 
 
-def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
+def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
     """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
 
     Args:

@@ -11,8 +11,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_jacobian, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise, Parameters
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion

@@ -9,7 +9,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import (
     Drift,
     Evaluation,

@@ -15,6 +15,7 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
+from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.predict import gradients_at, variance
 from mobilecal_cli.likelihood.state import board_in_camera, cameras_at
@@ -45,8 +46,8 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
 
     Where the data contradict a kind as a whole, but leave open which part is wrong, it is the likeliest part.
     """
-    found = {(e.kind, e.part): e for e in fit.lin.evidence()}
-    for whole in fit.lin.evidence(parts=False):
+    found = {(e.kind, e.part): e for e in evidence(fit.lin)}
+    for whole in evidence(fit.lin, parts=False):
         mine = [e for e in found.values() if e.kind == whole.kind]
         worst = max(mine, key=lambda e: e.sigmas)
         if worst.sigmas < whole.sigmas:
@@ -155,7 +156,7 @@ def budget_of(fit: Fit) -> Budget:
     gradients = gradients_at(lin)
     nine: dict[str, FloatArray] = {}
     figures: dict[str, FloatArray] = {}
-    for name, share in lin.budget().items():
+    for name, share in fit.budget.items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
         of = [variance(g @ shows, share) for g in gradients.values()]
@@ -178,7 +179,7 @@ def jackknife_covariance(fit: Fit) -> FloatArray:
     that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
     not show them.
     """
-    spread = sum(influence.spread for influence in fit.lin.influences)
+    spread = sum(influence.spread for influence in fit.influences)
     C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
     return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
 

@@ -27,7 +27,7 @@ from mobilecal_cli.kinematics import (
     join,
     motion_seen,
 )
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import (
     BoolArray,
     Diagnosis,

@@ -16,7 +16,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry

@@ -15,10 +15,11 @@ from mobilecal_cli.kinematics import motion_seen
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.observability import Directions
+from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.residual_tests import limit
@@ -232,17 +233,17 @@ class Solver:
             inliers, noise: the measurements that are used, and their noise.
             tolerances: `coarse` by default.
         """
-        start = Linearization.at(self.data, state, inliers, noise, self.priors(state))
+        start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
         return self._fit_from(start, (tolerances or self.coarse).near)
 
-    def _fit_from(self, start: Linearization, near: float) -> Fit:
+    def _fit_from(self, start: Posterior, near: float) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
-            unobservable = start.observable_directions(user).unobservable
+            unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
             priors = self.priors(start.state, unobservable)
             optimum = optimize(start.under(priors), near, self._on_step)
-            shown = optimum.lin.observable_directions(user)
+            shown = directions(optimum.lin, user)
             again = self.priors(optimum.lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - priors.mean)[priors.fixed] < _STILL))
             if _same_space(shown.unobservable, unobservable) and still:
@@ -252,11 +253,11 @@ class Solver:
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
-        start = Linearization.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
+        start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
         optimum = optimize(start, self.coarse.near, self._on_step)
         return self._fitted(optimum.lin, optimum.history, fit.directions)
 
-    def _fitted(self, lin: Linearization, costs: FloatArray, shown: Directions) -> Fit:
+    def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
         return Fit(lin, costs, components(lin), shown, self.given)
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -299,11 +300,11 @@ class Solver:
 
     def _levels_near(
         self,
-        lin: Linearization,
+        lin: Posterior,
         found: Mapping[str, Component],
         tolerance: float,
         kept: frozenset[str] = frozenset(),
-    ) -> tuple[Linearization, Mapping[str, Component], Noise]:
+    ) -> tuple[Posterior, Mapping[str, Component], Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 
         Args:
@@ -357,7 +358,7 @@ class Solver:
                 without = replace(inliers, legs=driven)
                 try:
                     trial = self.refit(fit, without)
-                    off, _ = trial.lin.tests.predicted_views
+                    off, _ = trial.tests.predicted_views
                     if off[station] > limit(self.data.stations, 6, outliers.CONSENSUS_REDUNDANCY):
                         continue
                     trial = self.refit(trial, replace(without, views=views))

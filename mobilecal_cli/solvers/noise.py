@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.likelihood.dataset import STAMP
 from mobilecal_cli.likelihood.legs import SUPPOSED
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import STAMP
 from mobilecal_cli.likelihood.nuisance import family
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
 from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
 
@@ -55,7 +55,7 @@ class Component:
         return Component(self.squares + other.squares, self.redundancy + other.redundancy)
 
 
-def components(lin: Linearization) -> dict[str, Component]:
+def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views, marginal, state = lin.views, lin.marginals, lin.state
     taken, posed = marginal.leverage(views.information), lin.data.posed
@@ -110,7 +110,7 @@ def components(lin: Linearization) -> dict[str, Component]:
     return result
 
 
-def _within(lin: Linearization) -> FloatArray:
+def _within(lin: Posterior) -> FloatArray:
     """(N, 5) processes without their mean in each recording, where there are several.
 
     Means that differ say how the recordings differ, not how a process varies along the way.
@@ -126,7 +126,7 @@ def _within(lin: Linearization) -> FloatArray:
     return out
 
 
-def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str, float]:
+def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, float]:
     """Correlation lengths of the processes after one step of expectation-maximization (Dempster et al., 1977).
 
     The expected logarithm of the innovations' density, at the present posterior of the processes, is largest there,
@@ -168,7 +168,7 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
     return noise.with_levels(changes)
 
 
-def widths(lin: Linearization) -> dict[str, float]:
+def widths(lin: Posterior) -> dict[str, float]:
     """Kind of constants → how many times as wide as stated its priors are, after one step of the fixed point.
 
     The same estimate as a noise level's: the constants of a kind, as estimated, are its residuals, of which the data

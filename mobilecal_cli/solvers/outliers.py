@@ -98,7 +98,7 @@ def worst(fit: Fit) -> float:
     """Largest statistic of an inlier over its limit, for known noise levels."""
     count = fit.data.stations
     return max(
-        float(getattr(fit.lin.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+        float(getattr(fit.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
         for kind, dof in _DEGREES.items()
     )
 
@@ -117,7 +117,7 @@ def consistent_legs(fit: Fit) -> BoolArray | None:
     """
     inliers, one_taken = fit.inliers, False
     legs = inliers.legs.copy()
-    statistic = np.where(~legs, fit.lin.tests.predicted_legs, np.inf)
+    statistic = np.where(~legs, fit.tests.predicted_legs, np.inf)
     for leg in np.argsort(statistic):
         if statistic[leg] > limit(fit.data.stations, 3, CONSENSUS_REDUNDANCY):
             break
@@ -139,8 +139,8 @@ def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
     out = ~inliers.views & usable(fit)
     if not out.any():
         return None
-    as_read, freed = fit.lin.tests.predicted_views
-    near = fit.lin.tests.small_views
+    as_read, freed = fit.tests.predicted_views
+    near = fit.tests.small_views
     agree = out & (near | (as_read < limit(fit.data.stations, 6, redundancy)))
     if agree.any():
         return replace(inliers, views=inliers.views | agree)
@@ -155,7 +155,7 @@ def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
 
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
-    tests = fit.lin.tests
+    tests = fit.tests
     found = []
     for kind, dof in _DEGREES.items():
         values = getattr(tests, kind)
@@ -188,7 +188,7 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
 
 def external(fit: Fit, kind: str) -> FloatArray:
     """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-    tests = fit.lin.tests
+    tests = fit.tests
     statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
     beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
     return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)

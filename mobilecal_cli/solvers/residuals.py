@@ -10,7 +10,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at, wheel_clock_s
 from mobilecal_cli.likelihood.views import view_rates

@@ -12,7 +12,9 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
-from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
@@ -322,7 +324,7 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
-        evidence=fit.lin.evidence(),
+        evidence=evidence(fit.lin),
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
