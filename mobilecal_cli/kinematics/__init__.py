@@ -1,6 +1,6 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, unseen_height
+from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, joint_frames, unseen_height
 from mobilecal_cli.kinematics.motion import (
     DRIVEN_RAD,
     FEWEST_LEGS,
@@ -41,6 +41,7 @@ __all__ = [
     "integrate",
     "integrate_with_jacobian",
     "join",
+    "joint_frames",
     "motion_seen",
     "unseen_height",
 ]
