@@ -37,6 +37,7 @@ CONTENTS = {
     "description": "Robot description",
     "record": "Input",
 }
+_MOST_STOPS = 3
 #: Kind of criterion → the section that shows it; "checks" for others.
 _SECTIONS = {
     **dict.fromkeys(
@@ -86,7 +87,7 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
             bar=Markup("" if drawings.limits is None else drawings.limits.svg),
             contents=list(CONTENTS.items()),
             opened=opened_section(report),
-            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
+            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
             change="" if report.change is None else _change(report.change),
             orientation=_orientation(report.parameters),
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
