@@ -171,8 +171,8 @@ def _leg(lin: Posterior, turn_rad: float, drive_m: float) -> FloatArray:
     right, left = ([0.0, by / radius, (by + drive_m) / radius] for by, radius in sides)
     times = np.array([0, 1, 2], dtype=np.int64)
     end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
-    one = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
-    pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), one)
+    stop = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
+    pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), stop)
     track = WheelTrack.at_same_times(times, np.array(right), np.array(left))
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     along = processes_of(pair, wheels, noise, Inliers.all_of(pair))
@@ -207,7 +207,7 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
         if way not in legs:
             legs[way] = _leg(lin, *way)
         H = np.zeros((P + 2 * B + own,) * 2)  # shared, board, last base, new base, the new stop's own errors
-        seen = [
+        of_view = [
             views.by_shared[c + 1],
             views.by_board[c + 1],
             np.zeros((6, B)),
@@ -215,7 +215,7 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
             views.by_own[c + 1],
         ]
         A = np.zeros((6 + len(views.direct), len(H)))
-        A[:6] = np.concatenate(seen, axis=1)
+        A[:6] = np.concatenate(of_view, axis=1)
         A[range(6, len(A)), views.direct] = 1.0
         H += A.T @ views.information[c + 1] @ A
         H[np.ix_(of_leg, of_leg)] += legs[way]

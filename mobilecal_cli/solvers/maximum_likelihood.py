@@ -132,8 +132,8 @@ class Solver:
     @property
     def full_motion(self) -> bool:
         """Whether the motion shows all nine, so that the linear method applies as it is."""
-        seen = self.motion
-        return seen.tilts and seen.turns and seen.drives and not self.nominal.head_eye_fixed
+        motion = self.motion
+        return motion.tilts and motion.turns and motion.drives and not self.nominal.head_eye_fixed
 
     def initial(self) -> Parameters:
         """Linear parameters from all legs."""
@@ -149,10 +149,10 @@ class Solver:
 
     # -- priors -----------------------------------------------------------------------------------
 
-    def _anchor(self, found: Parameters) -> Parameters:
+    def _anchor(self, present: Parameters) -> Parameters:
         """Where displacements count from: nominal values where there are any, the present ones otherwise."""
         T_h_c, wheels = self.nominal.T_h_c, self.nominal.wheels
-        return Parameters(found.T_h_c if T_h_c is None else T_h_c, wheels or found.wheels)
+        return Parameters(present.T_h_c if T_h_c is None else T_h_c, wheels or present.wheels)
 
     def _user_weight(self, priors: Priors) -> FloatArray:
         """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
@@ -268,8 +268,8 @@ class Solver:
         """
         lin = fit.lin.with_inliers(inliers)
         lin = lin.predicted(proposed(lin)[0])
-        lin, found, _ = self._levels_near(lin, components(lin), self.coarse.levels)
-        return replace(fit, lin=lin, components=found)
+        lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
+        return replace(fit, lin=lin, components=shown)
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
@@ -289,26 +289,26 @@ class Solver:
 
         What looks like one is tested at the noise levels of the residuals without it.
         """
-        found = jumps.likeliest(fit.lin)
-        if found is None or found.sigmas < _CANDIDATE_SIGMAS:
+        jump = jumps.likeliest(fit.lin)
+        if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
-        lin = jumps.without(fit.lin, found)
+        lin = jumps.without(fit.lin, jump)
         lin = lin.predicted(proposed(lin)[0])
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
-        found = jumps.again(lin, found)
-        return found if found.sigmas > JUMP_SIGMAS and jumps.lasts(lin, found) else None
+        jump = jumps.again(lin, jump)
+        return jump if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump) else None
 
     def _levels_near(
         self,
         lin: Posterior,
-        found: Mapping[str, Component],
+        shown: Mapping[str, Component],
         tolerance: float,
         kept: frozenset[str] = frozenset(),
     ) -> tuple[Posterior, Mapping[str, Component], Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 
         Args:
-            lin, found: where to start, and what its residuals show.
+            lin, shown: where to start, and what its residuals show.
             tolerance: relative.
             kept: names of levels that stay, beside those that are given.
 
@@ -318,15 +318,15 @@ class Solver:
         given = self.given | kept
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, found, given, self._guess)
+            noise = estimated(lin.noise, shown, given, self._guess)
             wider = lin.noise.wider if self._scales_stay else widths(lin)
             noise = replace(noise, **lengths(lin, given, self._guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))
             lin = lin.predicted(proposed(lin)[0])
-            found = components(lin)
-        return lin, found, noise
+            shown = components(lin)
+        return lin, shown, noise
 
     # -- outliers ---------------------------------------------------------------------------------
 
@@ -497,20 +497,20 @@ class Solver:
     def _by_consensus(self, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
         """A fit of the legs that agree, with all measurements restored that are consistent with it."""
         data = self.data
-        found = consensus(data, initial, noise, lambda pairs: self.initial_of(pairs, initial))
+        agreed = consensus(data, initial, noise, lambda pairs: self.initial_of(pairs, initial))
         inflated = {
-            name: getattr(noise, name) * found.noise_factor
+            name: getattr(noise, name) * agreed.noise_factor
             for name in ("wheel_rad_per_sqrt_rad", "joint_rad")
             if name not in self.given
         }
         noise = replace(noise, **inflated)
-        legs = ~found.bad
+        legs = ~agreed.bad
         touched = np.zeros((data.stations, 2), dtype=np.int64)
         for (i, j), good in zip(data.legs, legs, strict=True):
             touched[[i, j], int(good)] += 1
         lonely = (touched[:, 0] > 0) & (touched[:, 1] == 0)
         inliers = replace(inliers, legs=legs, views=inliers.views & ~lonely)
-        state = initial_state(data, found.parameters, inliers)
+        state = initial_state(data, agreed.parameters, inliers)
         return self._restored(self.fit(state, inliers, noise))
 
 
