@@ -80,7 +80,7 @@ class Readings:
 
     Attributes:
         rig: the robot.
-        T_c_k: (N, 4, 4) board in the left camera.
+        T_c_k: (N, 4, 4) board in the first camera.
         corners_k: (4, 3) outer corners of the board, m.
         joints: (N, J) readings, rad or m.
         time_ns, log: (N,) stamps, and index of the recording.

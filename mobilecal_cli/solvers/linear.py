@@ -55,7 +55,7 @@ class InitialPrior:
     """Nominal values.
 
     Attributes:
-        T_h_c: (4, 4) nominal head-eye transform of the left camera, or None.
+        T_h_c: (4, 4) nominal pose of the first camera on the head, or None.
         wheels: nominal wheels, or None.
         head_eye_fixed: T_h_c is exact.
     """

@@ -43,12 +43,12 @@ _JUDGED_BY = {
 
 
 def _median(size: FloatArray, detected: BoolArray) -> FloatArray:
-    """(N,) median over the detected corners, (N, 2, M)."""
+    """(N,) median over the detected corners, (N, C, M)."""
     return np.asarray(np.nanmedian(np.where(detected, size, np.nan), axis=(1, 2)))
 
 
 def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
-    """(n, 2, M) distance of the corners of some stations from the boards that fit each best, robustly."""
+    """(n, C, M) distance of the corners of some stations from the boards that fit each best, robustly."""
     detected, T = data.seen[stations], data.T_c_k[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(data, state, T, stations)
@@ -77,7 +77,7 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         state: gives the cameras and the board.
 
     Returns:
-        (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
+        (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
     if data.posed.any():
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)

@@ -46,9 +46,10 @@ from mobilecal_cli.solvers.findings import (
 )
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit, turned_around
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
-from mobilecal_cli.solvers.maximum_likelihood import Solver
+from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.transfer import point_rms_m
@@ -125,9 +126,9 @@ def solve(
         )
     try:
         if method == "ml":
-            solver = Solver(extraction, constraints, on_step, data)
-            constraints.check_shown(solver.data.layout.names)
-            solution = _by_likelihood(extraction, solver, start_ratios)
+            inference = Inference.of(extraction, constraints, on_step, data)
+            constraints.check_shown(inference.data.layout.names)
+            solution = _by_likelihood(extraction, inference, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
     except _ExplainedError:
@@ -155,7 +156,7 @@ def _different_cameras(
         if len(alone.observations) <= FEWEST_LEGS:
             return None
         try:
-            fit = Solver(alone, constraints).solve()
+            fit = robust_fit(Inference.of(alone, constraints))
         except (SolveError, np.linalg.LinAlgError):
             return None
         alone_px = max(alone_px, fit.noise.pixel_px)
@@ -291,22 +292,22 @@ def _solution(
     )
 
 
-def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
-    pairs = solver.data.pairs
-    if solver.full_motion:
+def _by_likelihood(extraction: Extraction, inference: Inference, start_ratios: FloatArray | None) -> Solution:
+    pairs = inference.data.pairs
+    if inference.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
             _refuse_gross(extraction)
         _require_positive(linear.parameters.wheels)
     else:  # no sign check: an unobservable scale may have any sign
-        start = solver.initial()
+        start = inference.initial()
         rms = point_rms_m(pairs, start)
         linear = LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
-    fit = solver.solve(linear.parameters)
+    fit = robust_fit(inference, linear.parameters)
     contradictions = contradictions_of(fit)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, fit, solver.jump)
+    jumps = jumps_of(extraction, fit, inference.jump)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
