@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
@@ -21,7 +23,7 @@ from mobilecal_cli.calibrate.manifest import DONE, RECORDS, SUMMARIES, FleetJob,
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import work, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
-from mobilecal_cli.export import check_output, from_plain, to_plain, write_file
+from mobilecal_cli.export import check_output, write_file
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
@@ -71,7 +73,7 @@ def run_job(job: FleetJob) -> FleetRow:
     if row.verdict == "ERROR" and (job.output / job.name).is_dir():
         row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
     row = replace(row, seconds=round(time.perf_counter() - began_s, 3))
-    _write_record(job, {"key": key, "row": to_plain(row), "params": _params_digest(job)})
+    _write_record(job, {"key": key, "row": asdict(row), "params": _params_digest(job)})
     return row
 
 
@@ -119,7 +121,7 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
     """The row of an earlier run of the same job with a result, if its outputs still exist."""
     record = _record(job) or {}
     try:
-        row, same = from_plain(FleetRow, record["row"]), record["key"] == key
+        row, same = TypeAdapter(FleetRow).validate_python(record["row"]), record["key"] == key
     except (ValueError, KeyError, TypeError):
         return None
     there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)

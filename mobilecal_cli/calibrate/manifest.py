@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, Field, ValidationError
 
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problems_of, read_text
 from mobilecal_cli.model import FleetRow
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.rig.config import load_rig
@@ -179,9 +179,7 @@ def _of_manifest(path: Path) -> list[_Robot]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path}: {where}: {first['msg']}", hint) from error
+        raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
     except ValueError as error:
         raise ConfigError(f"{path}: not a valid manifest: {' '.join(str(error).split())}", hint) from error
     folder = path.parent

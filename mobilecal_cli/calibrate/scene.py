@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import from_plain, improved_cameras, improved_chain
+from mobilecal_cli.export import improved_cameras, improved_chain
 from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.model import (
@@ -156,7 +157,7 @@ def _judged(path: Path) -> tuple[list[Outlier], set[tuple[int, int]]]:
     """The outliers of a report.json, and the pairs of observations of the legs that were used."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        outliers = [from_plain(Outlier, outlier) for outlier in report["outliers"]]
+        outliers = TypeAdapter(list[Outlier]).validate_python(report["outliers"])
         legs = {(int(leg["from_observation"]), int(leg["to_observation"])) for leg in report["legs"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
