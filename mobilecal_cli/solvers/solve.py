@@ -15,7 +15,7 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.predict import predicted_at
+from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
@@ -349,6 +349,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     observable = (np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed
     shows = at_work_basis(fit)
     but_height = np.sqrt(np.diag(shows @ shared @ shows)[:9])
+    camera, camera_constants = camera_covariance(fit.lin, shows @ shared @ shows)
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
@@ -369,5 +370,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
         at_work=predicted_at(fit.lin, shows @ shared @ shows),
+        camera=camera,
+        camera_constants=camera_constants,
         budget=budget_of(fit),
     )
