@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, FloatArray, Parameters
 
 #: Distance of the point ahead of the camera whose position error is predicted, m.
@@ -25,7 +25,7 @@ def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
     return _expected(gradients(parameters, camera), covariance)
 
 
-def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
+def predicted_at(lin: Posterior, covariance: FloatArray) -> AtWork:
     """Expected errors at an optimum, with the constants of the head's chain and joints applied.
 
     Args:
@@ -35,7 +35,7 @@ def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
     return _expected(gradients_at(lin), covariance)
 
 
-def gradients_at(lin: Linearization) -> Mapping[str, FloatArray]:
+def gradients_at(lin: Posterior) -> Mapping[str, FloatArray]:
     """Field of `AtWork` → (k, P) derivatives by the shared parameters; their variances add up to the figure's."""
     camera = -lin.views.by_shared  # the board moves the other way
     return gradients(lin.state.parameters, camera)

@@ -15,10 +15,11 @@ from mobilecal_cli.kinematics import motion_seen
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.observability import Directions
+from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.residual_tests import limit
@@ -131,8 +132,8 @@ class Solver:
     @property
     def full_motion(self) -> bool:
         """Whether the motion shows all nine, so that the linear method applies as it is."""
-        seen = self.motion
-        return seen.tilts and seen.turns and seen.drives and not self.nominal.head_eye_fixed
+        motion = self.motion
+        return motion.tilts and motion.turns and motion.drives and not self.nominal.head_eye_fixed
 
     def initial(self) -> Parameters:
         """Linear parameters from all legs."""
@@ -148,10 +149,10 @@ class Solver:
 
     # -- priors -----------------------------------------------------------------------------------
 
-    def _anchor(self, found: Parameters) -> Parameters:
+    def _anchor(self, present: Parameters) -> Parameters:
         """Where displacements count from: nominal values where there are any, the present ones otherwise."""
         T_h_c, wheels = self.nominal.T_h_c, self.nominal.wheels
-        return Parameters(found.T_h_c if T_h_c is None else T_h_c, wheels or found.wheels)
+        return Parameters(present.T_h_c if T_h_c is None else T_h_c, wheels or present.wheels)
 
     def _user_weight(self, priors: Priors) -> FloatArray:
         """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
@@ -232,17 +233,17 @@ class Solver:
             inliers, noise: the measurements that are used, and their noise.
             tolerances: `coarse` by default.
         """
-        start = Linearization.at(self.data, state, inliers, noise, self.priors(state))
+        start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
         return self._fit_from(start, (tolerances or self.coarse).near)
 
-    def _fit_from(self, start: Linearization, near: float) -> Fit:
+    def _fit_from(self, start: Posterior, near: float) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
-            unobservable = start.observable_directions(user).unobservable
+            unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
             priors = self.priors(start.state, unobservable)
             optimum = optimize(start.under(priors), near, self._on_step)
-            shown = optimum.lin.observable_directions(user)
+            shown = directions(optimum.lin, user)
             again = self.priors(optimum.lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - priors.mean)[priors.fixed] < _STILL))
             if _same_space(shown.unobservable, unobservable) and still:
@@ -252,11 +253,11 @@ class Solver:
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
-        start = Linearization.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
+        start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
         optimum = optimize(start, self.coarse.near, self._on_step)
         return self._fitted(optimum.lin, optimum.history, fit.directions)
 
-    def _fitted(self, lin: Linearization, costs: FloatArray, shown: Directions) -> Fit:
+    def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
         return Fit(lin, costs, components(lin), shown, self.given)
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -267,8 +268,8 @@ class Solver:
         """
         lin = fit.lin.with_inliers(inliers)
         lin = lin.predicted(proposed(lin)[0])
-        lin, found, _ = self._levels_near(lin, components(lin), self.coarse.levels)
-        return replace(fit, lin=lin, components=found)
+        lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
+        return replace(fit, lin=lin, components=shown)
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
@@ -288,26 +289,26 @@ class Solver:
 
         What looks like one is tested at the noise levels of the residuals without it.
         """
-        found = jumps.likeliest(fit.lin)
-        if found is None or found.sigmas < _CANDIDATE_SIGMAS:
+        jump = jumps.likeliest(fit.lin)
+        if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
-        lin = jumps.without(fit.lin, found)
+        lin = jumps.without(fit.lin, jump)
         lin = lin.predicted(proposed(lin)[0])
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
-        found = jumps.again(lin, found)
-        return found if found.sigmas > JUMP_SIGMAS and jumps.lasts(lin, found) else None
+        jump = jumps.again(lin, jump)
+        return jump if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump) else None
 
     def _levels_near(
         self,
-        lin: Linearization,
-        found: Mapping[str, Component],
+        lin: Posterior,
+        shown: Mapping[str, Component],
         tolerance: float,
         kept: frozenset[str] = frozenset(),
-    ) -> tuple[Linearization, Mapping[str, Component], Noise]:
+    ) -> tuple[Posterior, Mapping[str, Component], Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 
         Args:
-            lin, found: where to start, and what its residuals show.
+            lin, shown: where to start, and what its residuals show.
             tolerance: relative.
             kept: names of levels that stay, beside those that are given.
 
@@ -317,15 +318,15 @@ class Solver:
         given = self.given | kept
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, found, given, self._guess)
+            noise = estimated(lin.noise, shown, given, self._guess)
             wider = lin.noise.wider if self._scales_stay else widths(lin)
             noise = replace(noise, **lengths(lin, given, self._guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
             lin = lin.with_noise(search.next(lin.noise, noise))
             lin = lin.predicted(proposed(lin)[0])
-            found = components(lin)
-        return lin, found, noise
+            shown = components(lin)
+        return lin, shown, noise
 
     # -- outliers ---------------------------------------------------------------------------------
 
@@ -357,7 +358,7 @@ class Solver:
                 without = replace(inliers, legs=driven)
                 try:
                     trial = self.refit(fit, without)
-                    off, _ = trial.lin.tests.predicted_views
+                    off, _ = trial.tests.predicted_views
                     if off[station] > limit(self.data.stations, 6, outliers.CONSENSUS_REDUNDANCY):
                         continue
                     trial = self.refit(trial, replace(without, views=views))
@@ -496,20 +497,20 @@ class Solver:
     def _by_consensus(self, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
         """A fit of the legs that agree, with all measurements restored that are consistent with it."""
         data = self.data
-        found = consensus(data, initial, noise, lambda pairs: self.initial_of(pairs, initial))
+        agreed = consensus(data, initial, noise, lambda pairs: self.initial_of(pairs, initial))
         inflated = {
-            name: getattr(noise, name) * found.noise_factor
+            name: getattr(noise, name) * agreed.noise_factor
             for name in ("wheel_rad_per_sqrt_rad", "joint_rad")
             if name not in self.given
         }
         noise = replace(noise, **inflated)
-        legs = ~found.bad
+        legs = ~agreed.bad
         touched = np.zeros((data.stations, 2), dtype=np.int64)
         for (i, j), good in zip(data.legs, legs, strict=True):
             touched[[i, j], int(good)] += 1
         lonely = (touched[:, 0] > 0) & (touched[:, 1] == 0)
         inliers = replace(inliers, legs=legs, views=inliers.views & ~lonely)
-        state = initial_state(data, found.parameters, inliers)
+        state = initial_state(data, agreed.parameters, inliers)
         return self._restored(self.fit(state, inliers, noise))
 
 

@@ -12,7 +12,9 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
-from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.predict import predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
@@ -132,14 +134,14 @@ def solve(
         raise
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
-    found = (
+    diagnosis = (
         explain(extraction)
         if _fits_badly(solution, extraction)
         else turned_around(extraction.rig, solution.parameters.T_h_c)
     )
-    if found is None and solution.contradictions and len(extraction.wheels) > 1:
-        found = _different_cameras(solution, extraction, constraints)
-    return replace(solution, diagnosis=found)
+    if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:
+        diagnosis = _different_cameras(solution, extraction, constraints)
+    return replace(solution, diagnosis=diagnosis)
 
 
 def _different_cameras(
@@ -149,16 +151,16 @@ def _different_cameras(
     assert solution.uncertainty is not None
     together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
     for log in range(len(extraction.wheels)):
-        one = extraction.of_log(log)
-        if len(one.observations) <= FEWEST_LEGS:
+        alone = extraction.of_log(log)
+        if len(alone.observations) <= FEWEST_LEGS:
             return None
         try:
-            fit = Solver(one, constraints).solve()
+            fit = Solver(alone, constraints).solve()
         except (SolveError, np.linalg.LinAlgError):
             return None
         alone_px = max(alone_px, fit.noise.pixel_px)
         alone_m = max(
-            alone_m, point_rms_m(at_state(one, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
+            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
         )
     if together_px < _DIFFERENT * alone_px:
         return None
@@ -175,9 +177,9 @@ def _different_cameras(
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
     if not extraction.motions:  # mistakes are searched for with a target
-        found = explain(extraction)
-        if found is not None:
-            return _refusal(found)
+        diagnosis = explain(extraction)
+        if diagnosis is not None:
+            return _refusal(diagnosis)
         share = misfit(extraction)
         if share is not None:
             return _unexplained(share, extraction)
@@ -208,16 +210,18 @@ def _refuse_gross(extraction: Extraction) -> None:
     Raises:
         SolveError: a mistake explains the whole recording, or none explains any part of it.
     """
-    found = explain(extraction, in_parts=False)
-    if found is not None:
-        raise _refusal(found)
+    diagnosis = explain(extraction, in_parts=False)
+    if diagnosis is not None:
+        raise _refusal(diagnosis)
     share = misfit(extraction)
     if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
         raise _unexplained(share, extraction)
 
 
-def _refusal(found: Diagnosis) -> SolveError:
-    return _ExplainedError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+def _refusal(diagnosis: Diagnosis) -> SolveError:
+    return _ExplainedError(
+        f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
+    )
 
 
 def _require_positive(wheels: WheelGeometry) -> None:
@@ -311,18 +315,18 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
     if not inliers.any():
         inliers[:] = True
-    seen, corrected = at_state(extraction, data, state)
+    corrected_extraction, corrected = at_state(extraction, data, state)
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(seen, corrected, refinement, linear=linear, inliers=inliers)
+    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
     return replace(
         solution,
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
-        evidence=fit.lin.evidence(),
+        evidence=evidence(fit.lin),
         contradictions=contradictions,
         scale=scale,
         between=fit.between,

@@ -12,8 +12,8 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import (
     AssumedOdometry,
     CalibratedRobot,
@@ -230,7 +230,7 @@ def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArr
     solver = Solver(extraction, Constraints())
     noise = Noise.exact(**given(USUAL).given)
     state = initial_state(data, parameters, everything)
-    lin = Linearization.at(data, state, everything, noise, solver.priors(state))
+    lin = Posterior.at(data, state, everything, noise, solver.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound
 

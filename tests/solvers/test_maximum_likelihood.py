@@ -138,7 +138,7 @@ def test_encoders_on_two_topics_keep_their_steps(finer_deg):
 def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
     """The budget adds up exactly; noise levels make up all of it but the weak priors' share."""
     fit = maximum_likelihood(as_described(with_noise(noisy)))
-    budget = fit.lin.budget()
+    budget = fit.budget
     total = sum(budget.values())
     assert np.allclose(total, fit.lin.covariance, rtol=1e-9, atol=1e-15)
     assert np.abs(np.diag(budget["free"])[:9] / np.diag(total)[:9]).max() < 1e-4
@@ -149,7 +149,7 @@ def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
 def test_the_budget_of_an_unobservable_parameter_is_its_prior():
     fit = maximum_likelihood(with_noise(extraction_of("straight", seed=3)))
     k = NINE.index("separation")
-    budget = fit.lin.budget()
+    budget = fit.budget
     assert np.allclose(sum(budget.values()), fit.lin.covariance, rtol=1e-9, atol=1e-15)
     assert budget["unobservable"][k, k] > 0.99 * fit.lin.covariance[k, k]
 

@@ -17,7 +17,7 @@ class CameraInfo(Format):
     """The camera as estimated (`--camera`: another than the reference), with new R and P; only for raw images"""
 
     options: ClassVar[frozenset[str]] = frozenset({"--camera"})
-    #: Name of the camera; "" for the one that is asked for.
+    #: Name of the camera; "" for the one in `--camera`.
     camera: ClassVar[str] = ""
 
     def export(self, asked: Request) -> Exported:
