@@ -238,7 +238,7 @@ def extract(
         Snapshot(
             number,
             station.index,
-            detected.pictures if len(detected.pictures) >= log.rig.cameras.fewest else {},
+            detected.pictures,
             detected.thumbnail,
         )
         for number, log in enumerate(extracted)
@@ -295,7 +295,8 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     square_m = board.square_m
     if square_m is None:
         # All stations share one board: use the median of their square sizes, which the stereo baseline determines.
-        sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
+        measured = (m for log in logs for m in log.measured if isinstance(m, Measured))
+        sides = [m.square_m for m in measured if m.points is not None]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []
