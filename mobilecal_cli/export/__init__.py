@@ -17,7 +17,6 @@ from mobilecal_cli.export.outputs import (
     write_outputs,
 )
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
-from mobilecal_cli.export.plain import from_plain, to_plain
 
 __all__ = [
     "THUMBNAILS",
@@ -29,13 +28,11 @@ __all__ = [
     "check_output",
     "extraction_from_npz",
     "extraction_to_npz",
-    "from_plain",
     "improved_cameras",
     "improved_chain",
     "parameters_from_yaml",
     "params_yaml",
     "snapshots_from_npz",
-    "to_plain",
     "write_file",
     "write_outputs",
 ]

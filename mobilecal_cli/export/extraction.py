@@ -14,10 +14,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_serializer,
+)
 
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.export.plain import from_plain, to_plain
+from mobilecal_cli.files.reading import problems_of
 from mobilecal_cli.model import (
     SIDES,
     Board,
@@ -48,8 +55,6 @@ _OBSERVATION_ARRAYS: dict[str, type] = {
     "at_rest": np.bool_,
     **dict.fromkeys(("joints", "joints_std", *_MEASURED), np.float64),
 }
-#: What the header holds as JSON.
-_HEADER = ("rig", "board", "rejections", "notes", "logs", "counts")
 _CORNER_ARRAYS: dict[str, type] = {
     "pixels": np.float64,
     "sigma_px": np.float64,
@@ -69,6 +74,33 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 _HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
+class _Header(BaseModel):
+    """What the file holds beside arrays, and how many of these."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: str = _FORMAT
+    schema_version: int = SCHEMA_VERSION
+    made_by: str = __version__
+    rig: Rig
+    board: Board
+    rejections: tuple[Rejection, ...]
+    notes: tuple[str, ...]
+    logs: tuple[LogSource, ...]
+    counts: dict[str, int]
+    observations: int
+    wheels: int
+    joint_tracks: tuple[int, ...]
+
+    @field_serializer("rig", mode="wrap")
+    def _finite(self, rig: Rig, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """JSON has no infinite numbers, which the sigmas of free constants are."""
+        plain: dict[str, Any] = serialize(rig)
+        sigmas = plain["prior_sigmas"].items()
+        plain["prior_sigmas"] = {name: "inf" if math.isinf(sigma) else sigma for name, sigma in sigmas}
+        return plain
+
+
 def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()) -> bytes:
     """The extraction and the thumbnails of its stations as a compressed .npz: the same bytes for the same values.
 
@@ -79,21 +111,24 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
         ValueError: the observations have different numbers of corners or joints.
     """
     observations = extraction.observations
-    header = {
-        "format": _FORMAT,
-        "schema_version": SCHEMA_VERSION,
-        "made_by": __version__,
-        **{name: to_plain(getattr(extraction, name)) for name in _HEADER},
-        "observations": len(observations),
-        "wheels": len(extraction.wheels),
-        "joint_tracks": [len(tracks) for tracks in extraction.joint_tracks],
-        "thumbnails": [
-            (s.log, s.station, base64.b64encode(s.thumbnail).decode("ascii"))
-            for s in snapshots
-            if s.thumbnail
-        ],
-    }
-    text = json.dumps(header, allow_nan=False, separators=(",", ":"))
+    header = _Header(
+        rig=extraction.rig,
+        board=extraction.board,
+        rejections=extraction.rejections,
+        notes=extraction.notes,
+        logs=extraction.logs,
+        counts=dict(extraction.counts),
+        observations=len(observations),
+        wheels=len(extraction.wheels),
+        joint_tracks=tuple(len(tracks) for tracks in extraction.joint_tracks),
+    )
+    thumbnails = [
+        (s.log, s.station, base64.b64encode(s.thumbnail).decode("ascii")) for s in snapshots if s.thumbnail
+    ]
+    # Not as JSON by pydantic, which has none for names that are not UTF-8.
+    text = json.dumps(
+        header.model_dump() | {"thumbnails": thumbnails}, allow_nan=False, separators=(",", ":")
+    )
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
     if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
@@ -177,6 +212,8 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
 
 
 def _said(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        return problems_of(error)
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -214,22 +251,23 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
         rig["setting_sources"] = rig.pop("settled_by")
     if "left" in rig["cameras"]:  # schema versions 5 to 8
         rig["cameras"] = _pair(rig["cameras"])
-    names = [str(name) for name in rig["cameras"]["names"]]
+    stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
+    names = stated.rig.cameras.names
     return Extraction(
-        rig=from_plain(Rig, rig),
-        board=from_plain(Board, header["board"]),
-        observations=tuple(_observation(arrays, names, i) for i in range(header["observations"])),
-        wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
-        rejections=tuple(from_plain(Rejection, item) for item in header["rejections"]),
-        notes=tuple(str(note) for note in header["notes"]),
-        logs=tuple(from_plain(LogSource, item) for item in header["logs"]),
-        counts={str(key): int(value) for key, value in header["counts"].items()},
+        rig=stated.rig,
+        board=stated.board,
+        observations=tuple(_observation(arrays, names, i) for i in range(stated.observations)),
+        wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(stated.wheels)),
+        rejections=stated.rejections,
+        notes=stated.notes,
+        logs=stated.logs,
+        counts=stated.counts,
         joint_tracks=tuple(
             tuple(
                 Track(arrays[f"joints.{i}.{j}.time_ns"], arrays[f"joints.{i}.{j}.value"])
                 for j in range(count)
             )
-            for i, count in enumerate(header["joint_tracks"])
+            for i, count in enumerate(stated.joint_tracks)
         ),
     )
 

@@ -58,15 +58,15 @@ def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
         basis: (9, F) these directions.
     """
     values, vectors = np.linalg.eigh(A)
-    seen = values > _SHOWN**2
-    inverse = np.where(seen, 1 / np.where(seen, values, 1.0), 0.0)
+    known = values > _SHOWN**2
+    inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
     shown = (
-        np.sum((basis @ vectors[:, seen]) ** 2, axis=1) > 1 - _SHARE**2
+        np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     )  # fixed and unobservable: no share
     distance = float(a @ covariance @ a)
-    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(seen.sum()))
+    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum()))
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:

@@ -72,17 +72,17 @@ def influences(lin: Posterior) -> Iterator[Influence]:
     data, marginal = lin.data, lin.marginals
     errors, sigma = lin.own_errors, lin.own_sigmas
     joints = data.joints.shape[1]
-    one = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
-    one[:, :joints] *= lin.inliers.readings
-    one[:, joints:] *= data.drives[:, None]
+    per_sigma = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
+    per_sigma[:, :joints] *= lin.inliers.readings
+    per_sigma[:, joints:] *= data.drives[:, None]
     for columns, parts in (
         (slice(0, joints), {"joint_rad": np.eye(joints)}),
         (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
     ):
         at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
-        at[:, columns] = one[:, columns, None] * np.eye(at.shape[2])
+        at[:, columns] = per_sigma[:, columns, None] * np.eye(at.shape[2])
         leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
-        yield Influence(_onto(lin, own=at), (errors * one)[:, columns], leverage, parts)
+        yield Influence(_onto(lin, own=at), (errors * per_sigma)[:, columns], leverage, parts)
     yield _of_processes(lin)
     if len(data.legs):
         yield _of_legs(lin)

@@ -46,8 +46,8 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         extraction: at least one observation.
         constants: rows of the constants to estimate.
     """
-    seen = extraction.observations
-    log = np.array([o.log for o in seen])
+    observations = extraction.observations
+    log = np.array([o.log for o in observations])
     legs = [
         pair
         for number in range(len(extraction.wheels))
@@ -55,9 +55,9 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     ]
     square_m = extraction.board.square_m
     if square_m is None:
-        square_m = float(np.median([o.square_m for o in seen]))
+        square_m = float(np.median([o.square_m for o in observations]))
     steps = encoder_steps_rad(extraction.wheels)
-    moving = np.array([not o.at_rest for o in seen])
+    moving = np.array([not o.at_rest for o in observations])
     tracks = extraction.wheels
     if moving.any():  # at rest a reading is as good as its step; in motion its changes are more exact
         tracks = tuple(
@@ -70,21 +70,21 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     if extraction.motions:
         measured = [(m.motion, m.covariance) for m in extraction.motions]
         motions = SensorMotions(*(np.stack(part) for part in zip(*measured, strict=True)))
-    shown = np.stack([[view.seen for view in o.views] for o in seen])
-    claims = np.hypot([[view.sigma_px for view in o.views] for o in seen], _LEAST_CLAIM_PX)
+    shown = np.stack([[view.seen for view in o.views] for o in observations])
+    claims = np.hypot([[view.sigma_px for view in o.views] for o in observations], _LEAST_CLAIM_PX)
     usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
     return Dataset(
         cameras=extraction.rig.cameras,
         chain=extraction.rig.chain,
         points_k=extraction.board.grid() * square_m,
-        pixels=np.stack([[view.pixels for view in o.views] for o in seen]),
+        pixels=np.stack([[view.pixels for view in o.views] for o in observations]),
         seen=shown,
-        whitening=_whitening(seen, claims / usual),
-        pose_weight=np.stack([_pose_weight(o) for o in seen]),
-        T_c_k=np.stack([o.T_c_k for o in seen]),
-        T_c_k_cov=np.stack([o.T_c_k_cov for o in seen]),
-        points_c=np.stack([o.points_c for o in seen]),
-        joints=np.stack([o.joints for o in seen]),
+        whitening=_whitening(observations, claims / usual),
+        pose_weight=np.stack([_pose_weight(o) for o in observations]),
+        T_c_k=np.stack([o.T_c_k for o in observations]),
+        T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
+        points_c=np.stack([o.points_c for o in observations]),
+        joints=np.stack([o.joints for o in observations]),
         joint_tracks=extraction.joint_tracks,
         moving=moving,
         approach_direction=approach_direction(extraction),
@@ -92,7 +92,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
         motions=motions,
-        times_ns=np.array([o.time_ns for o in seen], dtype=np.int64),
+        times_ns=np.array([o.time_ns for o in observations], dtype=np.int64),
         encoder_step_rad=steps,
         several_wheels=extraction.rig.sources.several_wheels,
         layout=Layout(tuple(constants)),
@@ -108,9 +108,9 @@ def _pose_weight(o: Observation) -> FloatArray:
     return weight
 
 
-def _whitening(seen: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:
+def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) -> FloatArray:
     """Inverse Cholesky factors of the corners' covariances in units of the noise level, (N, C, M, 2, 2)."""
-    cov = np.stack([[view.relative_cov for view in o.views] for o in seen])
+    cov = np.stack([[view.relative_cov for view in o.views] for o in observations])
     cov = cov * relative_sigma[..., None, None, None] ** 2
     a = np.sqrt(np.maximum(cov[..., 0, 0], _LEAST_VARIANCE))
     b = cov[..., 1, 0] / a
@@ -125,9 +125,9 @@ def approach_direction(extraction: Extraction) -> FloatArray:
 
     Where a joint turns back, its play is on neither side: there the direction changes in proportion to the rate.
     """
-    seen = extraction.observations
-    log, joints = np.array([o.log for o in seen]), np.stack([o.joints for o in seen])
-    times_ns = np.array([o.time_ns for o in seen], dtype=np.int64)
+    observations = extraction.observations
+    log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
+    times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides = np.zeros(joints.shape)
     for number, tracks in enumerate(extraction.joint_tracks):
         mine = np.flatnonzero(log == number)

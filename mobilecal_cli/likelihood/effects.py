@@ -433,8 +433,8 @@ class ImageDelay(OneCameraEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only corners in motion show a delay."""
-        seen = bool(data.seen[:, self.camera].any())
-        return seen and bool(data.moving.any()) and bool(data.joint_tracks)
+        has_corners = bool(data.seen[:, self.camera].any())
+        return has_corners and bool(data.moving.any()) and bool(data.joint_tracks)
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the delay."""

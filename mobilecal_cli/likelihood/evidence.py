@@ -63,7 +63,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             own, m = stated, stated @ precision @ m
         chi2, dof, value, wide = _without_prior(m, own)
         names = [layout.names[k] for k in columns]
-        found = {
+        estimates = {
             name: (float(v * s), float(d * s))
             for name, v, d, s in zip(names, value, wide, prior, strict=True)
         }
@@ -76,7 +76,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
         sigma_of = dict(zip(names, prior.tolist(), strict=True))
-        tested.append(Evidence(first.kind, first.part, found, sigma_of, chi2, dof, sigmas, max(shifts)))
+        tested.append(Evidence(first.kind, first.part, estimates, sigma_of, chi2, dof, sigmas, max(shifts)))
     return tuple(tested)
 
 

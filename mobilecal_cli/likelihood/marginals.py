@@ -93,8 +93,8 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
     FC = F @ C
-    seen = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
-    seen += _sandwich(views.by_own, E_inverse)
+    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     bases = own + _sandwich(follow, C)
@@ -106,7 +106,7 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
-        views=seen,
+        views=of_views,
         mixed=FC[:, :, views.direct],
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,

@@ -449,10 +449,10 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
 def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
     seen, names = extraction.observations, station_names(extraction)
-    square_mm = [o.square_m * 1e3 for o in seen]
+    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(seen) if o.several}
     stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
     x = Scale(-0.6, len(seen) - 0.4)
-    pair = extraction.rig.cameras.calibrated
+    pair = extraction.rig.cameras.calibrated and bool(square_mm)
     what = "residual and square size" if pair else "residual"
     canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
     residual = Scale.of([o.reprojection_px for o in seen], zero=True)
@@ -463,17 +463,18 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     axes.names(names, "" if pair else "station")
     if not pair:
         return canvas.svg
-    size = Scale.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
+    sizes_mm = list(square_mm.values())
+    size = Scale.of([*sizes_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * sizes_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)
     for value in stated:
         axes.level(value, "ink thin")
         canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
-    for i, value in enumerate(square_mm):
+    for i, value in square_mm.items():
         axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
     axes.names(names, "station")
     median = float(np.median([o.reprojection_px for o in seen]))
-    sizes = f"the squares measure {min(square_mm):.2f} to {max(square_mm):.2f} mm"
+    sizes = f"the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
     return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
 
 
@@ -669,7 +670,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                         residuals.predicted_px[k, leg],
                     )
                     for k, (name, view) in enumerate(zip(cameras.names, seen[i].views, strict=True))
-                    if view.pictures or cameras.calibrated
+                    if view.pictures
                 ),
             )
         )

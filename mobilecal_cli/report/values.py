@@ -282,6 +282,7 @@ class SuggestionData:
 
     turn_deg: float
     drive_m: float
+    face_deg: float
     joints: ByName
     parameter: str
     std_now: float
@@ -670,6 +671,7 @@ def _suggestions(solution: Solution, extraction: Extraction) -> tuple[Suggestion
             SuggestionData,
             s,
             turn_deg=math.degrees(s.turn_rad),
+            face_deg=math.degrees(s.face_rad),
             joints=dict(zip(joints, s.joints.tolist(), strict=True)),
             parameter=s.worst,
             text=text,

@@ -134,7 +134,7 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
     """
     processes, posterior, values = lin.processes, lin.marginals, _within(lin)
     j = lin.data.legs[lin.inliers.legs, 1]
-    found: dict[str, float] = {}
+    lengths_m: dict[str, float] = {}
     variance, before = (
         np.diagonal(part, axis1=1, axis2=2) for part in (posterior.processes, posterior.before)
     )
@@ -151,14 +151,14 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
             spread = np.maximum(spread, EXACT**2)
             innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
             score -= np.sum(np.log(spread) + innovation / spread, axis=1)
-        found[level] = float(tried[np.argmax(score)])
-    return found
+        lengths_m[level] = float(tried[np.argmax(score)])
+    return lengths_m
 
 
-def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
+def estimated(noise: Noise, shown: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
     """The noise after one step of the fixed point; levels that are given stay."""
     changes: dict[str, float] = {}
-    for name, component in found.items():
+    for name, component in shown.items():
         if name in given:
             continue
         before, supposed = getattr(noise, name), getattr(guess, name)
@@ -185,13 +185,13 @@ def widths(lin: Posterior) -> dict[str, float]:
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):
         if used[k]:
             columns.setdefault(family(row.kind), []).append(k)
-    found = {}
+    factors = {}
     for kind, mine in columns.items():
         shown = float(left[mine].sum())
         n = shown**2 / max(float(np.sum(left[mine] ** 2)), _SHOWN**2)
         variance = float(squares[mine].sum()) / (shown + _SHOWN) * n / (n + _TOO_NARROW)
-        found[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
-    return found
+        factors[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
+    return factors
 
 
 class LevelSearch:
@@ -208,9 +208,9 @@ class LevelSearch:
         self._levels: list[FloatArray] = []
         self._changes: list[FloatArray] = []
 
-    def next(self, noise: Noise, found: Noise) -> Noise:
+    def next(self, noise: Noise, shown: Noise) -> Noise:
         """Levels for the next round, from those of this round and what its residuals say."""
-        here, there = noise.all_levels, found.all_levels
+        here, there = noise.all_levels, shown.all_levels
         names = [name for name in there if name not in self._given and here.get(name, 1.0) > 0]
         at = np.log([here.get(name, 1.0) for name in names])
         change = np.log([there[name] for name in names]) - at
@@ -222,7 +222,7 @@ class LevelSearch:
             dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
-        kinds = np.array([name in found.wider for name in names])
+        kinds = np.array([name in shown.wider for name in names])
         step = np.where(kinds, change, step)  # where two explain the same, neither is preferred
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)

@@ -42,22 +42,22 @@ _JUDGED_BY = {
 }
 
 
-def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
-    """(N,) median over the detected corners, (N, 2, M)."""
-    return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
+def _median(size: FloatArray, detected: BoolArray) -> FloatArray:
+    """(N,) median over the detected corners, (N, C, M)."""
+    return np.asarray(np.nanmedian(np.where(detected, size, np.nan), axis=(1, 2)))
 
 
 def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
-    """(n, 2, M) distance of the corners of some stations from the boards that fit each best, robustly."""
-    seen, T = data.seen[stations], data.T_c_k[stations]
+    """(n, C, M) distance of the corners of some stations from the boards that fit each best, robustly."""
+    detected, T = data.seen[stations], data.T_c_k[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(data, state, T, stations)
         W = data.whitening[stations]
         residual, J = whitened(W, residual), whitened(W, J[:, :6])
         size = np.linalg.norm(residual, axis=-1)
-        scale = np.maximum(_median(size, seen), 1e-9)
+        scale = np.maximum(_median(size, detected), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
-        root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
+        root = (detected / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
         At = (J * root[:, None]).reshape(len(T), 6, -1)
         r = (residual * root).reshape(len(T), -1)
         A = np.swapaxes(At, 1, 2)
@@ -77,7 +77,7 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         state: gives the cameras and the board.
 
     Returns:
-        (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
+        (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
     if data.posed.any():
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
@@ -156,7 +156,7 @@ def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
     tests = fit.tests
-    found = []
+    striking_most = []
     for kind, dof in _DEGREES.items():
         values = getattr(tests, kind)
         if not values.size:
@@ -165,8 +165,8 @@ def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
         striking = np.argwhere(values > usual)
         places = some_of(fit.data, kind, striking[np.argsort(-values[values > usual], kind="stable")])
         if places:
-            found.append((float(values[places[0]]) / usual, kind, places))
-    return sorted(found, reverse=True)
+            striking_most.append((float(values[places[0]]) / usual, kind, places))
+    return sorted(striking_most, reverse=True)
 
 
 def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]:

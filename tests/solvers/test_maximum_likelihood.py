@@ -16,7 +16,8 @@ from mobilecal_cli.simulate.imperfect import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
-from mobilecal_cli.solvers.maximum_likelihood import Solver, maximum_likelihood
+from mobilecal_cli.solvers import maximum_likelihood as recipe
+from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import with_pair, with_views
@@ -284,8 +285,8 @@ def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
         joints = seen[at].joints.copy()
         joints[3] += 0.008  # nine sigma
         seen[at] = replace(seen[at], joints=joints)
-    rounds, decided = [], Solver.decided
-    monkeypatch.setattr(Solver, "decided", lambda self, fit: rounds.append(1) or decided(self, fit))
+    rounds, decided = [], recipe.once_decided
+    monkeypatch.setattr(recipe, "once_decided", lambda *at: rounds.append(1) or decided(*at))
     fit = maximum_likelihood(replace(log, observations=tuple(seen)))
     assert [tuple(at) for at in np.argwhere(~fit.inliers.readings)] == [(at, 3) for at in wrong]
     assert len(rounds) == 3  # three, three, and nothing more
