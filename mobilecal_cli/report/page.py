@@ -64,27 +64,13 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     The first screen has the verdict, the numbers and what limits them; the rest is collapsed. The script links plots
     and images by station, and draws the view in space from the report's JSON, which is in the page.
     """
-    from markupsafe import Markup  # SVG made here, with every text escaped
+    from markupsafe import Markup
 
     script, style = _asset("page.js"), _asset("page.css") + STYLE
-    figures = [
-        {
-            "section": figure.section,
-            "half": figure.half,
-            "parts": [(title, Markup(svg)) for title, svg in figure.parts],
-            "caption": figure.caption,
-        }
-        for figure in drawings.figures
-    ]
     text = link_terms(
         template("report.html.jinja").render(
             report=report,
-            figures=figures,
-            views=drawings.views,
-            thumbnails=drawings.thumbnails,
-            path=Markup(drawings.path),
-            limits=drawings.limits,
-            bar=Markup("" if drawings.limits is None else drawings.limits.svg),
+            drawn=drawings,
             contents=list(CONTENTS.items()),
             opened=opened_section(report),
             stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
@@ -178,29 +164,12 @@ TERMS = (
          "deviations. The solver then trusts it less."),
     Term("dead-reckoning", "Dead reckoning", "dead reckoning",
          "The path of the base, computed from the wheel rotations alone."),
-    Term("error-budget", "Error budget", "error budget",
-         "What share of a variance comes from each source: corners, joints, floor, wheels, and each kind of stated "
-         "value."),
     Term("gimbal-lock", "Gimbal lock", "gimbal lock",
          "An orientation at which Euler angles are not unique: the middle angle is near ±90°. Use the rotation "
          "vector or the quaternion there."),
-    Term("head-eye", "Head-eye transform", "head-eye transform",
-         "The pose of the reference camera in the frame of the last head link: rotation and translation."),
     Term("hold-out", "Hold-out", "hold-out|held-out|held out",
          "Data kept aside: it has no influence on the result, and the result is tested on it."),
-    Term("initial", "Initial estimate", "initial estimates?",
-         "The parameters from which an iterative method starts."),
-    Term("jackknife", "Jackknife", "jackknife",
-         "A second estimate of the standard deviations. It leaves out parts of the data in turn and measures how "
-         "much the result changes."),
     Term("leg", "Leg", "legs?", "The motion of the base from one station to the next."),
-    Term("linear", "Linear solution", "linear (?:solution|method)",
-         "The result of the iterative linear method of Kim and Jeong (2015). It is the start of the refinement."),
-    Term("ml", "Maximum likelihood", "maximum likelihood",
-         "The method that weights each measurement by its own noise and finds the parameters that explain all "
-         "measurements best."),
-    Term("nine", "Nine parameters", "nine parameters|nine-parameter model",
-         "The head-eye transform (six parameters), the right and left wheel radius, and the wheel separation."),
     Term("nominal", "Nominal value", "nominal (?:values?|wheels|head-eye transform)",
          "The value of a parameter before calibration, from the URDF or from rig.yaml."),
     Term("observable", "Observable", "(?:un)?observable",
@@ -219,8 +188,6 @@ TERMS = (
          "The station-to-station corner error in the images, root mean square in px."),
     Term("residual", "Residual", "residuals?",
          "The difference between a measurement and its prediction by the solution."),
-    Term("rotation-vector", "Rotation vector", "rotation vectors?",
-         "A rotation written as its axis times its angle. It is unique for all angles below 180°."),
     Term("sigma", "Sigma", "standard deviations?|sigmas?",
          "Standard deviation (1 sigma): the expected size of the error. The true value is within 1 sigma in 68 % of "
          "cases and within 2 sigma in 95 %."),
