@@ -18,11 +18,11 @@ import numpy as np
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.numbers import percent_text, std_text, value_text
+from mobilecal_cli.report.numbers import percent_text
 from mobilecal_cli.report.plots import Drawings
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN
-from mobilecal_cli.report.values import ReportData, ResultData
+from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
             opened=opened_section(report),
             stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
             change="" if report.change is None else _change(report.change),
-            orientation=_orientation(report.parameters),
+            orientation=report.parameters.orientation,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
             style=Markup(style),
         )
@@ -116,25 +116,6 @@ def template(name: str) -> Template:
         finalize=shown,
     )
     return found.get_template(name)
-
-
-def _orientation(found: ResultData) -> str:
-    """Quaternion, and Euler angles with their standard deviations; without these near gimbal lock."""
-    quaternion = ", ".join(f"{q:.6f}" for q in found.quaternion_xyzw)
-    shown, angles, stds = (
-        f"Quaternion (x, y, z, w): {quaternion}.",
-        found.euler_zyx_deg,
-        found.euler_zyx_std_deg,
-    )
-    if angles is None:
-        margin = f"{found.gimbal_margin_deg:.1f}"
-        return f"{shown} Euler angles are not shown: the orientation is {margin}° from gimbal lock."
-    each = (
-        f"{axis} = {value_text(angle, None if stds is None else stds[k], 3)}°"
-        + ("" if stds is None else f" ± {std_text(stds[k])}°")
-        for k, (axis, angle) in enumerate(zip("xyz", angles, strict=True))
-    )
-    return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
 
 
 def _change(change: Change) -> str:

@@ -50,14 +50,12 @@ class Figure:
     """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
-        parts: title ("" for none) and SVG element of each.
-        caption: what it shows, from its numbers; "" for none.
+        parts: title, SVG element, and caption (what it shows, from its numbers) of each; "" for none.
         half: half as wide as the page, side by side.
     """
 
     section: str
-    parts: tuple[tuple[str, str], ...]
-    caption: str
+    parts: tuple[tuple[str, str, str], ...]
     half: bool
 
 
@@ -161,13 +159,12 @@ def plot(
                 titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
             if corners and extraction.measured:
                 titles = {}
-            parts, captions = [], []
+            parts = []
             for more, title in titles.items():
                 drawn = draw(solution, extraction, *more)
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
-                parts += [(title, element)] if element else []
-                captions += [caption] if caption else []
-            return Figure(section, tuple(parts), " ".join(dict.fromkeys(captions)), half)
+                parts += [(title, element, caption)] if element else []
+            return Figure(section, tuple(parts), half)
 
         _PLOTS.append(figure)
         return draw
