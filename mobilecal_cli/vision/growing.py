@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
-from mobilecal_cli.vision.gate import sample
+from mobilecal_cli.vision.acceptance import sample
 from mobilecal_cli.vision.grid import right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.refinement import refine
@@ -113,7 +113,7 @@ def grow(image: GrayImage, seed: FloatArray) -> Grown | None:
     grid = _trim(right_handed(seed), image)
     if grid is None:
         return None
-    grid = refine(image, grid.reshape(-1, 2), smallest_edge_px(grid)).reshape(grid.shape)
+    grid = refine(image, grid, smallest_edge_px(grid))
     grid = _trim(grid, image)
     if grid is None:
         return None

@@ -7,7 +7,7 @@ import numpy as np
 
 from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArray, Markers
 from mobilecal_cli.vision.grid_map import scatter_px
-from mobilecal_cli.vision.values import Detection, Miss, rms
+from mobilecal_cli.vision.values import OCCLUDED, Detection, Miss, rms
 
 #: Fewer corners, or fewer tags, do not determine the board's pose.
 _LEAST_CORNERS = 8
@@ -39,7 +39,7 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     for _ in range(3):
         if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
             return Miss(
-                "board partly occluded or outside the image",
+                OCCLUDED,
                 f"{seen.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
             )
         off = np.linalg.norm(scatter_px(grid[seen], pixels[seen]), axis=1)

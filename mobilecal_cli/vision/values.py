@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ Reason = Literal[
     "left and right images inconsistent",
     "no pose of the board",
 ]
+#: Also of the part of a board that is seen, where too little of it is.
+OCCLUDED: Final = "board partly occluded or outside the image"
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
 FLOOR_PX = 0.003  # error of the corner model on images without noise
