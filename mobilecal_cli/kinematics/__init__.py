@@ -1,6 +1,6 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, unseen_height
+from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, joint_frames, unseen_height
 from mobilecal_cli.kinematics.motion import (
     DRIVEN_RAD,
     FEWEST_LEGS,
@@ -37,6 +37,7 @@ __all__ = [
     "head_pose",
     "integrate",
     "join",
+    "joint_frames",
     "motion_seen",
     "unseen_height",
 ]

@@ -21,6 +21,18 @@ def joint_motion(link: JointLink, reading: FloatArray) -> FloatArray:
     return se3.transform(np.eye(3), link.shift_m + amount)
 
 
+def joint_frames(chain: HeadChain) -> tuple[list[tuple[JointLink, FloatArray]], FloatArray]:
+    """The joints, each with its frame at a reading of zero in the one before, (4, 4); and the head in the last one."""
+    joints, T = [], np.eye(4)
+    for link in chain.links:
+        if isinstance(link, FixedLink):
+            T = T @ link.T_parent_child
+        else:
+            joints.append((link, T @ joint_motion(link, np.zeros(()))))
+            T = np.eye(4)
+    return joints, T
+
+
 def head_pose(chain: HeadChain, joints: FloatArray) -> FloatArray:
     """Pose of the head, T_v_h(q): head coordinates to vehicle coordinates.
 

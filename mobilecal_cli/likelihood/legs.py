@@ -9,8 +9,9 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, integrate
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import TurnSlip, WheelClock
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s

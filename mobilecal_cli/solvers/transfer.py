@@ -8,7 +8,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, integrate
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import FloatArray, Parameters
 
 
