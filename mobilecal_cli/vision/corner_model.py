@@ -25,10 +25,10 @@ from mobilecal_cli.vision.values import Appearance, Single
 # Half width of a corner's window in units of the edge: up to the middle of a square, outside the next edge's
 # blur. It is smaller toward the outside of the board, because printed boards often have narrow outer squares.
 _INNER_REACH, _OUTER_REACH = 0.5, 0.28
-_LEAST_HALF_PX, _MOST_HALF_PX = 2, 7
-_MOST_ROUNDS = 5
-_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0
-_LEAST_PIXELS = 20
+_LEAST_HALF_PX, _MOST_HALF_PX = 2, 7  # of a window: for seven unknowns, and for the time that it takes
+_MOST_ROUNDS = 5  # two or three are usual
+_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0  # a pixel's own width, and that of half a window
+_LEAST_PIXELS = 20  # of a corner near the image border, for seven unknowns
 _LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; a lower contrast is no corner
 _LARGEST_MOVE = 0.15  # in units of the edge, from the result of cornerSubPix
 _UNKNOWNS = 7
@@ -113,8 +113,8 @@ def _reach(rows: int, columns: int, outer_whole: bool) -> Single:
 @lru_cache(maxsize=16)
 def _offsets(half: int) -> Single:
     """Homogeneous coordinates (x, y, 1) of a window's pixels relative to its center, (3, P), px."""
-    one = np.arange(-half, half + 1, dtype=np.float32)
-    x, y = np.meshgrid(one, one)
+    reach = np.arange(-half, half + 1, dtype=np.float32)
+    x, y = np.meshgrid(reach, reach)
     offsets = np.stack([x.ravel(), y.ravel(), np.ones(x.size, dtype=np.float32)])
     offsets.setflags(write=False)
     return offsets

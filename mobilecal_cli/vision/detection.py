@@ -25,10 +25,9 @@ from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import FLOOR_PX, OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import FLOOR_PX, LARGE_PX, OCCLUDED, Appearance, Detection, Miss
 
-_LARGE = 1280  # image width from which half size is tried first, which is three times as fast, px
-_SMALLEST_PICTURE = 64
+_SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 _ADAPTIVE = (
     cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 )  # for uneven light; slow in full images
@@ -52,8 +51,8 @@ def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float
         )
     if min(picture.shape) < _SMALLEST_PICTURE:
         return None
-    found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
-    if not found:
+    complete, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+    if not complete:
         return None
     ratio = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
     grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
@@ -115,7 +114,7 @@ def detect(
     """
     if min(image.shape) < _SMALLEST_PICTURE:
         return Miss("no board found", f"the image has only {image.shape[1]} x {image.shape[0]} px")
-    scales = (0.5, 1.0) if image.shape[1] >= _LARGE else (1.0, 0.5)
+    scales = (0.5, 1.0) if image.shape[1] >= LARGE_PX else (1.0, 0.5)
     grids = (_classic(image, columns, rows, 0, scale) for scale in scales)
     grid = next((grid for grid in grids if grid is not None), None)
     result = _judge(image, grid) if grid is not None else None
@@ -144,7 +143,7 @@ def _second(image: GrayImage, first: Detection, columns: int, rows: int) -> Floa
     cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
     if not may_show_board(painted, columns * rows, least_response(image, columns * rows)):
         return None
-    other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
+    other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= LARGE_PX else 1.0)
     if other is None or not isinstance(_judge(painted, other), Detection):
         return None
     return other.reshape(-1, 2)
@@ -162,7 +161,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
             grid = np.rot90(grid)
         if grid.shape[:2] == (rows, columns):
             return _judge(image, grid)
-        scale, reason = 0.5 if image.shape[1] >= _LARGE else 1.0, _other_size(grown, columns, rows)
+        scale, reason = 0.5 if image.shape[1] >= LARGE_PX else 1.0, _other_size(grown, columns, rows)
         if grown.open_sides == 0:
             return first or reason
     again = _classic(image, columns, rows, _ADAPTIVE, scale)

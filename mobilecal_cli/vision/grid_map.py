@@ -150,8 +150,8 @@ def _monomials(w: FloatArray, degree: int) -> FloatArray:
 
 def _products(w: FloatArray) -> FloatArray:
     """(M, 9) outer products of (w, 1) with itself, flattened."""
-    one = np.column_stack([w, np.ones(len(w))])
-    return np.asarray((one[:, :, None] * one[:, None, :]).reshape(-1, 9))
+    q = np.column_stack([w, np.ones(len(w))])
+    return np.asarray((q[:, :, None] * q[:, None, :]).reshape(-1, 9))
 
 
 def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:

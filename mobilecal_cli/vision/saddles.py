@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import GrayImage
-from mobilecal_cli.vision.values import Single
+from mobilecal_cli.vision.values import LARGE_PX, Single
 
-_LARGE = 1280  # image width from which a quarter of the size is enough, px
 _BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
 _NEIGHBORS = np.ones((3, 3), np.uint8)
 _WORTH = 0.02  # share of the strongest response; usually 1 % of the peaks exceed it, the others are noise
@@ -35,7 +34,7 @@ def least_response(image: GrayImage, corners: int) -> float:
 
 def _responses(image: GrayImage) -> Single:
     """Negative determinant of the second derivatives of an image at reduced size, in arbitrary units."""
-    scale = 0.25 if image.shape[1] >= _LARGE else 0.5
+    scale = 0.25 if image.shape[1] >= LARGE_PX else 0.5
     small = cv2.GaussianBlur(
         cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), *_BLUR
     )
